@@ -1,0 +1,1 @@
+"""Staged experiments on 4D Gaussian Splatting: initialise, train, evaluate, report."""

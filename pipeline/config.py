@@ -1,0 +1,180 @@
+"""The schema of a run: every key, its type, its default and its range.
+
+The files under conf/ hold differences from these defaults only. A key that is not here is refused by Hydra with
+its name; a value out of range is refused by `__post_init__` with the key, the bound and what was found.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from typing import Any, Optional
+
+
+def _require(condition: bool, key: str, expected: str, found: Any) -> None:
+    if not condition:
+        raise ValueError(f"{key}: expected {expected}, found {found!r}")
+
+
+@dataclass
+class SceneConfig:
+    """Where a scene comes from and how it is read."""
+
+    name: str = "dnerf"  # names the run folder; may hold a slash
+    reader: str = "dnerf"  # dnerf | synthetic
+    path: Optional[str] = None  # folder of the data; synthetic scenes make their own
+    test_split: str = "test"  # test | val: which split is held out
+    downscale: int = 2  # images are read at 1/downscale of their size
+    background: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    cache: str = "results/cache"  # where synthetic scenes are written
+    size: int = 200  # synthetic: image side in pixels
+    train_views: int = 60  # synthetic
+    test_views: int = 12  # synthetic
+    seed: int = 0  # synthetic: the scene's own seed, apart from the run's
+    init_points: int = 100_000
+    init_box: list[float] = field(default_factory=lambda: [-1.2, 1.2])
+    near: float = 0.2
+
+    def __post_init__(self) -> None:
+        _require(self.reader in ("dnerf", "synthetic"), "scene.reader", "dnerf or synthetic", self.reader)
+        _require(self.test_split in ("test", "val"), "scene.test_split", "test or val", self.test_split)
+        _require(1 <= self.downscale <= 16, "scene.downscale", "1 to 16", self.downscale)
+        _require(len(self.background) == 3 and all(0 <= c <= 1 for c in self.background),
+                 "scene.background", "three values in [0, 1]", self.background)
+        _require(8 <= self.size <= 4096, "scene.size", "8 to 4096", self.size)
+        _require(self.train_views >= 1, "scene.train_views", "at least 1", self.train_views)
+        _require(self.test_views >= 1, "scene.test_views", "at least 1", self.test_views)
+        _require(self.init_points >= 1, "scene.init_points", "at least 1", self.init_points)
+        _require(len(self.init_box) == 2 and self.init_box[0] < self.init_box[1],
+                 "scene.init_box", "[low, high] with low < high", self.init_box)
+        _require(self.near > 0, "scene.near", "> 0", self.near)
+
+
+@dataclass
+class AblationConfig:
+    """Which parts of the model are left out (SPEC 3)."""
+
+    name: str = "full"
+    rotation_4d: bool = True  # False: one 3D rotation, no motion
+    fourier_order: int = 2  # 0: colour constant in time
+    time_split: bool = True  # False: split in space only, no temporal indicator
+    sh_degree: int = 3
+    static: Optional[bool] = None  # None: as the scene is; True: no time at all, ordinary 3DGS
+
+    def __post_init__(self) -> None:
+        _require(0 <= self.fourier_order <= 2, "ablation.fourier_order", "0 to 2", self.fourier_order)
+        _require(0 <= self.sh_degree <= 3, "ablation.sh_degree", "0 to 3", self.sh_degree)
+
+
+@dataclass
+class RateConfig:
+    """Learning rates of Adam (SPEC 2); positions are multiplied by the scene's extent."""
+
+    mean: float = 1.6e-4
+    mean_final: float = 1.6e-6  # log-linear over `decay_iterations`
+    mean_time: float = 1.6e-4  # × extent, constant
+    decay_iterations: int = 30_000
+    sh_dc: float = 2.5e-3
+    sh_rest: float = 1.25e-4
+    opacity: float = 5e-2
+    scale: float = 5e-3
+    rotation: float = 1e-3
+    final_factor: float = 1.0  # every rate × this at the end, log-linear (fast: 0.1)
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            _require(getattr(self, f.name) >= 0, f"train.rate.{f.name}", ">= 0", getattr(self, f.name))
+
+
+@dataclass
+class DensifyConfig:
+    """Adaptive density control in space and time (SPEC 2)."""
+
+    start: int = 500
+    stop: int = 15_000
+    every: int = 100
+    space_gradient: float = 2e-4  # NDC units, mean per view
+    use_time_gradient: bool = True  # the switch `densify.time_gradient` of SPEC 2
+    time_gradient: float = 1e-4  # |dL/dμt|, time in units of the duration
+    time_split: bool = True
+    split_scale: float = 0.01  # × extent: clone up to it, split above
+    split_count: int = 2
+    split_shrink: float = 1.6
+    max_gaussians: int = 1_000_000
+    prune_opacity: float = 0.005
+    prune_big_after: int = 3000
+    prune_radius_px: float = 20.0
+    prune_scale: float = 0.1  # × extent
+    opacity_reset_every: int = 3000
+    opacity_reset_to: float = 0.01
+
+    def __post_init__(self) -> None:
+        _require(self.every >= 1, "train.densify.every", "at least 1", self.every)
+        _require(self.max_gaussians >= 1, "train.densify.max_gaussians", "at least 1", self.max_gaussians)
+        _require(self.split_shrink > 1, "train.densify.split_shrink", "> 1", self.split_shrink)
+        _require(self.split_count >= 2, "train.densify.split_count", "at least 2", self.split_count)
+        _require(0 < self.prune_opacity < 1, "train.densify.prune_opacity", "in (0, 1)", self.prune_opacity)
+
+
+@dataclass
+class ResolutionStep:
+    """Train at `scale` of the full resolution until `until` (a fraction of the schedule)."""
+
+    until: float = 1.0
+    scale: float = 1.0
+
+
+@dataclass
+class TrainConfig:
+    """The schedule. The defaults are `train=paper`."""
+
+    name: str = "paper"
+    iterations: int = 30_000
+    batch: int = 4
+    sampler: str = "pairs"  # pairs: shuffled (view, time) | views_at_one_time | times_of_one_view
+    resolution_scale: float = 1.0
+    resolution_steps: list[ResolutionStep] = field(default_factory=list)  # coarse to fine; empty: full size throughout
+    time_budget_s: Optional[float] = None  # stop after so many training seconds
+    ssim_weight: float = 0.2
+    rigid_weight: float = 0.0
+    optimiser: str = "adam"  # adam (dense, the paper's) | sparse_adam (touched Gaussians only)
+    sh_degree_every: int = 1000  # +1 degree so often, to 3
+    fourier_at: list[int] = field(default_factory=lambda: [4000, 5000])  # Fourier order 1, 2 from these iterations
+    init_opacity: float = 0.1
+    init_time_scale: float = 0.5  # × duration
+    init_time_margin: float = 0.0  # times uniform over the duration widened so much a side
+    init_points: Optional[int] = None  # None: the scene's
+    rate: RateConfig = field(default_factory=RateConfig)
+    densify: DensifyConfig = field(default_factory=DensifyConfig)
+    eval_every: int = 500
+    checkpoint_every: int = 1000
+    checkpoint_keep_moments: bool = True
+
+    def __post_init__(self) -> None:
+        _require(self.iterations >= 1, "train.iterations", "at least 1", self.iterations)
+        _require(self.batch >= 1, "train.batch", "at least 1", self.batch)
+        _require(self.sampler in ("pairs", "views_at_one_time", "times_of_one_view"), "train.sampler",
+                 "pairs, views_at_one_time or times_of_one_view", self.sampler)
+        _require(self.optimiser in ("adam", "sparse_adam"), "train.optimiser", "adam or sparse_adam", self.optimiser)
+        _require(0 < self.resolution_scale <= 1, "train.resolution_scale", "in (0, 1]", self.resolution_scale)
+        _require(0 <= self.ssim_weight <= 1, "train.ssim_weight", "in [0, 1]", self.ssim_weight)
+        _require(self.time_budget_s is None or self.time_budget_s > 0, "train.time_budget_s", "> 0", self.time_budget_s)
+        _require(self.eval_every >= 1, "train.eval_every", "at least 1", self.eval_every)
+        _require(self.checkpoint_every >= 1, "train.checkpoint_every", "at least 1", self.checkpoint_every)
+        _require(0 < self.init_opacity < 1, "train.init_opacity", "in (0, 1)", self.init_opacity)
+
+
+@dataclass
+class Config:
+    """One run: a function of this, the data and the seed."""
+
+    scene: SceneConfig = field(default_factory=SceneConfig)
+    ablation: AblationConfig = field(default_factory=AblationConfig)
+    train: TrainConfig = field(default_factory=TrainConfig)
+    seed: int = 0
+    threads: int = 0  # 0: all the machine has
+    out: str = "results/runs/${scene.name}/${ablation.name}/${train.name}/seed${seed}"
+    resume: bool = True
+
+    def __post_init__(self) -> None:
+        _require(self.seed >= 0, "seed", ">= 0", self.seed)
+        _require(self.threads >= 0, "threads", ">= 0 (0: all)", self.threads)
