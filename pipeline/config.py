@@ -104,10 +104,18 @@ class DensifyConfig:
     prune_big_after: int = 3000
     prune_radius_px: float = 20.0
     prune_scale: float = 0.1  # × extent
-    opacity_reset_every: int = 3000
+    opacity_reset_every: int = 3000  # 0: never
     opacity_reset_to: float = 0.01
 
     def __post_init__(self) -> None:
+        _require(self.start >= 0, "train.densify.start", ">= 0", self.start)
+        _require(self.stop >= 0, "train.densify.stop", ">= 0 (0: no densification)", self.stop)
+        _require(self.space_gradient > 0, "train.densify.space_gradient", "> 0", self.space_gradient)
+        _require(self.time_gradient > 0, "train.densify.time_gradient", "> 0", self.time_gradient)
+        _require(self.split_scale > 0, "train.densify.split_scale", "> 0", self.split_scale)
+        _require(self.opacity_reset_every >= 0, "train.densify.opacity_reset_every", ">= 0 (0: never)",
+                 self.opacity_reset_every)
+        _require(0 < self.opacity_reset_to < 1, "train.densify.opacity_reset_to", "in (0, 1)", self.opacity_reset_to)
         _require(self.every >= 1, "train.densify.every", "at least 1", self.every)
         _require(self.max_gaussians >= 1, "train.densify.max_gaussians", "at least 1", self.max_gaussians)
         _require(self.split_shrink > 1, "train.densify.split_shrink", "> 1", self.split_shrink)
@@ -121,6 +129,10 @@ class ResolutionStep:
 
     until: float = 1.0
     scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        _require(0 < self.until <= 1, "train.resolution_steps.until", "in (0, 1]", self.until)
+        _require(0 < self.scale <= 1, "train.resolution_steps.scale", "in (0, 1]", self.scale)
 
 
 @dataclass
@@ -137,12 +149,13 @@ class TrainConfig:
     ssim_weight: float = 0.2
     rigid_weight: float = 0.0
     optimiser: str = "adam"  # adam (dense, the paper's) | sparse_adam (touched Gaussians only)
-    sh_degree_every: int = 1000  # +1 degree so often, to 3
-    fourier_at: list[int] = field(default_factory=lambda: [4000, 5000])  # Fourier order 1, 2 from these iterations
+    sh_degree_every: int = 1000  # +1 degree so often, to 3; 0: all at once
+    fourier_at: list[int] = field(default_factory=lambda: [4000, 5000])  # Fourier order 1, 2 from these iterations; empty: at once
     init_opacity: float = 0.1
     init_time_scale: float = 0.5  # × duration
     init_time_margin: float = 0.0  # times uniform over the duration widened so much a side
     init_points: Optional[int] = None  # None: the scene's
+    init_box: Optional[list[float]] = None  # None: the scene's
     rate: RateConfig = field(default_factory=RateConfig)
     densify: DensifyConfig = field(default_factory=DensifyConfig)
     eval_every: int = 500
@@ -161,6 +174,31 @@ class TrainConfig:
         _require(self.eval_every >= 1, "train.eval_every", "at least 1", self.eval_every)
         _require(self.checkpoint_every >= 1, "train.checkpoint_every", "at least 1", self.checkpoint_every)
         _require(0 < self.init_opacity < 1, "train.init_opacity", "in (0, 1)", self.init_opacity)
+        _require(self.init_time_scale > 0, "train.init_time_scale", "> 0", self.init_time_scale)
+        _require(self.init_time_margin >= 0, "train.init_time_margin", ">= 0", self.init_time_margin)
+        _require(self.init_points is None or self.init_points >= 1, "train.init_points", "at least 1", self.init_points)
+        _require(self.init_box is None or (len(self.init_box) == 2 and self.init_box[0] < self.init_box[1]),
+                 "train.init_box", "[low, high] with low < high", self.init_box)
+        _require(self.rigid_weight >= 0, "train.rigid_weight", ">= 0", self.rigid_weight)
+        _require(self.sh_degree_every >= 0, "train.sh_degree_every", ">= 0 (0: all at once)", self.sh_degree_every)
+        _require(self.fourier_at == sorted(self.fourier_at) and len(self.fourier_at) <= 2,
+                 "train.fourier_at", "at most two iterations in ascending order", self.fourier_at)
+        untils = [step.until for step in self.resolution_steps]
+        _require(untils == sorted(set(untils)), "train.resolution_steps", "`until` in ascending order", untils)
+
+
+@dataclass
+class EvaluateConfig:
+    """What is measured and written after training (SPEC 5)."""
+
+    lpips: bool = True  # needs weights: a download, once; without them the cells stay empty and say why
+    best_on_test: bool = True  # also measure the model of the best test evaluation (the release's protocol)
+    renders: int = 12  # test views written to renders/, spread evenly; -1: all
+    speed_repeats: int = 3  # frames a second: the fastest of so many passes over the test views
+
+    def __post_init__(self) -> None:
+        _require(self.renders >= -1, "evaluate.renders", ">= -1 (-1: all)", self.renders)
+        _require(self.speed_repeats >= 1, "evaluate.speed_repeats", "at least 1", self.speed_repeats)
 
 
 @dataclass
@@ -170,6 +208,7 @@ class Config:
     scene: SceneConfig = field(default_factory=SceneConfig)
     ablation: AblationConfig = field(default_factory=AblationConfig)
     train: TrainConfig = field(default_factory=TrainConfig)
+    evaluate: EvaluateConfig = field(default_factory=EvaluateConfig)
     seed: int = 0
     threads: int = 0  # 0: all the machine has
     out: str = "results/runs/${scene.name}/${ablation.name}/${train.name}/seed${seed}"

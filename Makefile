@@ -1,0 +1,51 @@
+# Everything starts here: `make` lists the targets, and each of them first sets up what it needs.
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.PHONY: help setup build test reproduce bench report clean
+
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
+RUN := .venv/bin/python -m
+RUNS ?= results/runs
+
+# What make compares to decide whether there is work: packages after pyproject.toml, kernel after its sources.
+INSTALLED := .venv/.installed
+BUILT := build/.built
+KERNEL_SOURCES := CMakeLists.txt $(wildcard rasterizer/src/*)
+
+help: ## list the targets
+	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+setup: $(BUILT) ## make .venv, install what pyproject.toml asks for, build the kernel
+
+build: $(BUILT) ## rebuild the kernel if its sources changed
+
+test: $(BUILT) ## set up, run the whole test suite
+	$(RUN) pytest
+
+reproduce: $(BUILT) ## set up, train the synthetic suite and its ablations, write tables, plots, report
+	$(RUN) pipeline -m experiment=synthetic_ablation
+	$(RUN) pipeline -m experiment=synthetic_still
+	$(RUN) pipeline.report $(RUNS)
+
+bench: $(BUILT) ## time the kernel on workload W1, one thread
+	$(RUN) rasterizer.bench W1 --threads 1
+
+report: $(BUILT) ## tables, plots and the HTML page from the run folders under RUNS=results/runs
+	$(RUN) pipeline.report $(RUNS)
+
+clean: ## remove the built kernel and caches; .venv and results stay
+	rm -rf build rasterizer/*.so .pytest_cache .hypothesis
+	find . -name __pycache__ -not -path './.venv/*' -prune -exec rm -rf {} +
+
+$(INSTALLED): pyproject.toml tools/setup_environment.py
+	$(PYTHON) tools/setup_environment.py
+	@touch $@
+
+# The project itself, editable. No build isolation, which would fetch a second set of tools for every build.
+build/build.ninja: $(INSTALLED)
+	PATH="$(CURDIR)/.venv/bin:$$PATH" .venv/bin/pip install --quiet --no-build-isolation --no-deps --editable .
+	@touch $@
+
+$(BUILT): build/build.ninja $(KERNEL_SOURCES)
+	PATH="$(CURDIR)/.venv/bin:$$PATH" cmake --build build
+	@touch $@

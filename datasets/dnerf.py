@@ -1,0 +1,190 @@
+"""Reads a folder in the D-NeRF (Blender) layout.
+
+    DIR/transforms_train.json, transforms_val.json, transforms_test.json
+        {"camera_angle_x": horizontal field of view in radians,
+         "frames": [{"file_path": "./train/r_0", "time": 0.0 … 1.0, "transform_matrix": 4×4 camera-to-world}, …]}
+    DIR/train/r_0.png …   RGB or RGBA with straight alpha, all of one size
+
+Without `time` in any frame the scene is static. Poses have Blender's camera axes (x right, y up, z backward).
+Every fault is a `SceneError`, raised before an image is decoded where the headers suffice to see it.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from datasets.scene import Scene, SceneError, View, camera_extent, validate_scene
+from rasterizer.camera import Camera
+
+# RᵀR may differ from I by this much: D-NeRF stores float32 (2e-7), files rounded to four decimals reach 1e-4.
+RIGID_TOLERANCE = 1e-3
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One entry of a transforms file, checked."""
+
+    name: str  # "train/r_0"
+    image_path: Path
+    time: float | None
+    cam_to_world: np.ndarray  # (4, 4), Blender axes
+    angle_x: float  # radians
+
+
+def read_dnerf(path: str | Path, *, name: str, test_split: str = "test", downscale: int = 2,
+               background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+               init_box: tuple[float, float] = (-1.2, 1.2)) -> Scene:
+    """The scene in folder `path`.
+
+    test_split: the held-out split, "test" or "val" (the paper tests lego on val).
+    downscale: images are read at 1/downscale of their size, by area average.
+    background: RGB in [0, 1], composed under transparent pixels exactly once.
+    Raises SceneError for anything that is not as the layout promises.
+    """
+    root = Path(path)
+    if not root.is_dir():
+        raise SceneError(root, "a folder in the D-NeRF layout", "a file" if root.exists() else "nothing there")
+    frames = {split: _read_transforms(root, split) for split in ("train", test_split)}
+    everything = [frame for split in frames.values() for frame in split]
+    _check_times(root, everything)
+    size = _common_size(everything)
+
+    background = tuple(float(channel) for channel in background)
+    views = {split: tuple(_read_view(frame, size, downscale, background) for frame in found)
+             for split, found in frames.items()}
+    scene = Scene(name=name, train=views["train"], test=views[test_split], duration=1.0, time_start=0.0,
+                  background=background, extent=camera_extent([view.camera for view in views["train"]]),
+                  init_box=tuple(init_box), source=root)
+    return validate_scene(scene)
+
+
+def compose(rgba: np.ndarray, background: tuple[float, float, float], size: tuple[int, int]) -> np.ndarray:
+    """An RGBA image with straight alpha (H, W, 4) uint8 over `background`, area-averaged to (width, height) `size`.
+
+    Composed at full size, then averaged, then rounded once. Both steps are linear, so this equals averaging the
+    premultiplied colour and the alpha; averaging straight colour instead would let the colour that hides under
+    transparent pixels leak into the edges. Returns (height, width, 3) uint8.
+    """
+    colour = rgba[..., :3].astype(np.float32)
+    alpha = rgba[..., 3:].astype(np.float32) / 255
+    composed = colour * alpha + 255 * np.asarray(background, dtype=np.float32) * (1 - alpha)
+    if size != (rgba.shape[1], rgba.shape[0]):  # BOX is the area average; mode "F" (float32) is one channel
+        channels = [Image.fromarray(composed[..., c]).resize(size, Image.Resampling.BOX) for c in range(3)]
+        composed = np.stack([np.asarray(channel) for channel in channels], axis=-1)
+    return np.clip(np.rint(composed), 0, 255).astype(np.uint8)
+
+
+def _read_transforms(root: Path, split: str) -> list[Frame]:
+    path = root / f"transforms_{split}.json"
+    try:
+        content = json.loads(path.read_text())
+    except FileNotFoundError:
+        raise SceneError(path, "a file (D-NeRF layout)", "none") from None
+    except (json.JSONDecodeError, UnicodeDecodeError, OSError) as error:
+        raise SceneError(path, "valid JSON", str(error)) from None
+    if not isinstance(content, dict):
+        raise SceneError(path, "an object with camera_angle_x and frames", type(content).__name__)
+    angle_x = _number(_get(content, "camera_angle_x", path), f"{path}: camera_angle_x")
+    if not 0 < angle_x < math.pi:
+        raise SceneError(f"{path}: camera_angle_x", "an angle in (0, π) radians", f"{angle_x}")
+    entries = _get(content, "frames", path)
+    if not isinstance(entries, list) or not entries:
+        raise SceneError(f"{path}: frames", "a list of at least one frame", "an empty list" if entries == [] else
+                         type(entries).__name__)
+    return [_read_frame(entry, f"{path}: frames[{index}]", root, angle_x) for index, entry in enumerate(entries)]
+
+
+def _read_frame(entry: Any, where: str, root: Path, angle_x: float) -> Frame:
+    if not isinstance(entry, dict):
+        raise SceneError(where, "an object", type(entry).__name__)
+    file_path = _get(entry, "file_path", where)
+    if not isinstance(file_path, str) or not file_path:
+        raise SceneError(f"{where}: file_path", "a file name", repr(file_path))
+    image_path = root / file_path
+    if not image_path.is_file() and image_path.suffix.lower() != ".png":
+        image_path = image_path.with_name(image_path.name + ".png")  # D-NeRF leaves it out
+    if not image_path.is_file():
+        raise SceneError(image_path, f"an image, named by {where}", "no such file")
+
+    time = None
+    if "time" in entry:
+        time = _number(entry["time"], f"{where}: time")
+        if not 0 <= time <= 1:
+            raise SceneError(f"{where}: time", "a time in [0, 1]", f"{time}")
+    pose = _read_pose(_get(entry, "transform_matrix", where), f"{where}: transform_matrix")
+    return Frame(Path(file_path).as_posix().removesuffix(".png"), image_path, time, pose, angle_x)
+
+
+def _read_pose(value: Any, where: str) -> np.ndarray:
+    try:
+        pose = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise SceneError(where, "4 x 4 numbers", "ragged rows or something not a number") from None
+    if pose.shape != (4, 4):
+        raise SceneError(where, "4 x 4 numbers", f"shape {pose.shape}")
+    if not np.isfinite(pose).all():
+        raise SceneError(where, "finite numbers", "NaN or Inf")
+    rotation = pose[:3, :3]
+    error = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
+    if error > RIGID_TOLERANCE or np.linalg.det(rotation) < 0 or np.abs(pose[3] - [0, 0, 0, 1]).max() > RIGID_TOLERANCE:
+        raise SceneError(where, "a rigid pose (a rotation, last row 0 0 0 1)",
+                         f"|RᵀR - I| up to {error:.2g}, det R {np.linalg.det(rotation):.3g}, last row {pose[3].tolist()}")
+    return pose
+
+
+def _check_times(root: Path, frames: list[Frame]) -> None:
+    """All frames are timed or none is: a frame without its time must not pass for time zero."""
+    missing = [frame.name for frame in frames if frame.time is None]
+    if missing and len(missing) < len(frames):
+        raise SceneError(root / missing[0], "a time in every frame or in none",
+                         f"none here and in {len(missing)} of {len(frames)} frames")
+
+
+def _common_size(frames: list[Frame]) -> tuple[int, int]:
+    """(width, height) of all images, from their headers."""
+    sizes = []
+    for frame in frames:
+        try:
+            with Image.open(frame.image_path) as image:
+                sizes.append(image.size)
+        except Exception as error:  # PIL raises many types for broken files
+            raise SceneError(frame.image_path, "a readable image", str(error)) from None
+        if sizes[-1] != sizes[0]:
+            raise SceneError(frame.image_path, "{} x {} pixels as {}".format(*sizes[0], frames[0].image_path.name),
+                             "{} x {}".format(*sizes[-1]))
+    return sizes[0]
+
+
+def _read_view(frame: Frame, size: tuple[int, int], downscale: int, background: tuple[float, float, float]) -> View:
+    try:
+        with Image.open(frame.image_path) as image:
+            mode = image.mode
+            rgba = np.asarray(image.convert("RGBA"))
+    except Exception as error:  # a truncated file shows only now
+        raise SceneError(frame.image_path, "a readable image", str(error)) from None
+    if mode.startswith(("I", "F")):
+        raise SceneError(frame.image_path, "8 bits a channel", f"image mode {mode}")
+    width, height = size
+    focal = 0.5 * width / math.tan(0.5 * frame.angle_x)
+    small = (max(1, round(width / downscale)), max(1, round(height / downscale)))
+    camera = Camera.from_blender(width, height, focal, frame.cam_to_world).resized(*small)
+    return View(camera, frame.time or 0.0, compose(rgba, background, small), frame.name)
+
+
+def _get(container: dict, key: str, where: str | Path) -> Any:
+    if key not in container:
+        raise SceneError(where, f"the key {key}", f"only {', '.join(container) or 'nothing'}")
+    return container[key]
+
+
+def _number(value: Any, where: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise SceneError(where, "a number", repr(value))
+    return float(value)

@@ -1,0 +1,111 @@
+"""What every reader returns: posed, timed images of one scene, and the checks any scene must pass.
+
+A reader (`datasets/dnerf.py`, …) turns one layout on disk into a `Scene`; nothing after it knows the layout.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from rasterizer.camera import Camera
+
+# 3DGS scales its position learning rate by 1.1 × the distance of the farthest training camera from their centre.
+EXTENT_MARGIN = 1.1
+
+
+class SceneError(ValueError):
+    """Data on disk is not what its layout promises. One line: the file or key, what was expected, what was found."""
+
+    def __init__(self, where: str | Path, expected: str, found: str) -> None:
+        # Found text may quote a library's message: keep it to one line.
+        super().__init__(" ".join(f"{where}: expected {expected}, found {found}".split()))
+
+
+@dataclass(frozen=True)
+class View:
+    """One image: who saw it, when, and what was seen."""
+
+    camera: Camera
+    time: float  # in the scene's own unit, within [time_start, time_start + duration]; 0 when static
+    image: np.ndarray  # (H, W, 3) uint8, already composed over the scene's background
+    name: str  # unique in the scene, e.g. "train/r_0"
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A scene split into the views to learn from and the views held out."""
+
+    name: str
+    train: tuple[View, ...]
+    test: tuple[View, ...]
+    duration: float  # T of SPEC 1; 1 for the D-NeRF layout
+    time_start: float
+    background: tuple[float, float, float]  # RGB in [0, 1]
+    extent: float  # world units, see camera_extent
+    init_box: tuple[float, float]  # random points start in the cube [low, high]³, world units
+    source: Path  # the folder it was read from
+
+    @property
+    def time_end(self) -> float:
+        return self.time_start + self.duration
+
+    @property
+    def is_static(self) -> bool:
+        """True when every view has the same time: such a scene has no use for a time axis."""
+        return len({view.time for view in self.train + self.test}) <= 1
+
+
+def camera_extent(cameras: Sequence[Camera]) -> float:
+    """1.1 × the largest distance of a camera from the mean of their positions, world units; 0 for one position."""
+    positions = np.stack([camera.position for camera in cameras])
+    distances = np.linalg.norm(positions - positions.mean(axis=0), axis=1)
+    return EXTENT_MARGIN * float(distances.max())
+
+
+def validate_scene(scene: Scene) -> Scene:
+    """The scene itself, if it can be trained on; otherwise SceneError.
+
+    Checks what holds for any layout: views in both splits, one image size, images that fit their cameras, times
+    in range, unique names, an extent above zero. What only one layout can get wrong is its reader's business.
+    """
+    for split, views in (("train", scene.train), ("test", scene.test)):
+        if not views:
+            raise SceneError(scene.source, f"at least one {split} view", "none")
+    if not (np.isfinite(scene.duration) and scene.duration > 0 and np.isfinite(scene.time_start)):
+        raise SceneError(scene.source, "a finite start and a duration > 0",
+                         f"start {scene.time_start}, duration {scene.duration}")
+    if len(scene.background) != 3 or not all(0 <= channel <= 1 for channel in scene.background):
+        raise SceneError(scene.source, "a background of three values in [0, 1]", f"{scene.background}")
+    if not scene.init_box[0] < scene.init_box[1]:
+        raise SceneError(scene.source, "init_box [low, high] with low < high", f"{scene.init_box}")
+
+    first = scene.train[0]
+    seen: set[str] = set()
+    for view in scene.train + scene.test:
+        _validate_view(view, scene, first)
+        if view.name in seen:
+            raise SceneError(scene.source, "each view's name once", f"{view.name} twice")
+        seen.add(view.name)
+
+    # Relative to the distance of the cameras from the origin: rounding alone must not pass for movement.
+    reach = max(float(np.linalg.norm(view.camera.position)) for view in scene.train)
+    if not scene.extent > 1e-6 * reach:
+        raise SceneError(scene.source, "training cameras at two places or more (their spread scales the learning rate)",
+                         f"{len(scene.train)} at one place")
+    return scene
+
+
+def _validate_view(view: View, scene: Scene, first: View) -> None:
+    where = scene.source / view.name
+    shape = (view.camera.height, view.camera.width, 3)
+    if view.image.dtype != np.uint8 or view.image.shape != shape:
+        raise SceneError(where, f"an image of uint8 {shape}, its camera's size", f"{view.image.dtype} {view.image.shape}")
+    if view.image.shape != first.image.shape:
+        raise SceneError(where, f"{first.camera.width} x {first.camera.height} pixels as {first.name}",
+                         f"{view.camera.width} x {view.camera.height}")
+    if not scene.time_start <= view.time <= scene.time_end:  # also false for NaN
+        raise SceneError(where, f"a time in [{scene.time_start:g}, {scene.time_end:g}]", f"{view.time}")

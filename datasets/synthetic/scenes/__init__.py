@@ -1,0 +1,1 @@
+"""One file a scene: `build(rng)` returns its World."""

@@ -1,0 +1,174 @@
+"""The solids the ray tracer knows, each in its own frame, centred at the origin.
+
+A shape answers two questions: how far along a ray is it first met, and what is its normal there. Rays are
+`origin + distance · direction`; the direction need not have unit length, so that a distance keeps its meaning
+(here: depth along the viewing axis) when a ray is carried from the world into a shape's frame.
+
+Points and directions are float32 (3, N), one row a coordinate: several times faster in numpy than (N, 3).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+# Stands in for a zero that would divide to NaN.
+TINY = 1e-12
+
+
+class Shape(Protocol):
+    """What the tracer asks of a shape."""
+
+    @property
+    def radius(self) -> float:
+        """Of a sphere about the origin that holds the shape."""
+
+    @property
+    def is_convex(self) -> bool:
+        """A convex shape throws no shadow on itself (its far side is dark by n·l < 0 already)."""
+
+    def intersect(self, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
+        """Distance (N,) to where rays from outside enter; negative, inf or NaN where they do not.
+
+        origin (3, 1) or (3, N), direction (3, N). Compare with `<` only, which no NaN passes.
+        """
+
+    def normal(self, points: np.ndarray) -> np.ndarray:
+        """Unit outward normal (3, N) at surface points (3, N)."""
+
+
+@dataclass(frozen=True)
+class Sphere:
+    radius: float
+    is_convex: bool = True
+
+    def intersect(self, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
+        middle, half = _chord(origin, direction, self.radius)
+        return middle - half
+
+    def normal(self, points: np.ndarray) -> np.ndarray:
+        return points / norm(points)
+
+
+@dataclass(frozen=True)
+class Box:
+    half: tuple[float, float, float]  # half edge lengths
+    is_convex: bool = True
+
+    @property
+    def radius(self) -> float:
+        return float(np.linalg.norm(self.half))
+
+    def intersect(self, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
+        inverse = 1 / _nonzero(direction)
+        centre, reach = -origin * inverse, np.abs(inverse) * column(self.half)
+        enter, leave = (centre - reach).max(axis=0), (centre + reach).min(axis=0)
+        return np.where(enter <= leave, enter, np.inf)
+
+    def normal(self, points: np.ndarray) -> np.ndarray:
+        relative = points / column(self.half)
+        face, every = np.abs(relative).argmax(axis=0), np.arange(points.shape[1])
+        normals = np.zeros_like(points)
+        normals[face, every] = np.sign(relative[face, every])
+        return normals
+
+
+@dataclass(frozen=True)
+class Rectangle:
+    """A finite piece of the plane z = 0, seen from both sides."""
+
+    half: tuple[float, float]
+    is_convex: bool = True
+
+    @property
+    def radius(self) -> float:
+        return float(np.linalg.norm(self.half))
+
+    def intersect(self, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
+        distance = -origin[2] / _nonzero(direction[2])
+        hit = np.abs(origin[:2] + distance * direction[:2])
+        return np.where((hit[0] <= self.half[0]) & (hit[1] <= self.half[1]), distance, np.inf)
+
+    def normal(self, points: np.ndarray) -> np.ndarray:
+        return np.broadcast_to(column((0, 0, 1)), points.shape)
+
+
+@dataclass(frozen=True)
+class Ring:
+    """A disc of thickness 2 half_height about the z axis with a round hole; inner = 0 makes a cylinder."""
+
+    inner: float
+    outer: float
+    half_height: float
+
+    @property
+    def radius(self) -> float:
+        return float(np.hypot(self.outer, self.half_height))
+
+    @property
+    def is_convex(self) -> bool:
+        return self.inner == 0
+
+    def intersect(self, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
+        # A ray enters through the cap that faces it, the near side of the outer wall or the far side of the hole.
+        distance = (-np.sign(direction[2]) * np.float32(self.half_height) - origin[2]) / _nonzero(direction[2])
+        hit = origin[:2] + distance * direction[:2]
+        squared = dot(hit, hit)
+        best = np.where((squared <= self.outer**2) & (squared >= self.inner**2) & (distance > 0), distance, np.inf)
+        middle, half = _chord(origin[:2], direction[:2], self.outer)
+        walls = [middle - half]
+        if self.inner > 0:
+            middle, half = _chord(origin[:2], direction[:2], self.inner)
+            walls.append(middle + half)
+        for distance in walls:
+            height = np.abs(origin[2] + distance * direction[2])
+            np.copyto(best, distance, where=(distance > 0) & (distance < best) & (height <= self.half_height))
+        return best
+
+    def normal(self, points: np.ndarray) -> np.ndarray:
+        around = norm(points[:2])
+        outward = points / np.maximum(around, TINY)
+        outward[2] = 0
+        upward = np.zeros_like(points)
+        upward[2] = np.sign(points[2])
+        # The surface a point lies on is the one it is nearest to. Without a hole there is no inner wall.
+        inner = np.abs(around - self.inner) if self.inner > 0 else np.full_like(around, np.inf)
+        gaps = np.stack([np.abs(around - self.outer), inner, np.abs(np.abs(points[2]) - self.half_height)])
+        return np.choose(gaps.argmin(axis=0), [outward, -outward, upward])
+
+
+def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Scalar products (N,) of the columns of (D, N) arrays."""
+    total = a[0] * b[0]
+    for i in range(1, len(a)):
+        total += a[i] * b[i]
+    return total
+
+
+def norm(vectors: np.ndarray) -> np.ndarray:
+    """Lengths (N,) of the columns of (D, N)."""
+    return np.sqrt(dot(vectors, vectors))
+
+
+def column(values: tuple[float, ...] | np.ndarray) -> np.ndarray:
+    """A float32 column (D, 1), to go with (D, N) arrays."""
+    return np.asarray(values, dtype=np.float32)[:, None]
+
+
+def _chord(origin: np.ndarray, direction: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
+    """Where rays cross a circle or sphere about the origin: distances middle ± half; half is NaN for a miss.
+
+    Reckoned from the ray's point nearest to the centre: in the textbook formula b² - c cancels for small far spheres.
+    """
+    squared = np.maximum(dot(direction, direction), np.float32(TINY))
+    middle = -dot(origin, direction) / squared
+    nearest = origin + middle * direction
+    with np.errstate(invalid="ignore"):
+        return middle, np.sqrt((np.float32(radius**2) - dot(nearest, nearest)) / squared)
+
+
+def _nonzero(values: np.ndarray) -> np.ndarray:
+    """The values with zeros (and nearly zeros) replaced by a tiny number, to divide by."""
+    return np.where(np.abs(values) < TINY, np.float32(TINY), values)

@@ -1,0 +1,109 @@
+"""The command line: Hydra composes a configuration, stages.py runs it, and whatever goes wrong ends in one line.
+
+Exit status 0 only if every run ended well. HYDRA_FULL_ERROR=1 shows tracebacks instead of lines.
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+import sys
+from pathlib import Path
+
+import hydra
+import torch
+from hydra.core.hydra_config import HydraConfig
+from hydra.errors import HydraException
+from hydra.types import RunMode
+from omegaconf import DictConfig
+from omegaconf.errors import OmegaConfBaseException
+from rich.console import Console
+from rich.table import Table
+
+from pipeline.config import Config
+from pipeline.configure import CONFIG_DIR, one_line, register_schema, to_config
+
+# What a user can cause, by a wrong key, bad data, a full disk or a training that diverges. Anything else is a fault of
+# the program and shows its traceback.
+EXPECTED = (ValueError, OSError, ArithmeticError, MemoryError, HydraException, OmegaConfBaseException)
+
+_FULL_ERROR = "HYDRA_FULL_ERROR"
+_HEADINGS = {"psnr": "PSNR", "ssim": "SSIM", "ms_ssim": "MS-SSIM", "dssim1": "DSSIM1", "dssim2": "DSSIM2",
+             "lpips_alex": "LPIPS-Alex", "lpips_vgg": "LPIPS-VGG", "fps_render": "FPS", "fps_raster": "FPS (raster)"}
+
+
+class RunFailed(Exception):
+    """A run of a sweep ended badly and has said so; the others go on."""
+
+
+def main() -> None:
+    """Entry point of `python -m pipeline`."""
+    traceback_wanted = os.environ.get(_FULL_ERROR) == "1"
+    os.environ[_FULL_ERROR] = "1"  # so that Hydra raises and does not print: what is printed is decided here
+    os.environ.setdefault("PIPELINE_TRACEBACK", "1" if traceback_wanted else "0")  # for the workers of a sweep
+    register_schema()
+    try:
+        hydra.main(config_path=str(CONFIG_DIR), config_name="config", version_base="1.3")(run_one)()
+    except RunFailed:
+        sys.exit(1)
+    except KeyboardInterrupt:
+        _complain("interrupted; the same command goes on where this one stopped")
+        sys.exit(130)
+    except EXPECTED as error:
+        if traceback_wanted:
+            raise
+        _complain(one_line(error))
+        sys.exit(1)
+
+
+def run_one(composed: DictConfig) -> None:
+    """One run of the command line's. A failure ends a single run with exit status 1, and is RunFailed in a sweep."""
+    job = HydraConfig.get()
+    command = shlex.join(["python", "-m", "pipeline", *job.overrides.task])
+    try:
+        cfg = to_config(composed)
+        torch.set_num_threads(1)  # the heavy work is the kernel's, which has threads of its own (cfg.threads)
+        from pipeline.stages import run  # late: a typo on the command line need not wait for the compiled kernel
+
+        metrics = run(cfg, command, say=lambda text: print(text, flush=True))
+        _report(cfg, metrics, in_sweep=job.mode == RunMode.MULTIRUN)
+    except EXPECTED as error:
+        if os.environ.get("PIPELINE_TRACEBACK") == "1":
+            raise
+        if job.mode == RunMode.MULTIRUN:
+            _complain(f"{one_line(error)}  [{command}]")
+            raise RunFailed(command) from error
+        _complain(one_line(error))
+        sys.exit(1)
+
+
+def _complain(line: str) -> None:
+    print(f"error: {' '.join(line.split())}", file=sys.stderr, flush=True)
+
+
+def _report(cfg: Config, metrics: dict, in_sweep: bool) -> None:
+    """The run's numbers, where they are, and what to do next."""
+    console = Console(width=None if sys.stdout.isatty() else 100)
+    final, best = metrics["final"], metrics["best_on_test"]
+    table = Table("", "final", "best on test", title=f"{cfg.scene.name} · {cfg.ablation.name} · {cfg.train.name} · "
+                                                     f"seed {cfg.seed}", title_justify="left")
+    for name, heading in _HEADINGS.items():
+        table.add_row(heading, _cell(final[name]), _cell(best[name]) if best else "–")
+    table.add_row("iteration", str(metrics["iterations"]), str(best["iteration"]) if best else "–")
+    console.print(table)
+    console.print(f"{metrics['n_gaussians']} Gaussians, {metrics['n_alive_mean']:.0f} alive a frame; "
+                  f"{metrics['train_seconds']:.0f} s of training; {metrics['model_mb']:.1f} MB; "
+                  f"peak memory {metrics['peak_rss_mb']:.0f} MB", soft_wrap=True, highlight=False)
+    if metrics["note"]:
+        console.print(f"– : {metrics['note']}", soft_wrap=True, highlight=False)
+    console.print(f"written to {cfg.out}", soft_wrap=True, highlight=False)
+    if not in_sweep:
+        runs = Path(cfg.out).parents
+        root = next((str(parent) for parent in runs if parent.name == "runs"), str(Path(cfg.out).parent))
+        console.print(f"tables and plots of all runs: python -m pipeline.report {root}", soft_wrap=True, highlight=False)
+
+
+def _cell(value: float | None) -> str:
+    if value is None:
+        return "–"
+    return f"{value:.1f}" if value >= 100 else f"{value:.2f}" if value >= 2 else f"{value:.4f}"

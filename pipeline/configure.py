@@ -1,0 +1,97 @@
+"""Between Hydra and the schema: registers it, turns a composed config into dataclasses, and errors into one line."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import get_type_hints
+
+from hydra.core.config_store import ConfigStore
+from hydra.errors import OverrideParseException
+from omegaconf import DictConfig, OmegaConf
+
+from pipeline.config import Config
+
+CONFIG_DIR = Path(__file__).resolve().parent.parent / "conf"
+
+
+def register_schema() -> None:
+    """Make `schema` of conf/config.yaml known to Hydra. Calling it again changes nothing."""
+    ConfigStore.instance().store(name="schema", node=Config)
+
+
+def to_config(composed: DictConfig) -> Config:
+    """The typed configuration of a run. ValueError, one line, where a key is unknown or a value out of range."""
+    known = set(known_keys())
+    for key in _keys_of(OmegaConf.to_container(composed, resolve=False)):
+        if key not in known:  # `+key=value` on the command line gets past Hydra's own check
+            raise ValueError(_unknown_key(key))
+    return OmegaConf.to_object(composed)
+
+
+def known_keys(schema: type = Config, prefix: str = "") -> list[str]:
+    """Every key of the schema, dotted: "train.rate.mean"."""
+    hints = get_type_hints(schema)
+    keys = []
+    for f in fields(schema):
+        keys.append(prefix + f.name)
+        if is_dataclass(hints[f.name]):
+            keys += known_keys(hints[f.name], f"{prefix}{f.name}.")
+    return keys
+
+
+def one_line(error: BaseException) -> str:
+    """What went wrong, for people: Hydra and OmegaConf spread it over several lines and chained exceptions."""
+    chain = [error]
+    while chain[-1].__cause__ is not None:
+        chain.append(chain[-1].__cause__)
+    text = "\n".join(str(e) for e in chain)
+    where = re.search(r"In '([^']+)': \w+ raised", text)
+    return (f"conf/{where[1]}.yaml: " if where else "") + (_explained(text) or _joined(error))
+
+
+def _explained(text: str) -> str | None:
+    """The messages of Hydra and OmegaConf that a user meets, reworded; None if it is none of these."""
+    if found := re.search(r"Key '[^']*' (?:is )?not in[^\n]*\n\s*full_key: (\S+)", text):
+        return _unknown_key(found[1])
+    if found := re.search(r"Could not override '([^']+)'", text):
+        return _unknown_key(found[1])
+    if found := re.search(r"Could not find '([^']+)'", text):
+        group, _, option = found[1].partition("/") if not found[1].startswith("hydra/") else found[1].rpartition("/")
+        hint = "; is its package installed?" if group.startswith("hydra/") else _options(group)
+        return f"{group}={option}: no such option{hint}"
+    if found := re.search(r"You must specify '([^']+)'", text):
+        return f"{found[1]}: must be given" + _options(found[1])
+    if found := re.search(r"([^\n]+)\n\s*full_key: (\S+)", text):  # OmegaConf: a wrong type, null where it must not be
+        return f"{found[2]}: {found[1]}"
+    return None
+
+
+def _joined(error: BaseException) -> str:
+    lines = [line.strip() for line in str(error).splitlines() if not line.startswith("See https://hydra.cc")]
+    if isinstance(error, OverrideParseException):
+        lines.insert(0, f"{error.override}: not a key=value that Hydra can read")
+    return "; ".join(filter(None, lines)) or type(error).__name__
+
+
+def _keys_of(container: dict, prefix: str = "") -> Iterator[str]:
+    for name, value in container.items():
+        yield prefix + name
+        if isinstance(value, dict):
+            yield from _keys_of(value, f"{prefix}{name}.")
+
+
+def _options(group: str) -> str:
+    """What conf/<group> offers, nested ones too (Hydra lists the first level only)."""
+    folder = CONFIG_DIR / group
+    options = sorted(str(file.relative_to(folder).with_suffix("")) for file in folder.rglob("*.yaml"))
+    return f"; there are {', '.join(options)}" if options else ""
+
+
+def _unknown_key(key: str) -> str:
+    siblings = [known for known in known_keys() if known.count(".") == key.count(".")]
+    close = difflib.get_close_matches(key, siblings, n=1)
+    return f"{key}: no such key" + (f"; did you mean {close[0]}?" if close else "; pipeline/config.py lists them")

@@ -1,0 +1,225 @@
+"""Adaptive density control in space and time (SPEC 2): who is cloned, split or removed, and when.
+
+Gaussians whose place the loss keeps pulling at stand where the model is too coarse: a small one is cloned, a big one
+split. Two indicators say so, the gradient of the position on the screen and the gradient of the mean in time. The
+functions here are pure but for `densify` and `reset_opacity`, which apply their decisions through the optimiser.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from pipeline.config import DensifyConfig
+from pipeline.model import Model
+from pipeline.optimiser import Adam
+from pipeline.rotation import rotation_3d, rotation_4d
+from rasterizer import Camera, ViewGradient
+
+
+class Statistics:
+    """Running means of the two indicators, and the largest radius, of each Gaussian since the last densification.
+
+    Within an iteration the indicator is the mean over the views that saw the Gaussian, of the loss of one view
+    (SPEC 2: Σ over the batch × B / times seen, because the batch loss is a mean over B). Over iterations it is the mean
+    over those in which it was seen at all. `begin`, `add_view` for each view, `end`.
+    """
+
+    FIELDS = ("space", "time", "iterations", "radius")
+
+    def __init__(self, count: int) -> None:
+        self.space = torch.zeros(count)  # Σ over iterations, NDC units
+        self.time = torch.zeros(count)  # Σ over iterations, per duration
+        self.iterations = torch.zeros(count)  # iterations in which it was seen
+        self.radius = torch.zeros(count)  # pixels, largest seen
+        self._space = torch.zeros(count)  # the same within the current iteration
+        self._time = torch.zeros(count)
+        self._views = torch.zeros(count)
+
+    def begin(self) -> None:
+        for tensor in (self._space, self._time, self._views):
+            tensor.zero_()
+
+    def add_view(
+        self,
+        view: ViewGradient,  # of the batch's loss
+        camera: Camera,  # of that view, whose pixels the gradient is measured in
+        duration: float,
+    ) -> None:
+        """Add what the backward pass of one view says."""
+        ndc = torch.hypot(view.mean2d[:, 0] * (0.5 * camera.width), view.mean2d[:, 1] * (0.5 * camera.height))
+        self._space.index_add_(0, view.visible, ndc)
+        self._time.index_add_(0, view.visible, view.mean_t.abs(), alpha=duration)
+        self._views.index_add_(0, view.visible, torch.ones_like(ndc))
+        index = view.visible.long()
+        self.radius[index] = torch.maximum(self.radius[index], view.radius)
+
+    def end(self, batch: int) -> None:
+        """Fold the iteration's `batch` views into the running sums."""
+        scale = batch / self._views.clamp(min=1)  # where no view saw it the sums are zero
+        self.space.addcmul_(self._space, scale)
+        self.time.addcmul_(self._time, scale)
+        self.iterations += self._views > 0
+
+    def indicators(self) -> tuple[Tensor, Tensor]:
+        """Mean (space, time) indicator of each Gaussian, (N,) each; 0 where never seen."""
+        seen = self.iterations.clamp(min=1)
+        return self.space / seen, self.time / seen
+
+    def state(self) -> dict[str, Tensor]:
+        return {name: getattr(self, name) for name in self.FIELDS}
+
+    @classmethod
+    def restored(cls, state: dict[str, Tensor]) -> Statistics:
+        statistics = cls(len(state["space"]))
+        for name in cls.FIELDS:
+            getattr(statistics, name).copy_(state[name])
+        return statistics
+
+
+@dataclass(frozen=True)
+class Growth:
+    """Decisions of one densification; disjoint (N,) bool masks."""
+
+    clone: Tensor
+    split: Tensor
+
+
+@dataclass(frozen=True)
+class Densified:
+    """What one densification did; counts of Gaussians."""
+
+    cloned: int
+    split: int
+    pruned: int
+    total: int
+
+
+def due(iteration: int, now: float, cfg: DensifyConfig) -> bool:
+    """Is there a densification after `iteration`? `now`: the schedule's clock, which ends the phase."""
+    return cfg.start < iteration and now < cfg.stop and iteration % cfg.every == 0
+
+
+def opacity_reset_due(iteration: int, now: float, cfg: DensifyConfig) -> bool:
+    return cfg.opacity_reset_every > 0 and now < cfg.stop and iteration % cfg.opacity_reset_every == 0
+
+
+def choose_growth(model: Model, statistics: Statistics, cfg: DensifyConfig, extent: float, time_split: bool) -> Growth:
+    """Who is cloned and who is split.
+
+    Either indicator at its threshold selects; the temporal one only with `use_time_gradient` and `time_split`.
+    Those already too transparent to live are passed over. Where the cap binds, the largest ratio of indicator to
+    threshold goes first, ties by index.
+    """
+    space, time = statistics.indicators()
+    urgency = space / cfg.space_gradient
+    if cfg.use_time_gradient and time_split and model.kind.dims == 4:
+        urgency = torch.maximum(urgency, time / cfg.time_gradient)
+    transparent = _transparent(model, cfg)
+    selected = (urgency >= 1) & ~transparent
+    big = _spatial_scale(model) > cfg.split_scale * extent
+    added = torch.where(big, cfg.split_count - 1, 1)  # a split replaces its parent
+
+    room = cfg.max_gaussians - (len(model) - int(transparent.sum()))
+    if int(added[selected].sum()) > room:
+        order = torch.sort(urgency.masked_fill(~selected, -1.0), descending=True, stable=True).indices
+        order = order[: int(selected.sum())]
+        selected = torch.zeros_like(selected)
+        selected[order[torch.cumsum(added[order], 0) <= room]] = True
+    return Growth(clone=selected & ~big, split=selected & big)
+
+
+def split_rows(model: Model, mask: Tensor, cfg: DensifyConfig, time_split: bool, generator: torch.Generator
+               ) -> dict[str, Tensor]:
+    """The `split_count` children of each Gaussian in `mask`, (count · split_count) rows, copies one after another.
+
+    With `time_split` new means are drawn from the whole 4D Gaussian, N(μ, R diag(s)² Rᵀ): space and time jointly; all
+    scales shrink. Without, μt and st stay, and the place is drawn from the Gaussian as it is at its own time μt,
+    the conditional N(μ_xyz, Σ(μt)) (not the spatial marginal, which is smeared along the path of a moving one).
+    """
+    rows = {name: p[mask].repeat(cfg.split_count, *([1] * (p.dim() - 1))) for name, p in model.parameters.items()}
+    dims = model.kind.dims
+    noise = torch.randn(len(rows["mean"]), dims, generator=generator)
+    axes = _axes(rows)  # M = R diag(s), (n, dims, dims)
+    if dims == 3 or time_split:
+        rows["mean"] = rows["mean"] + (axes @ noise[:, :, None])[:, :, 0]
+        shrinking = dims
+    else:
+        time_row = torch.nn.functional.normalize(axes[:, 3], dim=1)  # v of SPEC 1
+        noise = noise - time_row * (time_row * noise).sum(dim=1, keepdim=True)  # (I - v vᵀ) ε
+        rows["mean"][:, :3] += (axes[:, :3] @ noise[:, :, None])[:, :, 0]
+        shrinking = 3
+    rows["log_scale"][:, :shrinking] -= torch.log(torch.tensor(cfg.split_shrink))
+    return rows
+
+
+def to_prune(model: Model, radius: Tensor, iteration: int, cfg: DensifyConfig, extent: float) -> Tensor:
+    """(N,) bool: too transparent, or, after `prune_big_after`, too big on the screen (`radius`, px) or in space."""
+    prune = _transparent(model, cfg)
+    if iteration > cfg.prune_big_after:
+        prune = prune | (radius > cfg.prune_radius_px) | (_spatial_scale(model) > cfg.prune_scale * extent)
+    return prune
+
+
+def densify(
+    optimiser: Adam,
+    statistics: Statistics,
+    iteration: int,
+    cfg: DensifyConfig,
+    extent: float,
+    time_split: bool,
+    generator: torch.Generator,
+) -> tuple[Statistics, Densified]:
+    """Clone, split, then prune, on the optimiser's model. Returns empty statistics for the new set of Gaussians.
+
+    New order: the parents that were not split, clones, children of splits. New Gaussians have no radius yet. A prune that
+    would leave nothing is not done: an empty model cannot recover.
+    """
+    model = optimiser.model
+    growth = choose_growth(model, statistics, cfg, extent, time_split)
+    clones = {name: p[growth.clone] for name, p in model.parameters.items()}
+    children = split_rows(model, growth.split, cfg, time_split, generator)
+    optimiser.keep(~growth.split)
+    optimiser.append({name: torch.cat([clones[name], children[name]]) for name in clones})
+
+    radius = torch.zeros(len(model))
+    parents = statistics.radius[~growth.split]
+    radius[: len(parents)] = parents
+    prune = to_prune(model, radius, iteration, cfg, extent)
+    pruned = int(prune.sum())
+    if 0 < pruned < len(model):
+        optimiser.keep(~prune)
+    else:
+        pruned = 0
+    done = Densified(int(growth.clone.sum()), int(growth.split.sum()), pruned, len(model))
+    return Statistics(len(model)), done
+
+
+def reset_opacity(optimiser: Adam, cfg: DensifyConfig) -> None:
+    """Bring every opacity down to at most `opacity_reset_to` and forget its moments (3DGS)."""
+    highest = torch.logit(torch.tensor(cfg.opacity_reset_to, dtype=torch.float64)).item()
+    optimiser.model.parameters["opacity_logit"].clamp_(max=highest)
+    optimiser.zero_moments("opacity_logit")
+
+
+def _transparent(model: Model, cfg: DensifyConfig) -> Tensor:
+    return torch.sigmoid(model.parameters["opacity_logit"]) < cfg.prune_opacity
+
+
+def _spatial_scale(model: Model) -> Tensor:
+    """(N,) the largest of the three first scales, world units."""
+    return model.parameters["log_scale"][:, :3].amax(dim=1).exp()
+
+
+def _axes(rows: dict[str, Tensor]) -> Tensor:
+    """M = R diag(s) of SPEC 1, (n, 4, 4); (n, 3, 3) when static."""
+    scale = rows["log_scale"].exp()
+    if "quat_right" in rows:
+        rotation = rotation_4d(rows["quat_left"], rows["quat_right"])
+    else:
+        dims = scale.shape[1]
+        rotation = torch.eye(dims).repeat(len(scale), 1, 1)
+        rotation[:, :3, :3] = rotation_3d(rows["quat_left"])
+    return rotation * scale[:, None, :]

@@ -1,0 +1,75 @@
+"""Stops a run at the first number that is not one, saying where (SPEC 7), so that it costs no further time.
+
+The checks are one pass over what the iteration has just written; the search for the culprit runs only once they fail.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import torch
+from torch import Tensor
+
+from pipeline.model import Model
+from rasterizer import Gradients
+
+
+class NonFiniteError(RuntimeError):
+    """A loss, a gradient or a parameter became NaN or Inf. The last checkpoint on disk is from before."""
+
+
+def check_loss(loss: float, iteration: int, view: str, model: Model) -> None:
+    """After each view."""
+    if not math.isfinite(loss):
+        found = model.first_non_finite()
+        cause = f"Gaussian {found[1]} has a non-finite {found[0]}" if found else "all Gaussians are finite"
+        raise NonFiniteError(f"iteration {iteration}, view {view}: expected a finite loss, found {loss}; {cause}")
+
+
+def check_gradients(
+    gradients: Gradients,
+    iteration: int,
+    views: Sequence[str],  # names of the batch
+    gradients_of: Callable[[int], Gradients],  # position in the batch -> gradients of that view alone
+) -> None:
+    """After each batch, before the optimiser sees it."""
+    if first_non_finite(gradients) is None:
+        return
+    for position, view in enumerate(views):
+        found = first_non_finite(gradients_of(position))
+        if found is not None:
+            field, index = found
+            raise NonFiniteError(f"iteration {iteration}, view {view}: expected finite gradients, "
+                                 f"found NaN or Inf in that of {field} of Gaussian {index}")
+    field, index = first_non_finite(gradients)
+    raise NonFiniteError(f"iteration {iteration}, views {', '.join(views)}: expected finite gradients, "
+                         f"found NaN or Inf in the sum over the batch of {field} of Gaussian {index}")
+
+
+def check_model(model: Model, iteration: int) -> None:
+    """Before a checkpoint is written: a broken model must not replace a good one."""
+    found = model.first_non_finite()
+    if found is not None:
+        raise NonFiniteError(f"iteration {iteration}: expected finite parameters, found NaN or Inf in {found[0]} "
+                             f"of Gaussian {found[1]}; not written to the checkpoint")
+
+
+def first_non_finite(gradients: Gradients) -> tuple[str, int] | None:
+    """(field, Gaussian index) of the first NaN or Inf, or None."""
+    for name, tensor in gradients.dense().items():
+        row = _first_bad_row(tensor)
+        if row is not None:
+            return name, row
+    for view in gradients.views:
+        row = _first_bad_row(view.gradient)
+        if row is not None:
+            return "sh", int(view.visible[row])
+    return None
+
+
+def _first_bad_row(tensor: Tensor) -> int | None:
+    # A sum in float64 of float32 values overflows for no N that fits in memory: non-finite means an entry is.
+    if math.isfinite(tensor.sum(dtype=torch.float64).item()):
+        return None
+    return int((~torch.isfinite(tensor.reshape(len(tensor), -1)).all(dim=1)).nonzero()[0])

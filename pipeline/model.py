@@ -1,0 +1,107 @@
+"""The trained model: one float32 tensor per field of SPEC 1, and nothing a scene does not need.
+
+A model is a plain bag of tensors. Which tensors there are, and how wide, is its `ModelKind`: a static scene stores
+no time, a model without 4D rotation no right quaternion, a model without Fourier orders no coefficients for them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from datasets.scene import Scene
+from pipeline.config import Config
+from rasterizer.gaussians import Gaussians, Motion
+
+FIELDS = ("mean", "log_scale", "quat_left", "quat_right", "opacity_logit", "sh")
+
+
+@dataclass(frozen=True)
+class ModelKind:
+    """What a model is made of."""
+
+    motion: Motion  # static: 3D; separable: 4D without rotation into time; full: 4D
+    fourier_order: int  # 0 to 2; 0 when static
+    sh_degree: int  # 0 to 3
+
+    @property
+    def dims(self) -> int:
+        """3 (xyz) or 4 (xyzt)."""
+        return 3 if self.motion == "static" else 4
+
+    @property
+    def coefficients(self) -> int:
+        """Appearance coefficients a colour channel, (n+1)(l+1)²."""
+        return (self.fourier_order + 1) * (self.sh_degree + 1) ** 2
+
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """Field name -> shape of one Gaussian's row, in storage order."""
+        shapes = {"mean": (self.dims,), "log_scale": (self.dims,), "quat_left": (4,), "quat_right": (4,),
+                  "opacity_logit": (), "sh": (self.coefficients, 3)}
+        if self.motion != "full":
+            del shapes["quat_right"]
+        return shapes
+
+
+def kind_of(scene: Scene, cfg: Config) -> ModelKind:
+    """The model a scene asks for, less what the ablation leaves out.
+
+    `ablation.static` overrides what the scene says of itself; a static model has no Fourier order whatever the
+    ablation says, because it has no time to vary with.
+    """
+    static = scene.is_static if cfg.ablation.static is None else cfg.ablation.static
+    if static:
+        return ModelKind("static", 0, cfg.ablation.sh_degree)
+    return ModelKind("full" if cfg.ablation.rotation_4d else "separable", cfg.ablation.fourier_order,
+                     cfg.ablation.sh_degree)
+
+
+class Model:
+    """N Gaussians as float32 contiguous tensors by field name.
+
+    `parameters` is replaced row-wise by densification (see optimiser.py) and changed in place by Adam.
+    """
+
+    def __init__(self, kind: ModelKind, parameters: dict[str, Tensor]) -> None:
+        """Raises ValueError naming the field whose presence, dtype or shape does not fit `kind`."""
+        shapes = kind.shapes()
+        if set(parameters) != set(shapes):
+            raise ValueError(f"{kind.motion} model: expected fields {list(shapes)}, found {sorted(parameters)}")
+        n = parameters["mean"].shape[0]
+        for name, row in shapes.items():
+            tensor = parameters[name]
+            if tensor.dtype != torch.float32 or tuple(tensor.shape) != (n, *row):
+                raise ValueError(f"{name}: expected float32 {[n, *row]}, found {tensor.dtype} {list(tensor.shape)}")
+        self.kind = kind
+        self.parameters = {name: parameters[name].contiguous() for name in shapes}
+
+    @classmethod
+    def from_gaussians(cls, gaussians: Gaussians) -> Model:
+        kind = ModelKind(gaussians.motion, gaussians.fourier_order, gaussians.sh_degree)
+        return cls(kind, gaussians.tensors())
+
+    def gaussians(self) -> Gaussians:
+        """The same tensors (not copies) as the rasterizer takes them."""
+        return Gaussians(**{name: self.parameters.get(name) for name in FIELDS})
+
+    def copy(self) -> Model:
+        return Model(self.kind, {name: tensor.clone() for name, tensor in self.parameters.items()})
+
+    def __len__(self) -> int:
+        return self.parameters["mean"].shape[0]
+
+    @property
+    def bytes(self) -> int:
+        """Size of the parameters; with Adam's two moments it is three times this."""
+        return sum(tensor.numel() * tensor.element_size() for tensor in self.parameters.values())
+
+    def first_non_finite(self) -> tuple[str, int] | None:
+        """(field, Gaussian index) of the first value that is NaN or Inf, or None."""
+        for name, tensor in self.parameters.items():
+            # One pass that allocates nothing: the sum of finite float32 values in float64 cannot overflow.
+            if not torch.isfinite(tensor.sum(dtype=torch.float64)):
+                rows = ~torch.isfinite(tensor.reshape(len(self), -1)).all(dim=1)
+                return name, int(rows.nonzero()[0])
+        return None

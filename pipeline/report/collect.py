@@ -1,0 +1,192 @@
+"""Reads run folders into tidy frames.
+
+A run folder is any folder with a config.yaml or a metrics.json. One that is unfinished or whose metrics.json can't
+be trusted is named in one line and left out; a missing or damaged side file (curve, environment) is a warning and
+the run stays, without that part.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from omegaconf import OmegaConf
+
+PROTOCOLS = ("final", "best_on_test")  # the last iteration; the release's pick among the test evaluations
+QUALITY = ("psnr", "ssim", "ms_ssim", "dssim1", "dssim2", "lpips_alex", "lpips_vgg", "fps_raster", "fps_render")
+COST = ("iterations", "train_seconds", "n_gaussians", "n_alive_mean", "peak_rss_mb", "model_mb",
+        "model_with_optimiser_mb")
+REQUIRED = ("final.psnr", "final.ssim", "iterations", "train_seconds", "n_gaussians")
+CURVE_COLUMNS = ("train_seconds", "iteration", "psnr", "n_gaussians")
+ENVIRONMENT = ("machine", "date", "git_commit", "command")  # these stand beside the numbers
+
+
+class BrokenRun(ValueError):
+    """A run folder that can't be used; the message is one line: what was expected, what was found."""
+
+
+@dataclass(frozen=True)
+class Collection:
+    """Everything the report knows.
+
+    runs:     one row a run: run (its path under RUNS_DIR), folder, scene, ablation, train, seed, machine, date,
+              git_commit, command, lpips_note, and the metrics as `final.psnr`, `best_on_test.psnr`, `n_gaussians` …
+              (floats; NaN: not measured). `*.dssim_ms` = (1 - MS-SSIM) / 2 is the paper's DSSIM.
+    curves:   one row an evaluation: run, scene, ablation, train, seed, train_seconds (s), iteration, psnr (dB),
+              n_gaussians
+    settings: run -> its resolved config, flattened to `train.densify.every` style keys
+    left_out: one line for each run not used;  warnings: one line for each part of a run not used
+    """
+
+    runs: pd.DataFrame
+    curves: pd.DataFrame
+    settings: dict[str, dict[str, Any]]
+    left_out: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+def collect(runs_dir: Path) -> Collection:
+    """Reads every run folder under `runs_dir`; FileNotFoundError if there is none that can be read."""
+    if not runs_dir.is_dir():
+        raise FileNotFoundError(f"{runs_dir}: expected a folder of runs, found "
+                                f"{'a file' if runs_dir.exists() else 'nothing'}")
+    rows, curves, settings = [], [], {}
+    left_out, warnings = [], []
+    for folder in run_folders(runs_dir):
+        run = folder.relative_to(runs_dir).as_posix()
+        try:
+            row = {"run": run, "folder": folder, **read_metrics(folder / "metrics.json")}
+            config = read_settings(folder / "config.yaml")
+        except BrokenRun as error:
+            left_out.append(f"{run}: left out: {error}")
+            continue
+        row |= _or_warn(read_environment, folder / "environment.json", dict.fromkeys(ENVIRONMENT, "unknown"),
+                        run, warnings)
+        rows.append(row)
+        settings[run] = config
+        if not config:
+            warnings.append(f"{run}: no config.yaml: settings taken to be those its name says")
+        curve = _or_warn(read_curve, folder / "error_vs_time.csv", None, run, warnings)
+        if curve is not None:
+            curves.append(curve.assign(run=run, **{key: row[key] for key in ("scene", "ablation", "train", "seed")}))
+    if not rows:
+        reason = f"; {len(left_out)} left out, the first: {left_out[0]}" if left_out else ""
+        raise FileNotFoundError(f"{runs_dir}: expected at least one finished run (metrics.json), found none{reason}")
+    return Collection(
+        runs=pd.DataFrame(rows),
+        curves=pd.concat(curves, ignore_index=True) if curves else pd.DataFrame(
+            columns=[*CURVE_COLUMNS, "run", "scene", "ablation", "train", "seed"]),
+        settings=settings, left_out=tuple(left_out), warnings=tuple(warnings))
+
+
+def run_folders(runs_dir: Path) -> list[Path]:
+    """Folders with a config.yaml or metrics.json, sorted; hidden folders (Hydra's own) are passed over."""
+    found = {path.parent for name in ("config.yaml", "metrics.json") for path in runs_dir.rglob(name)}
+    return sorted(f for f in found if not any(part.startswith(".") for part in f.relative_to(runs_dir).parts))
+
+
+def read_metrics(path: Path) -> dict[str, Any]:
+    """metrics.json, checked and flattened: `final.psnr` … as float, null as NaN."""
+    if not path.is_file():
+        raise BrokenRun("unfinished: no metrics.json")
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise BrokenRun(f"metrics.json: expected JSON, found {error}") from None
+    if not isinstance(data, dict):
+        raise BrokenRun(f"metrics.json: expected an object, found {type(data).__name__}")
+    row: dict[str, Any] = {}
+    for key in ("scene", "ablation", "train"):
+        row[key] = data.get(key)
+        if not isinstance(row[key], str) or not row[key]:
+            raise BrokenRun(f"metrics.json: {key}: expected a name, found {row[key]!r}")
+    row["seed"] = data.get("seed")
+    if not isinstance(row["seed"], int) or isinstance(row["seed"], bool):
+        raise BrokenRun(f"metrics.json: seed: expected an integer, found {row['seed']!r}")
+    for protocol in PROTOCOLS:
+        part = data.get(protocol) or {}
+        if not isinstance(part, dict):
+            raise BrokenRun(f"metrics.json: {protocol}: expected an object, found {part!r}")
+        for key in QUALITY + (("iteration",) if protocol == "best_on_test" else ()):
+            row[f"{protocol}.{key}"] = _number(part.get(key), f"{protocol}.{key}")
+        row[f"{protocol}.dssim_ms"] = (1 - row[f"{protocol}.ms_ssim"]) / 2
+    for key in COST:
+        row[key] = _number(data.get(key), key)
+    for key in REQUIRED:
+        if math.isnan(row[key]):
+            raise BrokenRun(f"metrics.json: {key}: expected a number, found none")
+    row["lpips_note"] = str((data.get("final") or {}).get("lpips_note") or "")
+    return row
+
+
+def read_curve(path: Path) -> pd.DataFrame:
+    """error_vs_time.csv: one row an evaluation, in the order they were made."""
+    if not path.is_file():
+        raise BrokenRun(f"no {path.name}")
+    try:
+        curve = pd.read_csv(path)
+    except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
+        raise BrokenRun(f"{path.name}: expected a CSV table, found {str(error).splitlines()[0]}") from None
+    missing = [c for c in CURVE_COLUMNS if c not in curve]
+    if missing:
+        raise BrokenRun(f"{path.name}: expected columns {', '.join(CURVE_COLUMNS)}; missing {', '.join(missing)}")
+    numbers = curve[list(CURVE_COLUMNS)].apply(pd.to_numeric, errors="coerce")
+    if numbers.empty or numbers.isna().any(axis=None):
+        bad = "no rows" if numbers.empty else f"none in line {2 + int(numbers.isna().any(axis=1).idxmax())}"
+        raise BrokenRun(f"{path.name}: expected numbers, found {bad}")
+    return numbers.sort_values("iteration", kind="stable").reset_index(drop=True)
+
+
+def read_environment(path: Path) -> dict[str, str]:
+    """machine, date, git_commit and command of environment.json; `unknown` where one is not there."""
+    if not path.is_file():
+        raise BrokenRun(f"no {path.name}: machine and date unknown")
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise BrokenRun(f"{path.name}: expected JSON, found {error}") from None
+    if not isinstance(data, dict):
+        raise BrokenRun(f"{path.name}: expected an object, found {type(data).__name__}")
+    return {key: str(data.get(key) or "unknown") for key in ENVIRONMENT}
+
+
+def read_settings(path: Path) -> dict[str, Any]:
+    """config.yaml flattened to `train.densify.every: 100`; empty if the run has none."""
+    if not path.is_file():
+        return {}
+    try:
+        tree = OmegaConf.to_container(OmegaConf.load(path), resolve=False)
+    except Exception as error:  # yaml and OmegaConf raise unrelated types for unreadable files
+        raise BrokenRun(f"config.yaml: expected YAML, found {str(error).splitlines()[0]}") from None
+    flat: dict[str, Any] = {}
+
+    def walk(prefix: str, node: Any) -> None:
+        if isinstance(node, dict) and node:
+            for key, value in node.items():
+                walk(f"{prefix}.{key}" if prefix else str(key), value)
+        else:
+            flat[prefix] = node
+
+    walk("", tree)
+    return flat
+
+
+def _number(value: Any, key: str) -> float:
+    """A finite float, or NaN for null and absent; anything else breaks the run."""
+    if value is None:
+        return math.nan
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise BrokenRun(f"metrics.json: {key}: expected a finite number, found {value!r}")
+    return float(value)
+
+
+def _or_warn(reader, path: Path, default: Any, run: str, warnings: list[str]) -> Any:
+    try:
+        return reader(path)
+    except BrokenRun as error:
+        warnings.append(f"{run}: {error}")
+        return default

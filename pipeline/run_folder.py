@@ -1,0 +1,245 @@
+"""The run folder: where one run keeps everything it makes, and how it knows what is already done.
+
+    config.yaml  environment.json  stages.json  log.jsonl
+    init.ply  checkpoint.safetensors  error_vs_time.csv
+    metrics.json  per_image.csv  renders/
+
+Whole files are written beside their name, synced and renamed, so that a reader never meets half of one. The two that
+grow line by line (log.jsonl, error_vs_time.csv) lose at most a last, incomplete line, which is dropped when read.
+"""
+
+from __future__ import annotations
+
+import csv
+import fcntl
+import io
+import json
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+# Keys that say where and how a run is made, not what it computes: a finished run may be repeated with others.
+FREE_KEYS = ("out", "threads", "resume", "scene.cache", "evaluate")
+CURVE_COLUMNS = ("train_seconds", "iteration", "psnr", "ssim", "test_loss", "n_gaussians")
+_OURS = ("config.yaml", "environment.json", "stages.json", "log.jsonl", "init.ply", "checkpoint.safetensors",
+         "error_vs_time.csv", "metrics.json", "per_image.csv", "renders")
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A temporary path of the same suffix beside `path`, renamed over it at the end if nothing went wrong."""
+    temporary = path.with_name(f".tmp-{path.name}")
+    try:
+        yield temporary
+        with open(temporary, "rb") as file:
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Replace `path` by `text`, whole or not at all."""
+    with replacing(path) as temporary:
+        temporary.write_text(text)
+
+
+def write_json(path: Path, value: Any) -> None:
+    write_text(path, json.dumps(value, indent=2, allow_nan=False) + "\n")
+
+
+def write_csv(path: Path, rows: list[dict]) -> None:
+    """One row a dict; the first one names the columns. None is an empty cell."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, fieldnames=list(rows[0]) if rows else [], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_text(path, text.getvalue())
+
+
+class RunFolder:
+    """An open run folder; a context manager that keeps other processes out until it is closed."""
+
+    def __init__(self, path: Path, config: dict, resume: bool = True) -> None:
+        """Open `path` for the run `config` (resolved, as plain dicts), making the folder if need be.
+
+        resume=False first deletes what an earlier run left there. ValueError if the folder is not a run folder, holds
+        another run, or is in use.
+        """
+        if not (path / "config.yaml").exists() and path.is_dir() and any(_foreign(path)):
+            raise ValueError(f"{path}: expected a run folder or an empty one, found {next(_foreign(path)).name}; "
+                             "give another out=DIR")
+        path.mkdir(parents=True, exist_ok=True)
+        self.path = path
+        self._lock = _locked(path)
+        try:
+            if not resume:
+                self._clear()
+            self._check_same_run(config)
+        except BaseException:
+            self._lock.close()
+            raise
+        write_text(self.config, yaml.safe_dump(config, sort_keys=False))
+
+    def __enter__(self) -> RunFolder:
+        return self
+
+    def __exit__(self, *exception: Any) -> None:
+        self._lock.close()
+
+    @property
+    def config(self) -> Path:
+        return self.path / "config.yaml"
+
+    @property
+    def environment(self) -> Path:
+        return self.path / "environment.json"
+
+    @property
+    def init_ply(self) -> Path:
+        return self.path / "init.ply"
+
+    @property
+    def checkpoint(self) -> Path:
+        return self.path / "checkpoint.safetensors"
+
+    @property
+    def curve(self) -> Path:
+        return self.path / "error_vs_time.csv"
+
+    @property
+    def log_file(self) -> Path:
+        return self.path / "log.jsonl"
+
+    @property
+    def metrics(self) -> Path:
+        return self.path / "metrics.json"
+
+    @property
+    def per_image(self) -> Path:
+        return self.path / "per_image.csv"
+
+    @property
+    def renders(self) -> Path:
+        return self.path / "renders"
+
+    # What grows while a run goes on.
+
+    def log(self, row: dict) -> None:
+        """Append a line to log.jsonl, dated."""
+        line = json.dumps({"date": now(), **row}) + "\n"
+        _append(self.log_file, line)
+
+    def append_error_vs_time(self, row: dict) -> None:
+        """Append a row of CURVE_COLUMNS to error_vs_time.csv."""
+        header = "" if self.curve.exists() else ",".join(CURVE_COLUMNS) + "\n"
+        cells = ("" if row.get(column) is None else str(row[column]) for column in CURVE_COLUMNS)
+        _append(self.curve, header + ",".join(cells) + "\n")
+
+    def truncate_after(self, iteration: int) -> None:
+        """Forget what was logged after `iteration`: a resumed run does it again."""
+        if self.log_file.exists():
+            rows = [row for row in self.log_rows() if row.get("iteration", 0) <= iteration]
+            write_text(self.log_file, "".join(json.dumps(row) + "\n" for row in rows))
+        if self.curve.exists():
+            header, *lines = self.curve.read_text().splitlines() or [""]
+            complete = [line for line in lines if line.count(",") == len(CURVE_COLUMNS) - 1]
+            kept = [line for line in complete if int(line.split(",")[1]) <= iteration]
+            write_text(self.curve, "\n".join([",".join(CURVE_COLUMNS), *kept]) + "\n")
+
+    def log_rows(self) -> list[dict]:
+        """The lines of log.jsonl; one cut short by a kill is left out."""
+        rows = []
+        for line in self.log_file.read_text().splitlines() if self.log_file.exists() else []:
+            try:
+                rows.append(json.loads(line))
+            except json.JSONDecodeError:
+                continue
+        return rows
+
+    # What is done: one record a finished stage, with the hash of what went into it.
+
+    def values_of(self, stage: str) -> dict:
+        """What `finish` kept of a finished stage."""
+        return self._stages()[stage]["values"]
+
+    def inputs_of(self, stage: str) -> str | None:
+        """The inputs' hash the stage was last finished with; None if it never was."""
+        return self._stages().get(stage, {}).get("inputs")
+
+    def finish(self, stage: str, inputs: str, **values: Any) -> None:
+        """Record that `stage` ended well."""
+        record = {"inputs": inputs, "date": now(), "values": values}
+        write_json(self.path / "stages.json", {**self._stages(), stage: record})
+
+    def _stages(self) -> dict:
+        path = self.path / "stages.json"
+        return json.loads(path.read_text()) if path.exists() else {}
+
+    def _check_same_run(self, config: dict) -> None:
+        if not self.config.exists():
+            return
+        there, asked = _comparable(yaml.safe_load(self.config.read_text()) or {}), _comparable(config)
+        differing = [key for key in {**there, **asked} if there.get(key) != asked.get(key)]
+        if differing:
+            first = differing[0]
+            more = f" (and {', '.join(differing[1:4])}{', …' if len(differing) > 4 else ''})" if differing[1:] else ""
+            raise ValueError(f"{self.path}: holds another run, with {first}={there.get(first)} where "
+                             f"{asked.get(first)} is asked for{more}; give another out=DIR, or resume=false to replace it")
+
+    def _clear(self) -> None:
+        for name in _OURS:
+            path = self.path / name
+            if path.is_dir():
+                shutil.rmtree(path)
+            else:
+                path.unlink(missing_ok=True)
+
+
+def now() -> str:
+    """UTC, ISO 8601, to the second."""
+    return datetime.now(timezone.utc).isoformat(timespec="seconds")
+
+
+def _append(path: Path, text: str) -> None:
+    """Append whole lines, first ending one that a kill left incomplete."""
+    with open(path, "ab+") as file:
+        if file.tell() > 0:
+            file.seek(-1, os.SEEK_END)
+            if file.read(1) != b"\n":
+                text = "\n" + text
+        file.write(text.encode())
+
+
+def _locked(path: Path) -> io.TextIOWrapper:
+    lock = open(path / ".lock", "w")
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        lock.close()
+        raise ValueError(f"{path}: expected a free run folder, found another process at work in it") from error
+    return lock
+
+
+def _foreign(path: Path) -> Iterator[Path]:
+    """Entries that no run made: an out= that points at somebody's folder must not be written over."""
+    return (entry for entry in sorted(path.iterdir()) if entry.name not in (*_OURS, ".lock"))
+
+
+def _comparable(config: dict, prefix: str = "") -> dict[str, Any]:
+    """Dotted key -> value, without FREE_KEYS."""
+    flat: dict[str, Any] = {}
+    for name, value in config.items():
+        key = prefix + name
+        if key in FREE_KEYS:
+            continue
+        if key == "scene.path" and value is not None:
+            value = str(Path(value).resolve())
+        flat |= _comparable(value, f"{key}.") if isinstance(value, dict) else {key: value}
+    return flat

@@ -1,0 +1,80 @@
+"""What changes as training goes on: learning rates, active coefficients, resolution (SPEC 2).
+
+All of it is a function of the `clock`, the iteration as a float. A run with a time budget moves the clock faster
+where the budget would end before the iterations do, so that decays still reach their end.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Union
+
+from pipeline.config import RateConfig, ResolutionStep, TrainConfig
+
+Rate = Union[float, tuple[float, ...]]  # one for the field, or one a column
+
+
+@dataclass(frozen=True)
+class Phase:
+    """What one iteration trains with."""
+
+    rates: dict[str, Rate]  # by field; sh: (DC, rest)
+    sh_degree: int
+    fourier_order: int
+    resolution: float  # × the size the images were read at
+
+
+def clock(iteration: int, train_seconds: float, cfg: TrainConfig) -> float:
+    """How far the schedule is, in iterations; `iteration` itself unless a time budget is running out first."""
+    if cfg.time_budget_s is None:
+        return float(iteration)
+    return max(float(iteration), cfg.iterations * min(1.0, train_seconds / cfg.time_budget_s))
+
+
+def phase(now: float, cfg: TrainConfig, extent: float, max_sh_degree: int, max_fourier_order: int) -> Phase:
+    """The phase at clock `now`. extent: world units (SPEC 2), which positional rates are multiplied by."""
+    fraction = min(1.0, now / cfg.iterations)
+    return Phase(rates(now, fraction, cfg.rate, extent), sh_degree(now, cfg.sh_degree_every, max_sh_degree),
+                 fourier_order(now, cfg.fourier_at, max_fourier_order),
+                 cfg.resolution_scale * resolution(fraction, cfg.resolution_steps))
+
+
+def rates(now: float, fraction: float, cfg: RateConfig, extent: float) -> dict[str, Rate]:
+    """Learning rate of every field at clock `now`, `fraction` of the whole schedule done.
+
+    The mean's columns are x, y, z (log-linear decay over `decay_iterations`) and t (constant, as the release).
+    The unit of t's rate is the extent's too: the paper does not scale time.
+    """
+    decay = cfg.final_factor**fraction
+    xyz = log_linear(cfg.mean, cfg.mean_final, now / cfg.decay_iterations) * extent * decay
+    t = cfg.mean_time * extent * decay
+    rotation = cfg.rotation * decay
+    return {"mean": (xyz, xyz, xyz, t), "log_scale": cfg.scale * decay, "quat_left": rotation,
+            "quat_right": rotation, "opacity_logit": cfg.opacity * decay,
+            "sh": (cfg.sh_dc * decay, cfg.sh_rest * decay)}
+
+
+def log_linear(start: float, end: float, fraction: float) -> float:
+    """start^(1-f) end^f with f clipped to [0, 1]; a rate of zero stays zero."""
+    if start <= 0 or end <= 0:
+        return start
+    f = min(max(fraction, 0.0), 1.0)
+    return start ** (1.0 - f) * end**f
+
+
+def sh_degree(now: float, every: int, highest: int) -> int:
+    """Degree 0 at first, one more each `every` iterations; every = 0: all at once."""
+    return highest if every <= 0 else min(highest, int(now // every))
+
+
+def fourier_order(now: float, starts: list[int], highest: int) -> int:
+    """Orders 1, 2 from the clock values in `starts`; an empty list: all at once."""
+    return highest if not starts else min(highest, sum(now >= start for start in starts))
+
+
+def resolution(fraction: float, steps: list[ResolutionStep]) -> float:
+    """Scale of the first step whose `until` has not passed; full size after the last."""
+    for step in steps:
+        if fraction < step.until:
+            return step.scale
+    return 1.0

@@ -1,0 +1,151 @@
+"""The three stages of a run: init → train → evaluate. Each is skipped if it was finished with the same inputs.
+
+A stage's inputs are what its result depends on: the stage before it, the data, and its part of the configuration.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from datasets import Scene, load_scene
+from pipeline import checkpoint as checkpoints
+from pipeline.config import Config
+from pipeline.evaluate import Evaluation, evaluate, png_saver, quick_evaluate
+from pipeline.initialise import initialise
+from pipeline.machine import environment, peak_memory_mb, reset_peak_memory, usable_cores
+from pipeline.model import Model
+from pipeline.ply import load_ply, save_ply
+from pipeline.run_folder import RunFolder, now, replacing, write_csv, write_json
+from pipeline.train import Progress, TrainResult, train
+from rasterizer import Frame
+
+Say = Callable[[str], None]
+
+
+def run(cfg: Config, command: str, say: Say) -> dict:
+    """All stages of one run; returns what is in its metrics.json. Raises with one line what is wrong.
+
+    command: what the user typed, for the record. say: takes a line of text for the user.
+    """
+    with RunFolder(Path(cfg.out), asdict(cfg), cfg.resume) as folder:
+        scene = load_scene(cfg.scene)
+        inputs = stage_inputs(cfg, scene)
+        if folder.inputs_of("init") not in (None, inputs["init"]):
+            raise ValueError(f"{folder.path}: holds a run made from other data than {scene.source} holds now; "
+                             "give another out=DIR, or resume=false to replace it")
+        if not all(_done(folder, stage, inputs[stage]) for stage in _OUTPUTS):
+            write_json(folder.environment, environment(command))
+            folder.log({"event": "start", "command": command})
+        for stage, work in (("init", _init), ("train", _train), ("evaluate", _evaluate)):
+            if _done(folder, stage, inputs[stage]):
+                say(f"{stage}: already done in {folder.path}")
+                continue
+            say(f"{stage}: {folder.path}")
+            folder.finish(stage, inputs[stage], **work(cfg, scene, folder))
+            folder.log({"event": f"finished {stage}"})
+        return json.loads(folder.metrics.read_text())
+
+
+def stage_inputs(cfg: Config, scene: Scene) -> dict[str, str]:
+    """Stage -> hash of everything its result depends on."""
+    config = asdict(cfg)
+    starts = {key: value for key, value in config["train"].items() if key.startswith("init_")}
+    init = _hash(fingerprint(scene), config["ablation"], starts, config["scene"]["init_points"], cfg.seed)
+    training = _hash(init, config["train"], config["scene"]["near"])
+    return {"init": init, "train": training, "evaluate": _hash(training, config["evaluate"])}
+
+
+def fingerprint(scene: Scene) -> str:
+    """Hash of all a scene holds: images, cameras, times, bounds. Where it lies does not matter."""
+    digest = hashlib.blake2b(digest_size=16)
+    digest.update(repr((scene.duration, scene.time_start, scene.background, scene.init_box)).encode())
+    for view in scene.train + scene.test:
+        c = view.camera
+        digest.update(repr((view.name, view.time, c.width, c.height, c.fx, c.fy, c.cx, c.cy)).encode())
+        digest.update(c.world_to_cam.tobytes())
+        digest.update(np.ascontiguousarray(view.image))
+    return digest.hexdigest()
+
+
+def _init(cfg: Config, scene: Scene, folder: RunFolder) -> dict:
+    """scene → init.ply."""
+    model = initialise(scene, cfg, np.random.default_rng([cfg.seed, 0]))
+    with replacing(folder.init_ply) as temporary:
+        save_ply(temporary, model)
+    return {"n_gaussians": len(model)}
+
+
+def _train(cfg: Config, scene: Scene, folder: RunFolder) -> dict:
+    """init.ply → checkpoint.safetensors, error_vs_time.csv; goes on from the checkpoint if there is one."""
+    frame = Frame(threads=_threads(cfg))
+
+    def look(model: Model, progress: Progress) -> dict:
+        found = quick_evaluate(model, scene, cfg, frame)
+        folder.log({"event": "evaluate", "iteration": progress.iteration, **found, "peak_rss_mb": peak_memory_mb()})
+        return found
+
+    reset_peak_memory()
+    result = train(load_ply(folder.init_ply), scene, cfg, folder, look)
+    return {"iterations": result.iteration, "train_seconds": result.train_seconds,
+            "n_gaussians": len(result.model), **_sizes(result), "peak_rss_mb": _peak_memory_mb(folder)}
+
+
+def _evaluate(cfg: Config, scene: Scene, folder: RunFolder) -> dict:
+    """checkpoint.safetensors → metrics.json, per_image.csv, renders/."""
+    trained = folder.values_of("train")
+    saved = checkpoints.load(folder.checkpoint)
+    final = evaluate(saved.model, scene, cfg, _threads(cfg), png_saver(folder.renders))
+    best = None
+    if cfg.evaluate.best_on_test and saved.best is not None and saved.best_model is not None:
+        is_final = saved.best["iteration"] == saved.iteration
+        best = final if is_final else evaluate(saved.best_model, scene, cfg, _threads(cfg))
+
+    write_csv(folder.per_image, _per_image(final, best))
+    write_json(folder.metrics, {
+        "scene": cfg.scene.name, "ablation": cfg.ablation.name, "train": cfg.train.name, "seed": cfg.seed,
+        "date": now(), "final": final.metrics,
+        "best_on_test": None if best is None else {**best.metrics, "iteration": saved.best["iteration"]},
+        "note": final.note(), "n_alive_mean": final.n_alive_mean, "n_test_views": len(scene.test), **trained})
+    return {"psnr": final.metrics["psnr"]}
+
+
+# What each stage leaves behind; a stage whose output was deleted is not done.
+_OUTPUTS: dict[str, tuple[Callable[[RunFolder], Path], ...]] = {
+    "init": (lambda folder: folder.init_ply,),
+    "train": (lambda folder: folder.checkpoint, lambda folder: folder.curve),
+    "evaluate": (lambda folder: folder.metrics, lambda folder: folder.per_image, lambda folder: folder.renders),
+}
+
+
+def _done(folder: RunFolder, stage: str, inputs: str) -> bool:
+    return folder.inputs_of(stage) == inputs and all(output(folder).exists() for output in _OUTPUTS[stage])
+
+
+def _sizes(result: TrainResult) -> dict[str, float]:
+    """In MB of 10⁶ bytes: the parameters alone, and with Adam's moments."""
+    return {"model_mb": result.model.bytes / 1e6,
+            "model_with_optimiser_mb": (result.model.bytes + result.optimiser_bytes) / 1e6}
+
+
+def _peak_memory_mb(folder: RunFolder) -> float:
+    """The highest of this process and of those it continues, which were killed: log.jsonl remembers theirs."""
+    return max([peak_memory_mb(), *(row["peak_rss_mb"] for row in folder.log_rows() if "peak_rss_mb" in row)])
+
+
+def _per_image(final: Evaluation, best: Evaluation | None) -> list[dict]:
+    rows = [{"model": "final", **row} for row in final.per_image]
+    return rows + [{"model": "best_on_test", **row} for row in (best.per_image if best else [])]
+
+
+def _threads(cfg: Config) -> int:
+    return cfg.threads or usable_cores()
+
+
+def _hash(*parts: object) -> str:
+    return hashlib.blake2b(json.dumps(parts, sort_keys=True, default=str).encode(), digest_size=16).hexdigest()

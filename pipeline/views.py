@@ -1,0 +1,59 @@
+"""Training images as the loss takes them: float (3, H, W) tensors at the resolution of the current phase."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+
+from datasets.scene import View
+from rasterizer import Camera
+
+# Above this the images of a scene stay uint8 and are converted at each use: a float copy is four times as large.
+CACHE_LIMIT_BYTES = 2 * 1024**3
+
+
+@dataclass(frozen=True)
+class Target:
+    """One view to train on."""
+
+    name: str
+    time: float
+    camera: Camera
+    image: Tensor  # (3, H, W) float32 in [0, 1]
+
+
+def target_of(view: View, scale: float) -> Target:
+    """The view at `scale` of its size, each side rounded to whole pixels (at least 1); averaged over areas."""
+    height, width = view.image.shape[:2]
+    small = max(1, round(width * scale)), max(1, round(height * scale))
+    image, camera = view.image.astype(np.float32) / 255.0, view.camera
+    if small != (width, height):
+        image = cv2.resize(image, small, interpolation=cv2.INTER_AREA)
+        camera = camera.resized(*small)
+    return Target(view.name, view.time, camera, torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1))))
+
+
+class TrainingViews:
+    """`target_of` for a fixed list of views, remembered for the scale last asked for while memory allows."""
+
+    def __init__(self, views: Sequence[View], cache_limit_bytes: int = CACHE_LIMIT_BYTES) -> None:
+        self._views = views
+        self._pixels = sum(view.image.shape[0] * view.image.shape[1] for view in views)
+        self._limit = cache_limit_bytes
+        self._scale: float | None = None
+        self._cache: dict[int, Target] = {}
+
+    def at(self, index: int, scale: float) -> Target:
+        if scale != self._scale:
+            self._scale, self._cache = scale, {}
+        target = self._cache.get(index)
+        if target is None:
+            target = target_of(self._views[index], scale)
+            if self._pixels * scale**2 * 12 <= self._limit:  # 3 channels of 4 bytes
+                self._cache[index] = target
+        return target

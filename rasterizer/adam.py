@@ -1,0 +1,43 @@
+"""Adam fused in C++: one pass over parameter, gradient and both moments, with torch.optim.Adam's arithmetic."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from torch import Tensor
+
+from .frame import Gradients, default_threads, split_coefficients
+from .kernel import kernel
+
+
+def adam_step(param: Tensor, grad: Tensor, m: Tensor, v: Tensor, lr: float | Sequence[float], step: int,
+              beta1: float = 0.9, beta2: float = 0.999, eps: float = 1e-15, sparse_rows: Tensor | None = None,
+              threads: int = 0) -> None:
+    """Update `param` (N,) or (N, C) and its moments m, v in place; all contiguous float32.
+
+    lr: one rate, or one a column. step: 1 for the first. sparse_rows (N,) uint8: rows with 0 are left alone, moments
+    included (dense Adam goes on moving them by their momentum).
+    """
+    columns = param.shape[1] if param.ndim == 2 else 1
+    rates = [float(lr)] * columns if isinstance(lr, (int, float)) else [float(rate) for rate in lr]
+    if len(rates) != columns:
+        raise ValueError(f"lr must hold one rate or one for each of {columns} columns, got {len(rates)}")
+    kernel.adam(p=param, g=grad, m=m, v=v, lr=rates, keep=sparse_rows, beta1=beta1, beta2=beta2, epsilon=eps, step=step,
+                threads=threads or default_threads())
+
+
+def sh_adam_step(sh: Tensor, gradients: Gradients, m: Tensor, v: Tensor, lr_dc: float, lr_rest: float, step: int,
+                 beta1: float = 0.9, beta2: float = 0.999, eps: float = 1e-15, sparse: bool = False,
+                 threads: int = 0) -> None:
+    """Update SH coefficients (N, K, 3) and moments in place from the batch's compact colour gradients.
+
+    Fourier orders that no view of the batch used are left alone: exact as long as they have had no gradient before.
+    sparse: Gaussians that no view of the batch saw are left alone too.
+    """
+    coefficients, orders = split_coefficients(sh.shape[1])
+    active = 1 + max((view.fourier_order for view in gradients.views), default=-1)
+    if active == 0:
+        active = 1
+    kernel.adam_sh(sh=sh, m=m, v=v, coefficients=coefficients, orders=orders, active_orders=min(active, orders),
+                   lr_dc=lr_dc, lr_rest=lr_rest, sparse=sparse, views=[view.as_tuple() for view in gradients.views],
+                   beta1=beta1, beta2=beta2, epsilon=eps, step=step, threads=threads or default_threads())

@@ -1,0 +1,61 @@
+"""What is asked of a rasterizer besides the Gaussians, checked: errors say what was expected and found."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+
+from .camera import Camera
+from .gaussians import Gaussians
+from .output import OUTPUT_NAMES
+
+
+@dataclass(frozen=True)
+class Request:
+    """One view to render. Raises ValueError for a value that is not finite, out of range or missing."""
+
+    camera: Camera
+    time: float = 0.0  # in the unit of μt, as are duration and flow_dt
+    duration: float = 1.0  # T of 4DSH's cosines
+    background: Sequence[float] = (0.0, 0.0, 0.0)  # RGB
+    outputs: Sequence[str] = ("color",)
+    flow_dt: float | None = None  # δ of the optical flow
+    near: float = 0.2  # world units along the viewing axis
+    sh_degree: int | None = None  # use only the coefficients up to it; None: all that are stored
+    fourier_order: int | None = None  # likewise
+
+    def __post_init__(self) -> None:
+        if not math.isfinite(self.time):
+            raise ValueError(f"time must be finite, got {self.time}")
+        if not (math.isfinite(self.duration) and self.duration > 0):
+            raise ValueError(f"duration must be finite and > 0, got {self.duration}")
+        if not (math.isfinite(self.near) and self.near >= 0):
+            raise ValueError(f"near must be finite and >= 0, got {self.near}")
+        if len(self.background) != 3 or not all(math.isfinite(value) for value in self.background):
+            raise ValueError(f"background must be 3 finite numbers, got {self.background}")
+        for name in self.outputs:
+            if name not in OUTPUT_NAMES:
+                raise ValueError(f"outputs must be among {', '.join(OUTPUT_NAMES)}, got {name!r}")
+        if "flow" in self.outputs and (self.flow_dt is None or not math.isfinite(self.flow_dt)):
+            raise ValueError(f"flow_dt must be finite when outputs has 'flow', got {self.flow_dt}")
+
+    def check_against(self, gaussians: Gaussians) -> None:
+        """Raise ValueError where the Gaussians do not have what is asked of them."""
+        if "stats" in self.outputs and gaussians.motion == "static":
+            raise ValueError("outputs must not have 'stats' for a static model, which has no time")
+        for name in ("sh_degree", "fourier_order"):
+            limit, stored = getattr(self, name), getattr(gaussians, name)
+            if limit is not None and not 0 <= limit <= stored:
+                raise ValueError(f"{name} must be in 0..{stored}, as stored, got {limit}")
+
+
+def check_finite(gaussians: Gaussians) -> None:
+    """Raise ValueError that names the first parameter, and its index, that is NaN or infinite."""
+    for name, tensor in gaussians.tensors().items():
+        wrong = torch.nonzero(~torch.isfinite(tensor.detach()))
+        if len(wrong):
+            index = wrong[0].tolist()
+            raise ValueError(f"{name}{index} must be finite, got {tensor[tuple(index)].item()}")

@@ -1,0 +1,57 @@
+"""`rasterize`: the compiled kernel as a differentiable PyTorch function."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from .arguments import Request, check_finite
+from .camera import Camera
+from .frame import Frame, Gradients, check_float32
+from .gaussians import Gaussians
+from .output import OUTPUT_NAMES, RenderOutput
+
+_FIELDS = tuple(Gaussians.__dataclass_fields__)
+
+
+class _Rasterize(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, request: Request, threads: int, *tensors: Tensor | None) -> tuple[Tensor, ...]:
+        gaussians = Gaussians(*(None if t is None else t.detach() for t in tensors))
+        frame = Frame(threads)
+        out = frame.render(gaussians, request)
+        ctx.frame, ctx.gaussians, ctx.names = frame, gaussians, tuple(request.outputs)
+        ctx.set_materialize_grads(False)
+        return tuple(getattr(out, name) for name in ctx.names)
+
+    @staticmethod
+    def backward(ctx, *image_gradients: Tensor | None) -> tuple[Tensor | None, ...]:
+        gradients = Gradients.zeros_like(ctx.gaussians)
+        given = {f"d_{name}": gradient for name, gradient in zip(ctx.names, image_gradients, strict=True)}
+        ctx.frame.backward(gradients, **given)
+        named = gradients.dense() | {"sh": gradients.sh(ctx.frame.threads)}
+        return None, None, *(named.get(name) for name in _FIELDS)
+
+
+def rasterize(gaussians: Gaussians, camera: Camera, time: float = 0.0, duration: float = 1.0,
+              background: Sequence[float] = (0.0, 0.0, 0.0), outputs: Sequence[str] = ("color",),
+              flow_dt: float | None = None, near: float = 0.2, sh_degree: int | None = None,
+              fourier_order: int | None = None, threads: int = 0) -> RenderOutput:
+    """Render 4D Gaussians (float32, contiguous) as seen by `camera` at `time`; differentiable in all of them.
+
+    time, duration, flow_dt: in the unit of μt. background: RGB. outputs: any of "color", "alpha", "depth", "flow",
+    "stats"; what is not asked for is not computed. flow_dt: δ of the flow. near: near plane, world units.
+    sh_degree, fourier_order: leave out the coefficients above them. threads: 0 for all; the result is the same bits.
+
+    `rasterizer.reference.rasterize` is the same function in plain PyTorch. Raises ValueError for wrong shapes, types
+    and values that are not finite.
+    """
+    request = Request(camera, float(time), float(duration), tuple(background), tuple(dict.fromkeys(outputs)), flow_dt, near,
+                      sh_degree, fourier_order)
+    check_float32(gaussians)
+    check_finite(gaussians)
+    images = _Rasterize.apply(request, threads, *(getattr(gaussians, name) for name in _FIELDS))
+    rendered = dict(zip(request.outputs, images, strict=True))
+    return RenderOutput(**{name: rendered.get(name) for name in OUTPUT_NAMES})

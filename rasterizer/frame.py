@@ -1,0 +1,178 @@
+"""One view rendered by the compiled kernel, and its backward pass, without autograd: what training runs on.
+
+    frame = Frame(threads=2)                      # scratch memory, reused from view to view
+    out = frame.render(gaussians, Request(camera, time=0.5))
+    seen = frame.backward(gradients, d_color=…)   # adds to `gradients`
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from .arguments import Request
+from .gaussians import Gaussians
+from .kernel import kernel
+from .output import RenderOutput
+
+STAGES = ("prepare", "sort", "bin", "blend", "blend_backward", "gaussian_backward")
+_EXTRAS = ("depth", "flow", "stats")
+_CHANNELS = {"color": 3, "alpha": 1, "depth": 1, "flow": 2, "stats": 2}
+
+
+def default_threads() -> int:
+    """As many threads as this process may use processors."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@dataclass(frozen=True)
+class ViewColors:
+    """The colour gradient one view left, compact: the SH gradient of visible Gaussian v is an outer product of row v."""
+
+    visible: Tensor  # (V,) int32, ascending ids
+    gradient: Tensor  # (V, 8): ∂L/∂rgb, unit direction, cos(2πn (t-μt)/T) for n = 1, 2
+    sh_degree: int
+    fourier_order: int
+
+    def as_tuple(self) -> tuple[Tensor, Tensor, int, int]:
+        return self.visible, self.gradient, self.sh_degree, self.fourier_order
+
+
+@dataclass(frozen=True)
+class ViewGradient:
+    """What one view says of the Gaussians it shows; densification reads it."""
+
+    visible: Tensor  # (V,) int32, ascending ids
+    mean2d: Tensor  # (V, 2) ∂L/∂ the mean's position in pixels
+    mean_t: Tensor  # (V,) ∂L/∂μt
+    radius: Tensor  # (V,) 3 standard deviations on the screen, pixels
+
+
+@dataclass
+class Gradients:
+    """Gradients of the parameters, summed over the views of a batch. SH gradients stay compact, a view an entry."""
+
+    mean: Tensor  # (N, 4), static (N, 3)
+    log_scale: Tensor
+    quat_left: Tensor  # (N, 4)
+    quat_right: Tensor | None
+    opacity_logit: Tensor  # (N,)
+    views: list[ViewColors] = field(default_factory=list)
+    sh_shape: torch.Size | None = None
+
+    @classmethod
+    def zeros_like(cls, gaussians: Gaussians) -> Gradients:
+        dense = {name: torch.zeros_like(tensor) for name, tensor in gaussians.tensors().items() if name != "sh"}
+        return cls(**{"quat_right": None, **dense}, sh_shape=gaussians.sh.shape)
+
+    def dense(self) -> dict[str, Tensor]:
+        """All gradients but the SH's, by name."""
+        named = {name: getattr(self, name) for name in ("mean", "log_scale", "quat_left", "quat_right", "opacity_logit")}
+        return {name: tensor for name, tensor in named.items() if tensor is not None}
+
+    def zero_(self) -> None:
+        for tensor in self.dense().values():
+            tensor.zero_()
+        self.views.clear()
+
+    def sh(self, threads: int = 1) -> Tensor:
+        """The SH gradient, dense (N, (n+1)(l+1)², 3). Training never asks for it."""
+        count, orders = split_coefficients(self.sh_shape[1])
+        out = torch.empty(self.sh_shape)
+        kernel.expand_sh(views=[view.as_tuple() for view in self.views], dense=out, coefficients=count, orders=orders,
+                         threads=threads)
+        return out
+
+
+def split_coefficients(total: int) -> tuple[int, int]:
+    """((l+1)², Fourier orders) of (n+1)(l+1)² stored coefficients."""
+    for per_order in (16, 9, 4, 1):
+        if total % per_order == 0:
+            return per_order, total // per_order
+    raise ValueError(f"sh must hold (n+1)(l+1)² coefficients, got {total}")
+
+
+def check_float32(gaussians: Gaussians) -> None:
+    for name, tensor in gaussians.tensors().items():
+        if tensor.dtype != torch.float32 or not tensor.is_contiguous():
+            kind = str(tensor.dtype).removeprefix("torch.") + ("" if tensor.is_contiguous() else ", not contiguous,")
+            raise ValueError(f"{name} must be contiguous float32 {list(tensor.shape)}, got {kind} {list(tensor.shape)}")
+
+
+class Frame:
+    """Scratch memory of a view between its forward and its backward pass."""
+
+    def __init__(self, threads: int = 0) -> None:
+        """threads: 0 for as many as the process may use. Results are the same bits for any number."""
+        self.threads = threads or default_threads()
+        self._frame = kernel.Frame()
+        self._model = self._request = None
+
+    def render(self, gaussians: Gaussians, request: Request) -> RenderOutput:
+        """Render one view of float32, contiguous Gaussians. Raises ValueError when they are not."""
+        check_float32(gaussians)
+        request.check_against(gaussians)
+        camera = request.camera
+        intrinsics = [camera.fx, camera.fy, camera.cx, camera.cy]
+        self._gaussians, self._request = gaussians, request
+        self.sh_degree = gaussians.sh_degree if request.sh_degree is None else request.sh_degree
+        self.fourier_order = gaussians.fourier_order if request.fourier_order is None else request.fourier_order
+        coefficients, orders = split_coefficients(gaussians.sh.shape[1])
+        detached = {name: tensor.detach() for name, tensor in gaussians.tensors().items()}
+        self._model = kernel.Model(**{"quat_right": None, **detached}, coefficients=coefficients, stored_order=orders - 1)
+        self._frame.set_view(
+            camera=kernel.Camera.make(camera.width, camera.height, intrinsics, camera.world_to_cam.astype(np.float32)),
+            time=request.time, duration=request.duration, near=request.near, background=list(request.background),
+            flow_dt=request.flow_dt or 0.0, sh_degree=self.sh_degree, fourier_order=self.fourier_order,
+            extras=tuple(name in request.outputs for name in _EXTRAS), threads=self.threads)
+        images = {name: torch.empty(_CHANNELS[name], camera.height, camera.width) for name in request.outputs}
+        self._frame.render(self._model, **{name: images.get(name) for name in _CHANNELS})
+        return RenderOutput(**{name: images.get(name) for name in _CHANNELS})
+
+    def backward(self, gradients: Gradients, d_color: Tensor | None = None, d_alpha: Tensor | None = None,
+                 d_depth: Tensor | None = None, d_flow: Tensor | None = None, d_stats: Tensor | None = None) -> ViewGradient:
+        """Carry image gradients (shapes of the outputs; None: zero) back to the parameters, adding to `gradients`.
+
+        Follows the last `render`; the Gaussians must not have changed since.
+        """
+        if self._model is None:
+            raise RuntimeError("Frame.backward must follow Frame.render, got no rendered view")
+        images = {"color": d_color, "alpha": d_alpha, "depth": d_depth, "flow": d_flow, "stats": d_stats}
+        size = [self._request.camera.height, self._request.camera.width]
+        for name, image in images.items():
+            if image is None:
+                continue
+            if name not in self._request.outputs and name in _EXTRAS:
+                raise ValueError(f"d_{name} was given but {name!r} was not among the outputs {tuple(self._request.outputs)}")
+            if image.dtype != torch.float32 or list(image.shape) != [_CHANNELS[name], *size]:
+                raise ValueError(f"d_{name} must be float32 {[_CHANNELS[name], *size]}, got "
+                                 f"{str(image.dtype).removeprefix('torch.')} {list(image.shape)}")
+            images[name] = image.detach().contiguous()
+        visible = self._frame.visible
+        out = ViewGradient(torch.empty(visible, dtype=torch.int32), torch.empty(visible, 2), torch.empty(visible),
+                           torch.empty(visible))
+        colors = ViewColors(out.visible, torch.empty(visible, 8), self.sh_degree, self.fourier_order)
+        self._frame.backward(self._model, **{f"d_{name}": image for name, image in images.items()},
+                             **{"quat_right": None, **gradients.dense()}, id=out.visible, mean2d=out.mean2d,
+                             mean_t=out.mean_t, radius=out.radius, color_gradient=colors.gradient)
+        gradients.views.append(colors)
+        return out
+
+    @property
+    def visible(self) -> int:
+        """How many Gaussians reach the image of the last view."""
+        return self._frame.visible
+
+    @property
+    def alive(self) -> int:
+        """How many have p(t) >= 0.05 in the last view."""
+        return self._frame.alive
+
+    @property
+    def stage_ms(self) -> dict[str, float]:
+        """Wall milliseconds of the last view's stages."""
+        return dict(zip(STAGES, self._frame.stage_ms, strict=True))

@@ -1,0 +1,29 @@
+"""Picks the compiled kernel: the best instruction set this processor has, or the one RASTERIZER_ISA names."""
+
+from __future__ import annotations
+
+import importlib
+import os
+from types import ModuleType
+
+from . import _cpu
+
+ISA_VARIABLE = "RASTERIZER_ISA"
+
+
+def available_isas() -> list[str]:
+    """The instruction sets the kernel can run with on this processor, best first: v4, v3, v2 (x86-64 levels) or plain."""
+    return _cpu.supported_levels()
+
+
+def load_kernel(isa: str | None = None) -> ModuleType:
+    """The kernel compiled for `isa`; None: the best there is. Raises ValueError when the processor lacks it."""
+    isas = available_isas()
+    if isa is None:
+        isa = isas[0]
+    if isa not in isas:
+        raise ValueError(f"{ISA_VARIABLE}: expected one of {', '.join(isas)} (what this processor has), found {isa!r}")
+    return importlib.import_module(f"rasterizer._kernel_{isa}")
+
+
+kernel = load_kernel(os.environ.get(ISA_VARIABLE) or None)

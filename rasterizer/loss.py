@@ -1,0 +1,46 @@
+"""The photometric loss of 3D Gaussian Splatting, with its gradient, fused in C++."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from .frame import default_threads
+from .kernel import kernel
+
+
+@dataclass(frozen=True)
+class LossValue:
+    """(1-λ) L1 + λ (1-SSIM) of an image against its target."""
+
+    loss: float
+    l1: float
+    ssim: float
+    d_image: Tensor  # (3, H, W) ∂loss/∂image
+
+
+class L1Ssim:
+    """The loss with its scratch memory, reused from call to call."""
+
+    def __init__(self, ssim_weight: float = 0.2, threads: int = 0) -> None:
+        self.ssim_weight = ssim_weight
+        self.threads = threads or default_threads()
+        self._kernel = kernel.L1Ssim()
+
+    def __call__(self, image: Tensor, target: Tensor) -> LossValue:
+        """image, target: (3, H, W) contiguous float32 in [0, 1]. Raises ValueError when shapes or types differ from it."""
+        for name, tensor in (("image", image), ("target", target)):
+            if tensor.dtype != torch.float32 or tensor.ndim != 3 or tensor.shape[0] != 3 or tensor.shape != image.shape:
+                raise ValueError(f"{name} must be float32 {[3, *image.shape[1:]]}, got {tensor.dtype} {list(tensor.shape)}")
+        d_image = torch.empty_like(image)
+        l1, ssim = self._kernel(image=image.contiguous(), target=target.contiguous(), gradient=d_image,
+                                ssim_weight=self.ssim_weight, threads=self.threads)
+        return LossValue((1 - self.ssim_weight) * l1 + self.ssim_weight * (1 - ssim), l1, ssim, d_image)
+
+
+def l1_ssim(image: Tensor, target: Tensor, ssim_weight: float = 0.2, threads: int = 0) -> tuple[float, float, float, Tensor]:
+    """(loss, l1, ssim, d_image) of one pair; see `L1Ssim`."""
+    value = L1Ssim(ssim_weight, threads)(image, target)
+    return value.loss, value.l1, value.ssim, value.d_image

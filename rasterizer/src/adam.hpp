@@ -1,0 +1,79 @@
+// Adam (Kingma & Ba 2015), fused: one pass over parameter, gradient and moments, torch.optim.Adam's arithmetic.
+//
+//     m ← β1 m + (1-β1) g,  v ← β2 v + (1-β2) g²,  p ← p - lr/(1-β1ᵗ) · m / (√v/√(1-β2ᵗ) + ε)
+#pragma once
+
+#include <cmath>
+
+#include "sh_gradient.hpp"
+
+namespace splat {
+
+struct AdamStep {
+    float beta1, beta2, epsilon;
+    float inverse_correction1;       // 1/(1-β1ᵗ)
+    float inverse_sqrt_correction2;  // 1/√(1-β2ᵗ)
+
+    AdamStep(double beta1, double beta2, double epsilon, long step)
+        : beta1(static_cast<float>(beta1)), beta2(static_cast<float>(beta2)), epsilon(static_cast<float>(epsilon)),
+          inverse_correction1(static_cast<float>(1 / (1 - std::pow(beta1, step)))),
+          inverse_sqrt_correction2(static_cast<float>(1 / std::sqrt(1 - std::pow(beta2, step)))) {}
+};
+
+// Rows of `columns` floats, a learning rate a column. keep: one byte a row, 0 leaves the row and its moments alone; or null.
+inline void adam_rows(float* __restrict p, const float* __restrict g, float* __restrict m, float* __restrict v, size_t rows,
+                      int columns, const float* lr, const uint8_t* keep, const AdamStep& a, int threads) {
+    const float c1 = 1 - a.beta1, c2 = 1 - a.beta2;
+#pragma omp parallel for schedule(static) num_threads(threads)
+    for (size_t r = 0; r < rows; ++r) {
+        if (keep && !keep[r]) continue;
+        for (int c = 0; c < columns; ++c) {
+            const size_t i = r * columns + c;
+            m[i] = a.beta1 * m[i] + c1 * g[i];
+            v[i] = a.beta2 * v[i] + c2 * g[i] * g[i];
+            p[i] -= lr[c] * a.inverse_correction1 * m[i] / (std::sqrt(v[i]) * a.inverse_sqrt_correction2 + a.epsilon);
+        }
+    }
+}
+
+SPLAT_INLINE void adam_vector(Float& p, const Float& g, Float& m, Float& v, const Float& rate, const AdamStep& a) {
+    m = Float(a.beta1) * m + Float(1 - a.beta1) * g;
+    v = Float(a.beta2) * v + Float(1 - a.beta2) * (g * g);
+    p -= rate * m / (sqrt(v) * Float(a.inverse_sqrt_correction2) + Float(a.epsilon));
+}
+
+// Adam on SH coefficients [N, orders · coefficients, 3], their gradient expanded chunk by chunk and never stored.
+// Orders from `active_orders` on are left alone: they have had no gradient yet, so their moments are zero.
+// sparse: rows no view of the batch saw are left alone too.
+inline void adam_sh(float* sh, float* m, float* v, uint32_t count, int coefficients, int orders, int active_orders, float lr_dc,
+                    float lr_rest, bool sparse, const std::vector<ViewColors>& views, const AdamStep& a, int threads) {
+    const size_t order_stride = static_cast<size_t>(coefficients) * 3, row_stride = order_stride * orders;
+    const Float rest(lr_rest * a.inverse_correction1);
+    alignas(64) float first_lanes[16];
+    rest.store(first_lanes);
+    for (int k = 0; k < 3; ++k) first_lanes[k] = lr_dc * a.inverse_correction1;  // degree 0, order 0
+    const Float with_dc = Float::load(first_lanes);
+#pragma omp parallel num_threads(threads)
+    {
+        ExpandedChunk chunk(active_orders);
+#pragma omp for schedule(dynamic, 4)
+        for (uint32_t first = 0; first < count; first += kShChunk) {
+            const uint32_t last = std::min(count, first + kShChunk);
+            expand(views, first, last, chunk);
+            for (uint32_t i = first; i < last; ++i) {
+                if (sparse && !chunk.touched[i - first]) continue;
+                for (int n = 0; n < active_orders; ++n) {
+                    const size_t at = row_stride * i + order_stride * n;
+                    const ShRow& g = chunk.rows[static_cast<size_t>(i - first) * active_orders + n];
+                    ShRow pr = ShRow::load(sh + at, coefficients), mr = ShRow::load(m + at, coefficients);
+                    ShRow vr = ShRow::load(v + at, coefficients);
+                    for (int k = 0; k < kRowVectors; ++k)
+                        adam_vector(pr.v[k], g.v[k], mr.v[k], vr.v[k], n == 0 && k == 0 ? with_dc : rest, a);
+                    pr.store(sh + at, coefficients), mr.store(m + at, coefficients), vr.store(v + at, coefficients);
+                }
+            }
+        }
+    }
+}
+
+}  // namespace splat

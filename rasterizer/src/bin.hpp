@@ -1,0 +1,121 @@
+// Stage 3: for each 16×16 tile the Gaussians that touch it, front to back, and which of its 4×4 blocks they touch.
+//
+// Exact: an entry is made, and a block marked, only where alpha reaches 1/255 somewhere in it (3 to 4 times fewer
+// pixels than the bounding rectangle). The splats come sorted, so a stable counting scatter keeps each tile's list
+// front to back without sorting entries.
+#pragma once
+
+#include <algorithm>
+#include <utility>
+
+#include "frame.hpp"
+#include "vec_math.hpp"
+
+namespace splat {
+
+struct BlockCorners {
+    alignas(64) float x[16], y[16];  // first pixel of each block within its tile
+    constexpr BlockCorners() : x{}, y{} {
+        for (int b = 0; b < kBlocks; ++b) x[b] = static_cast<float>(b % 4 * kBlock), y[b] = static_cast<float>(b / 4 * kBlock);
+    }
+};
+inline constexpr BlockCorners kBlockCorner;
+
+// Bit b: the largest alpha over the pixel centres' square of block b is at least 1/255.
+// ln alpha is concave, so over a rectangle it is largest on the side facing the mean: try the nearest column and the
+// nearest row, each at its best point.
+SPLAT_INLINE unsigned touched_blocks(const Splat& s, float tile_x, float tile_y) {
+    const Float x0 = Float::load(kBlockCorner.x) + Float(tile_x - s.x), y0 = Float::load(kBlockCorner.y) + Float(tile_y - s.y);
+    const Float x1 = x0 + Float(kBlock - 1.f), y1 = y0 + Float(kBlock - 1.f);
+    const Float dx = clamp(0.f, x0, x1), dy = clamp(0.f, y0, y1);
+    const Float y_best = clamp(dx * Float(-0.5f * s.xy / s.yy), y0, y1), x_best = clamp(dy * Float(-0.5f * s.xy / s.xx), x0, x1);
+    const Float xx(s.xx), xy(s.xy), yy(s.yy);
+    const Float column = dx * (dx * xx + y_best * xy) + y_best * y_best * yy;
+    const Float row = x_best * (x_best * xx + dy * xy) + dy * dy * yy;
+    return bits(max(column, row) >= Float(kLog2MinAlpha - s.log2_opacity));
+}
+
+struct TileRange {
+    int x0, x1, y0, y1;  // inclusive
+};
+inline TileRange tiles_under(const Frame& f, const Splat& s) {
+    auto tile = [](float v, int tiles) {  // clamped as a float: a huge extent does not fit an int
+        return static_cast<int>(std::clamp(v * (1.f / kTile), 0.f, static_cast<float>(tiles - 1)));
+    };
+    return {tile(s.x - s.half_width, f.tiles_x), tile(s.x + s.half_width, f.tiles_x), tile(s.y - s.half_height, f.tiles_y),
+            tile(s.y + s.half_height, f.tiles_y)};
+}
+
+inline void bin(Frame& f) {
+    StageTimer timer(f, kStageBin);
+    f.tiles_x = (f.camera.width + kTile - 1) / kTile;
+    f.tiles_y = (f.camera.height + kTile - 1) / kTile;
+    const int tiles = f.tiles(), segments = f.settings.threads;
+    const size_t n = f.visible, places = f.chunk_count.size() * kChunk;
+    f.segments.resize(segments);
+    f.slot_count.resize(places);
+    f.slot_begin.resize(places);
+    auto segment_begin = [&](int s) { return n * s / segments; };
+
+    // List (tile, mask) splat by splat. How the splats are divided among threads does not show in the result.
+#pragma omp parallel for schedule(static, 1) num_threads(segments)
+    for (int s = 0; s < segments; ++s) {
+        Frame::Segment& list = f.segments[s];
+        list.tile.clear();
+        list.mask.clear();
+        list.tile_count.assign(tiles, 0);
+        for (size_t i = segment_begin(s); i < segment_begin(s + 1); ++i) {
+            const Splat& splat = f.sorted[i];
+            const TileRange range = tiles_under(f, splat);
+            uint32_t count = 0;
+            for (int y = range.y0; y <= range.y1; ++y)
+                for (int x = range.x0; x <= range.x1; ++x) {
+                    const unsigned mask = touched_blocks(splat, static_cast<float>(x * kTile), static_cast<float>(y * kTile));
+                    if (!mask) continue;
+                    const uint32_t tile = static_cast<uint32_t>(y * f.tiles_x + x);
+                    list.tile.push_back(tile);
+                    list.mask.push_back(static_cast<uint16_t>(mask));
+                    ++list.tile_count[tile];
+                    ++count;
+                }
+            f.slot_count[splat.place] = count;
+        }
+    }
+
+    // Where each tile's list begins, and each segment's part of it.
+    f.tile_begin.resize(tiles + 1);
+    uint32_t total = 0;
+    for (int t = 0; t < tiles; ++t) {
+        f.tile_begin[t] = total;
+        for (auto& list : f.segments) total += std::exchange(list.tile_count[t], total);
+    }
+    f.tile_begin[tiles] = total;
+    // Gradient slots of one Gaussian lie together, Gaussians in order of id: the reduction reads them in sequence.
+    uint32_t slot = 0;
+    for (size_t c = 0; c < f.chunk_count.size(); ++c)
+        for (uint32_t i = 0; i < f.chunk_count[c]; ++i) {
+            const size_t place = c * kChunk + i;
+            f.slot_begin[place] = slot;
+            slot += f.slot_count[place];
+        }
+
+    f.entry_splat.resize(total + kLanes);  // blend reads masks and indices sixteen at a time
+    f.entry_mask.resize(total + kLanes);
+    f.entry_slot.resize(total);
+#pragma omp parallel for schedule(static, 1) num_threads(segments)
+    for (int s = 0; s < segments; ++s) {
+        Frame::Segment& list = f.segments[s];
+        size_t e = 0;
+        for (size_t i = segment_begin(s); i < segment_begin(s + 1); ++i) {
+            const uint32_t place = f.sorted[i].place, count = f.slot_count[place], first_slot = f.slot_begin[place];
+            for (uint32_t k = 0; k < count; ++k, ++e) {
+                const uint32_t to = list.tile_count[list.tile[e]]++;
+                f.entry_splat[to] = static_cast<uint32_t>(i);
+                f.entry_mask[to] = list.mask[e];
+                f.entry_slot[to] = first_slot + k;
+            }
+        }
+    }
+}
+
+}  // namespace splat

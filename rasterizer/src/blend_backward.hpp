@@ -1,0 +1,130 @@
+// Backward of stage 4: from image gradients to one gradient slot per (tile, Gaussian) entry.
+//
+// Gaussian by Gaussian, front to back as in blend.hpp. With g the image gradient of a pixel and Q the still unblended
+// part of Σ_k g_k C_k (background and alpha included), blending splat i gives
+//     Q ← Q - w g·c_i,        ∂L/∂alpha_i = T g·c_i - Q / (1 - alpha_i),
+// so nothing is stored per contribution and nothing is read backwards. Each entry owns its slot: no atomics, and the
+// same bits for any number of threads.
+#pragma once
+
+#include "blend.hpp"
+
+namespace splat {
+
+// ∂L/∂ the output planes; null: zero.
+struct OutputGradients {
+    const float* color;
+    const float* alpha;
+    const float* depth;
+    const float* flow;
+    const float* stats;
+};
+
+template <int extra>
+struct Unblended {
+    Float transmittance[kBlocks];  // 0 once a pixel has ended: nothing more is blended there
+    Float rest[kBlocks];           // Q
+    Float gradient[3 + extra][kBlocks];
+    Float last[kBlocks];
+};
+
+template <int extra>
+inline void start_tile(const Frame& f, int tile, const TileSpan& span, const OutputGradients& d, Unblended<extra>& u) {
+    const int width = f.camera.width, height = f.camera.height;
+    const size_t plane = static_cast<size_t>(width) * height;
+    const float* planes[3 + kMaxExtra] = {};
+    int channel = 0;
+    auto add = [&](const float* base, int count) {
+        for (int k = 0; k < count; ++k) planes[channel++] = base ? base + k * plane : nullptr;
+    };
+    add(d.color, 3);
+    if (f.settings.depth) add(d.depth, 1);
+    if (f.settings.flow) add(d.flow, 2);
+    if (f.settings.stats) add(d.stats, 2);
+    for (int b = 0; b < kBlocks; ++b) {
+        const int x = span.x + b % 4 * kBlock, y = span.y + b / 4 * kBlock;
+        alignas(64) float lane[16];
+        auto gradient = [&](const float* p) {
+            if (!p) return Float(0.f);
+            load_block(p, width, height, x, y, lane);
+            return Float::load(lane);
+        };
+        const Float T = Float::load(&f.transmittance[(static_cast<size_t>(tile) * kBlocks + b) * kLanes]);
+        Float rest = -(T * gradient(d.alpha));
+        for (int k = 0; k < 3 + extra; ++k) {
+            u.gradient[k][b] = gradient(planes[k]);
+            Float blended = Float::load(&f.image[block_at(f, tile, k, b)]);
+            if (k < 3) blended += T * Float(f.settings.background[k]);
+            rest += u.gradient[k][b] * blended;
+        }
+        u.rest[b] = rest;
+        u.transmittance[b] = 1.f;
+    }
+}
+
+inline constexpr uint32_t kEntryPrefetch = 12;
+
+template <int extra>
+inline void blend_backward_tile(Frame& f, int tile, const OutputGradients& d) {
+    const TileSpan span = tile_span(f, tile);
+    if (span.begin == span.end) return;
+    Unblended<extra> u;
+    start_tile<extra>(f, tile, span, d, u);
+    const Float last = Float::load(&f.blocks_last[static_cast<size_t>(tile) * kBlocks]);
+    const Float lane_x = Float::load(kBlockPixel.x), lane_y = Float::load(kBlockPixel.y);
+    constexpr int kFields = kSlotFields + extra, kGroups = (kFields + 3) / 4;
+    for (uint32_t e = span.begin; e < span.end; ++e) {
+        const uint32_t ahead = std::min(e + kEntryPrefetch, span.end - 1);
+        __builtin_prefetch(&f.sorted[f.entry_splat[ahead]]);
+        __builtin_prefetch(&f.slots[f.entry_slot[ahead]], 1);
+        const Splat& s = f.sorted[f.entry_splat[e]];
+        const float* value = f.extras.data() + static_cast<size_t>(s.place) * kExtraStride;
+        Float sum[4 * kGroups];
+        for (auto& v : sum) v = 0.f;
+        const Float dx0 = lane_x + Float(span.x - s.x), dy0 = lane_y + Float(span.y - s.y);
+        unsigned blocks = f.entry_mask[e] & bits(last > Float(static_cast<float>(e - span.begin)));
+        for (; blocks; blocks &= blocks - 1) {
+            const int b = __builtin_ctz(blocks);
+            const Float dx = dx0 + Float(kBlockCorner.x[b]), dy = dy0 + Float(kBlockCorner.y[b]);
+            const Float power = log2_alpha(s, dx, dy), T = u.transmittance[b], peak = exp2(power);
+            Float alpha = zero_unless(power >= Float(kLog2MinAlpha), min(peak, kMaxAlpha));
+            Float w = alpha * T;
+            const Float next = T - w;
+            const Mask live = next >= Float(kMinTransmittance);
+            w = zero_unless(live, w);
+            u.transmittance[b] = zero_unless(live, next);
+            Float along = u.gradient[0][b] * Float(s.r) + u.gradient[1][b] * Float(s.g) + u.gradient[2][b] * Float(s.b);
+            for (int k = 0; k < extra; ++k) along += u.gradient[3 + k][b] * Float(value[k]);
+            const Float rest = u.rest[b] - w * along;
+            u.rest[b] = rest;
+            const Float d_alpha = T * along - rest * fast_inverse(Float(1.f) - alpha);
+            const Float d_power = zero_unless(live & (Float(kMaxAlpha) >= peak), alpha * d_alpha);  // of ln alpha
+            const Float mx = d_power * dx, my = d_power * dy;
+            sum[kSlotR] += w * u.gradient[0][b];
+            sum[kSlotG] += w * u.gradient[1][b];
+            sum[kSlotB] += w * u.gradient[2][b];
+            sum[kSlotPower] += d_power;
+            sum[kSlotX] += mx;
+            sum[kSlotY] += my;
+            sum[kSlotXX] += mx * dx;
+            sum[kSlotXY] += mx * dy;
+            sum[kSlotYY] += my * dy;
+            for (int k = 0; k < extra; ++k) sum[kSlotExtra + k] += w * u.gradient[3 + k][b];
+        }
+        float* slot = f.slots[f.entry_slot[e]].value;
+        for (int g = 0; g < kGroups; ++g) {
+            const Quad total = sum_lanes(sum[4 * g], sum[4 * g + 1], sum[4 * g + 2], sum[4 * g + 3]);
+            std::memcpy(slot + 4 * g, &total, sizeof total);
+        }
+    }
+}
+
+template <int extra>
+inline void blend_backward(Frame& f, const OutputGradients& d) {
+    StageTimer timer(f, kStageBlendBackward);
+    f.slots.resize(f.entry_slot.size());
+#pragma omp parallel for schedule(dynamic, 2) num_threads(f.settings.threads)
+    for (int tile = 0; tile < f.tiles(); ++tile) blend_backward_tile<extra>(f, tile, d);
+}
+
+}  // namespace splat

@@ -1,0 +1,82 @@
+// Everything one view's forward pass leaves for its backward pass. Reused from view to view: buffers only grow.
+//
+//     prepare → sort → bin → blend          forward, a file each
+//     blend_backward → gaussian_backward    and back
+#pragma once
+
+#include <chrono>
+#include <vector>
+
+#include "buffer.hpp"
+#include "types.hpp"
+
+namespace splat {
+
+inline constexpr int kChunk = 1024;  // Gaussians prepared together: their working set stays in the second-level cache
+
+struct Frame {
+    Camera camera;
+    Settings settings;
+
+    // prepare: chunk c stages its visible Gaussians at places [c·kChunk, c·kChunk + chunk_count[c]), in order of id
+    Buffer<Splat> staged;
+    Buffer<float> extras;  // per place kExtraStride floats: depth, flow, statistics, as far as asked for
+    std::vector<uint32_t> chunk_count, chunk_first;  // chunk_first: visible Gaussians before the chunk
+    std::vector<uint32_t> chunk_alive;
+    uint32_t visible = 0, alive = 0;
+
+    // sort: front to back
+    Buffer<Splat> sorted;
+    Buffer<uint32_t> key[2], order[2];
+
+    // bin: entry lists of the tiles, each front to back
+    int tiles_x = 0, tiles_y = 0;
+    Buffer<uint32_t> tile_begin;   // [tiles + 1]
+    Buffer<uint32_t> entry_splat;  // index into sorted
+    Buffer<uint16_t> entry_mask;   // which of the tile's 4×4 blocks it touches
+    Buffer<uint32_t> entry_slot;   // where its gradient goes
+    Buffer<uint32_t> slot_count, slot_begin;  // per place
+    struct Segment {               // one thread's share of the sorted splats
+        std::vector<uint32_t> tile, tile_count;
+        std::vector<uint16_t> mask;
+    };
+    std::vector<Segment> segments;
+
+    // blend: images in blocks [tile][channel][block][lane]; channels are rgb and then the extras
+    Buffer<float> image;
+    Buffer<float> transmittance;    // [tile][block][lane]
+    Buffer<float> blocks_last;      // [tile][block] entries that had any effect; exact in float up to 2²⁴
+    Buffer<Slot> slots;             // backward
+
+    double stage_ms[8] = {};  // wall time of the stages below
+
+    int tiles() const { return tiles_x * tiles_y; }
+    int channels() const { return 3 + settings.extra_channels(); }
+};
+
+inline constexpr int kExtraStride = 8;
+enum Stage { kStagePrepare, kStageSort, kStageBin, kStageBlend, kStageBlendBackward, kStageGaussianBackward };
+
+class StageTimer {
+public:
+    StageTimer(Frame& frame, Stage stage) : slot_(frame.stage_ms[stage]), start_(Clock::now()) {}
+    ~StageTimer() { slot_ = std::chrono::duration<double, std::milli>(Clock::now() - start_).count(); }
+
+private:
+    using Clock = std::chrono::steady_clock;
+    double& slot_;
+    Clock::time_point start_;
+};
+
+// A 4×4 block of an image plane [height, width] at (x, y), lane = 4 row + column; pixels outside read as zero.
+inline void load_block(const float* plane, int width, int height, int x, int y, float (&lane)[16]) {
+    for (int r = 0; r < kBlock; ++r)
+        for (int c = 0; c < kBlock; ++c)
+            lane[4 * r + c] = (y + r < height && x + c < width) ? plane[static_cast<size_t>(y + r) * width + x + c] : 0.f;
+}
+inline void store_block(float* plane, int width, int height, int x, int y, const float (&lane)[16]) {
+    for (int r = 0; r < kBlock && y + r < height; ++r)
+        for (int c = 0; c < kBlock && x + c < width; ++c) plane[static_cast<size_t>(y + r) * width + x + c] = lane[4 * r + c];
+}
+
+}  // namespace splat

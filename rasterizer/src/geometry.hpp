@@ -1,0 +1,255 @@
+// From stored parameters to the Gaussian at time t: rotation, slice in time, and their derivatives (paper, section 3.2).
+//
+// Sixteen Gaussians at a time, one a lane. M = R diag(s), Σ = M Mᵀ. With m_t the time row of M:
+//     Σtt = |m_t|²,   h = Σ_xyz,t / Σtt,   μ(t) = μ_xyz + h (t - μt),   Σ(t) = A Aᵀ,   A = M_xyz - h m_tᵀ.
+// A = M_xyz (I - v vᵀ), v = m_t/|m_t|, in other words. The textbook Σ_xyz - Σ_xyz,t Σ_t,xyz / Σtt cancels in float32.
+#pragma once
+
+#include "types.hpp"
+#include "vec_math.hpp"
+
+namespace splat {
+
+// Columns of M: the axes of the ellipsoid.
+template <Motion motion>
+inline constexpr int kAxes = motion == Motion::kFull ? 4 : 3;
+
+struct UnitQuaternion {
+    Float q[4];
+    Float inverse_norm;
+};
+
+// q/|q|; zero is read as identity. Scaled by the largest component first, so that no square over- or underflows.
+SPLAT_INLINE UnitQuaternion normalise(const Float (&q)[4]) {
+    Float largest = max(max(abs(q[0]), abs(q[1])), max(abs(q[2]), abs(q[3])));
+    Mask usable = largest > Float(0.f);
+    Float inverse_largest = select(usable, Float(1.f) / largest, 0.f);
+    Float s[4], norm2(0.f);
+    for (int i = 0; i < 4; ++i) {
+        s[i] = q[i] * inverse_largest;
+        norm2 += s[i] * s[i];
+    }
+    Float inverse = zero_unless(usable, Float(1.f) / sqrt(norm2));
+    UnitQuaternion u;
+    for (int i = 0; i < 4; ++i) u.q[i] = s[i] * inverse;
+    u.q[0] = select(usable, u.q[0], 1.f);
+    u.inverse_norm = inverse * inverse_largest;
+    return u;
+}
+// ∂L/∂q from ∂L/∂(q/|q|): the part along q has no effect.
+SPLAT_INLINE void normalise_backward(const UnitQuaternion& u, const Float (&d_unit)[4], Float (&d_q)[4]) {
+    Float along(0.f);
+    for (int i = 0; i < 4; ++i) along += d_unit[i] * u.q[i];
+    for (int i = 0; i < 4; ++i) d_q[i] = (d_unit[i] - along * u.q[i]) * u.inverse_norm;
+}
+
+// L(q)[i][j] = kLeftSign[i][j] q[kQuatIndex[i][j]], R(q) likewise with kRightSign (SPEC 1).
+inline constexpr int kQuatIndex[4][4] = {{0, 1, 2, 3}, {1, 0, 3, 2}, {2, 3, 0, 1}, {3, 2, 1, 0}};
+inline constexpr float kLeftSign[4][4] = {{1, -1, -1, -1}, {1, 1, -1, 1}, {1, 1, 1, -1}, {1, -1, 1, 1}};
+inline constexpr float kRightSign[4][4] = {{1, -1, -1, -1}, {1, 1, 1, -1}, {1, -1, 1, 1}, {1, 1, -1, 1}};
+
+SPLAT_INLINE Float left_matrix(const UnitQuaternion& u, int i, int j) { return u.q[kQuatIndex[i][j]] * Float(kLeftSign[i][j]); }
+SPLAT_INLINE Float right_matrix(const UnitQuaternion& u, int i, int j) { return u.q[kQuatIndex[i][j]] * Float(kRightSign[i][j]); }
+
+// The 4D rotation L(ql) R(qr).
+SPLAT_INLINE void rotation_4d(const UnitQuaternion& left, const UnitQuaternion& right, Float (&R)[4][4]) {
+#pragma GCC unroll 4
+    for (int i = 0; i < 4; ++i)
+#pragma GCC unroll 4
+        for (int j = 0; j < 4; ++j) {
+            R[i][j] = left_matrix(left, i, 0) * right_matrix(right, 0, j);
+#pragma GCC unroll 4
+            for (int k = 1; k < 4; ++k) R[i][j] += left_matrix(left, i, k) * right_matrix(right, k, j);
+        }
+}
+SPLAT_INLINE void rotation_4d_backward(const UnitQuaternion& left, const UnitQuaternion& right, const Float (&dR)[4][4],
+                                       Float (&d_left)[4], Float (&d_right)[4]) {
+    for (int i = 0; i < 4; ++i) d_left[i] = d_right[i] = 0.f;
+#pragma GCC unroll 4
+    for (int i = 0; i < 4; ++i)
+#pragma GCC unroll 4
+        for (int j = 0; j < 4; ++j) {
+            Float dL = dR[i][0] * right_matrix(right, j, 0), dQ = left_matrix(left, 0, i) * dR[0][j];
+#pragma GCC unroll 4
+            for (int k = 1; k < 4; ++k) {
+                dL += dR[i][k] * right_matrix(right, j, k);
+                dQ += left_matrix(left, k, i) * dR[k][j];
+            }
+            d_left[kQuatIndex[i][j]] += dL * Float(kLeftSign[i][j]);
+            d_right[kQuatIndex[i][j]] += dQ * Float(kRightSign[i][j]);
+        }
+}
+
+// The 3D rotation of the unit quaternion (w, x, y, z).
+SPLAT_INLINE void rotation_3d(const UnitQuaternion& u, Float (&R)[3][3]) {
+    const Float &w = u.q[0], &x = u.q[1], &y = u.q[2], &z = u.q[3];
+    const Float one(1.f), two(2.f);
+    R[0][0] = one - two * (y * y + z * z), R[0][1] = two * (x * y - w * z), R[0][2] = two * (x * z + w * y);
+    R[1][0] = two * (x * y + w * z), R[1][1] = one - two * (x * x + z * z), R[1][2] = two * (y * z - w * x);
+    R[2][0] = two * (x * z - w * y), R[2][1] = two * (y * z + w * x), R[2][2] = one - two * (x * x + y * y);
+}
+SPLAT_INLINE void rotation_3d_backward(const UnitQuaternion& u, const Float (&d)[3][3], Float (&dq)[4]) {
+    const Float &w = u.q[0], &x = u.q[1], &y = u.q[2], &z = u.q[3];
+    const Float two(2.f);
+    dq[0] = two * (x * (d[2][1] - d[1][2]) + y * (d[0][2] - d[2][0]) + z * (d[1][0] - d[0][1]));
+    dq[1] = two * (y * (d[0][1] + d[1][0]) + z * (d[0][2] + d[2][0]) + w * (d[2][1] - d[1][2]) - two * x * (d[1][1] + d[2][2]));
+    dq[2] = two * (x * (d[0][1] + d[1][0]) + z * (d[1][2] + d[2][1]) + w * (d[0][2] - d[2][0]) - two * y * (d[0][0] + d[2][2]));
+    dq[3] = two * (x * (d[0][2] + d[2][0]) + y * (d[1][2] + d[2][1]) + w * (d[1][0] - d[0][1]) - two * z * (d[0][0] + d[1][1]));
+}
+
+// The stored parameters of sixteen Gaussians.
+template <Motion motion>
+struct Stored {
+    Float mean[4], log_scale[4], quat_left[4], quat_right[4], opacity_logit;
+
+    SPLAT_INLINE static Stored load(const Parameters& p, const uint32_t* ids) {
+        Stored s;
+        alignas(64) float lane[16];
+        auto gather = [&](const float* base, int stride, int column) {
+            for (int l = 0; l < kLanes; ++l) lane[l] = base[static_cast<size_t>(stride) * ids[l] + column];
+            return Float::load(lane);
+        };
+        if constexpr (motion == Motion::kStatic) {
+            for (int i = 0; i < 3; ++i) s.mean[i] = gather(p.mean, 3, i), s.log_scale[i] = gather(p.log_scale, 3, i);
+        } else {
+            load_rows4(p.mean, ids, s.mean);
+            load_rows4(p.log_scale, ids, s.log_scale);
+        }
+        load_rows4(p.quat_left, ids, s.quat_left);
+        if constexpr (motion == Motion::kFull) load_rows4(p.quat_right, ids, s.quat_right);
+        s.opacity_logit = gather(p.opacity_logit, 1, 0);
+        return s;
+    }
+};
+
+// The Gaussians at time t, with what the backward pass needs of the way there.
+template <Motion motion>
+struct Slice {
+    UnitQuaternion left, right;
+    Float scale[4];
+    Float axes[4][4];          // M; 3×3 used unless motion is full
+    Float dt;                  // t - μt
+    Float var_t, inverse_var;  // Σtt and its inverse
+    Float log2_marginal;       // log2 p(t)
+    Float velocity[3];         // h, full motion only
+    Float mean[3];             // μ(t)
+    Float factor[3][kAxes<motion>];  // A
+};
+
+// Below it 1/Σtt overflows.
+inline constexpr float kMinTimeVariance = 1e-30f;
+
+template <Motion motion>
+SPLAT_INLINE Slice<motion> slice_in_time(const Stored<motion>& s, float time) {
+    Slice<motion> g;
+    g.left = normalise(s.quat_left);
+    constexpr int kDims = motion == Motion::kStatic ? 3 : 4;
+    for (int i = 0; i < kDims; ++i) g.scale[i] = exp(s.log_scale[i]);
+    if constexpr (motion == Motion::kFull) {
+        g.right = normalise(s.quat_right);
+        rotation_4d(g.left, g.right, g.axes);
+        for (int i = 0; i < 4; ++i)
+            for (int j = 0; j < 4; ++j) g.axes[i][j] *= g.scale[j];
+        const Float(&m_t)[4] = g.axes[3];
+        g.var_t = max(m_t[0] * m_t[0] + m_t[1] * m_t[1] + m_t[2] * m_t[2] + m_t[3] * m_t[3], kMinTimeVariance);
+    } else {
+        Float R[3][3];
+        rotation_3d(g.left, R);
+        for (int i = 0; i < 3; ++i)
+            for (int j = 0; j < 3; ++j) g.axes[i][j] = R[i][j] * g.scale[j];
+        if constexpr (motion == Motion::kSeparable) g.var_t = max(g.scale[3] * g.scale[3], kMinTimeVariance);
+    }
+    if constexpr (motion == Motion::kStatic) {
+        g.log2_marginal = 0.f;
+    } else {
+        g.dt = Float(time) - s.mean[3];
+        g.inverse_var = Float(1.f) / g.var_t;
+        g.log2_marginal = g.dt * g.dt * g.inverse_var * Float(-0.5f * kLog2E);
+    }
+    for (int i = 0; i < 3; ++i) {
+        const Float(&m)[4] = g.axes[i];
+        g.mean[i] = s.mean[i];
+        if constexpr (motion == Motion::kFull) {
+            const Float(&m_t)[4] = g.axes[3];
+            g.velocity[i] = (m[0] * m_t[0] + m[1] * m_t[1] + m[2] * m_t[2] + m[3] * m_t[3]) * g.inverse_var;
+            g.mean[i] += g.velocity[i] * g.dt;
+            for (int j = 0; j < 4; ++j) g.factor[i][j] = m[j] - g.velocity[i] * m_t[j];
+        } else {
+            for (int j = 0; j < 3; ++j) g.factor[i][j] = m[j];
+        }
+    }
+    return g;
+}
+
+// ∂L/∂ of what a slice gives.
+template <Motion motion>
+struct SliceGradient {
+    Float mean[3];                   // of μ(t)
+    Float factor[3][kAxes<motion>];  // of A
+    Float log_marginal;              // of ln p(t)
+    Float dt;                        // of t - μt directly (colour)
+    Float velocity[3];               // of h directly (flow)
+    Float var_t;                     // of Σtt directly (statistics)
+};
+
+template <Motion motion>
+struct StoredGradient {
+    Float mean[4], log_scale[4], quat_left[4], quat_right[4];
+};
+
+template <Motion motion>
+SPLAT_INLINE StoredGradient<motion> slice_in_time_backward(const Slice<motion>& g, const SliceGradient<motion>& d) {
+    StoredGradient<motion> out;
+    for (int i = 0; i < 3; ++i) out.mean[i] = d.mean[i];
+    if constexpr (motion == Motion::kFull) {
+        const Float(&m_t)[4] = g.axes[3];
+        // A = M - h m_tᵀ,  μ(t) = μ + h dt,  h = u / Σtt,  u = M_xyz m_t,  ln p = -½ dt² / Σtt
+        Float d_axes[4][4], d_dt = d.dt - d.log_marginal * g.dt * g.inverse_var;
+        Float d_var = d.var_t + d.log_marginal * Float(0.5f) * (g.dt * g.inverse_var) * (g.dt * g.inverse_var);
+        for (int j = 0; j < 4; ++j) d_axes[3][j] = 0.f;
+        for (int i = 0; i < 3; ++i) {
+            Float d_h = d.mean[i] * g.dt + d.velocity[i];
+            for (int j = 0; j < 4; ++j) {
+                d_h -= d.factor[i][j] * m_t[j];
+                d_axes[3][j] -= d.factor[i][j] * g.velocity[i];
+            }
+            d_dt += d.mean[i] * g.velocity[i];
+            Float d_u = d_h * g.inverse_var;
+            d_var -= d_u * g.velocity[i];
+            for (int j = 0; j < 4; ++j) {
+                d_axes[i][j] = d.factor[i][j] + d_u * m_t[j];
+                d_axes[3][j] += d_u * g.axes[i][j];
+            }
+        }
+        for (int j = 0; j < 4; ++j) d_axes[3][j] += Float(2.f) * d_var * m_t[j];
+        out.mean[3] = -d_dt;
+        for (int j = 0; j < 4; ++j) {  // M = R diag(s)
+            out.log_scale[j] = d_axes[0][j] * g.axes[0][j] + d_axes[1][j] * g.axes[1][j] + d_axes[2][j] * g.axes[2][j] +
+                               d_axes[3][j] * g.axes[3][j];
+            for (int i = 0; i < 4; ++i) d_axes[i][j] *= g.scale[j];
+        }
+        Float d_left[4], d_right[4];
+        rotation_4d_backward(g.left, g.right, d_axes, d_left, d_right);
+        normalise_backward(g.left, d_left, out.quat_left);
+        normalise_backward(g.right, d_right, out.quat_right);
+    } else {
+        Float dR[3][3], d_left[4];
+        for (int j = 0; j < 3; ++j) {
+            out.log_scale[j] = 0.f;
+            for (int i = 0; i < 3; ++i) {
+                out.log_scale[j] += d.factor[i][j] * g.factor[i][j];
+                dR[i][j] = d.factor[i][j] * g.scale[j];
+            }
+        }
+        rotation_3d_backward(g.left, dR, d_left);
+        normalise_backward(g.left, d_left, out.quat_left);
+        if constexpr (motion == Motion::kSeparable) {
+            out.mean[3] = d.log_marginal * g.dt * g.inverse_var - d.dt;
+            Float d_var = d.var_t + d.log_marginal * Float(0.5f) * (g.dt * g.inverse_var) * (g.dt * g.inverse_var);
+            out.log_scale[3] = Float(2.f) * d_var * g.var_t;
+        }
+    }
+    return out;
+}
+
+}  // namespace splat

@@ -1,0 +1,187 @@
+// Stage 1: which Gaussians are seen at time t, where, how large, how bright and in which colour.
+//
+// Chunks of Gaussians, each by one thread: cull in time, slice, project, cull on the screen, colour, stage.
+#pragma once
+
+#include <algorithm>
+
+#include "color.hpp"
+#include "frame.hpp"
+#include "project.hpp"
+
+namespace splat {
+
+inline constexpr float kMinusTwoLogMinMarginal = 5.99146455f;  // -2 ln 0.05: p(t) >= 0.05 ⟺ dt² <= it · Σtt
+
+// Ids of the chunk's Gaussians with p(t) >= 0.05, packed; returns how many. Only M's time row is computed.
+template <Motion motion>
+inline int cull_in_time(const Parameters& p, uint32_t first, uint32_t last, float time, uint32_t* alive) {
+    int n = 0;
+    if constexpr (motion == Motion::kStatic) {
+        for (uint32_t id = first; id < last; ++id) alive[n++] = id;
+        return n;
+    }
+    for (uint32_t base = first; base < last; base += kLanes) {
+        uint32_t ids[kLanes];
+        for (uint32_t l = 0; l < kLanes; ++l) ids[l] = std::min(base + l, last - 1);
+        Float mean[4], log_scale[4], var_t(0.f);
+        load_rows4(p.mean, ids, mean);
+        load_rows4(p.log_scale, ids, log_scale);
+        if constexpr (motion == Motion::kFull) {
+            Float ql[4], qr[4];
+            load_rows4(p.quat_left, ids, ql);
+            load_rows4(p.quat_right, ids, qr);
+            UnitQuaternion left = normalise(ql), right = normalise(qr);
+#pragma GCC unroll 4
+            for (int j = 0; j < 4; ++j) {
+                Float r(0.f);
+#pragma GCC unroll 4
+                for (int k = 0; k < 4; ++k) r += left_matrix(left, 3, k) * right_matrix(right, k, j);
+                Float m = r * exp(log_scale[j]);
+                var_t += m * m;
+            }
+        } else {
+            Float s = exp(log_scale[3]);
+            var_t = s * s;
+        }
+        Float dt = Float(time) - mean[3];
+        unsigned in_time = bits(dt * dt <= max(var_t, kMinTimeVariance) * Float(kMinusTwoLogMinMarginal));
+        if (last - base < kLanes) in_time &= (1u << (last - base)) - 1;
+        for (; in_time; in_time &= in_time - 1) alive[n++] = base + __builtin_ctz(in_time);
+    }
+    return n;
+}
+
+// The visible Gaussians of a chunk, one array a quantity.
+struct Packed {
+    static constexpr int kFields = 14 + kMaxExtra;
+    enum Field { kX, kY, kXX, kXY, kYY, kLogOpacity, kDepth, kHalfWidth, kHalfHeight, kRadius, kDt, kOffset, kExtraField = 14 };
+    alignas(64) float value[kFields][kChunk + kLanes];
+    uint32_t id[kChunk + kLanes];
+    int count = 0;
+
+    Float at(int field, int i) const { return Float::load(&value[field][i]); }
+};
+
+template <Motion motion>
+inline void project_chunk(const Parameters& p, const Camera& c, const Settings& s, uint32_t* alive, int alive_count, Packed& out) {
+    out.count = 0;
+    for (int l = 0; l < kLanes && alive_count > 0; ++l) alive[alive_count + l] = alive[alive_count - 1];
+    for (int i = 0; i < alive_count; i += kLanes) {
+        Stored<motion> stored = Stored<motion>::load(p, alive + i);
+        Slice<motion> g = slice_in_time(stored, s.time);
+        Projection<motion> q = project(g, c);
+        // log2 of the peak alpha = sigmoid(logit) p(t)
+        Float log2_opacity = g.log2_marginal - log2(Float(1.f) + exp(-stored.opacity_logit));
+        Float reach2 = max((log2_opacity - Float(kLog2MinAlpha)) * Float(2.f / kLog2E), 0.f);  // squared Mahalanobis radius of 1/255
+        Float half_width = sqrt(reach2 * q.cov_xx), half_height = sqrt(reach2 * q.cov_yy);
+        Mask seen = (q.cam[2] > Float(s.near_plane)) & (reach2 > Float(0.f)) & (q.pixel[0] + half_width >= Float(0.f)) &
+                    (q.pixel[0] - half_width <= Float(c.width - 1.f)) & (q.pixel[1] + half_height >= Float(0.f)) &
+                    (q.pixel[1] - half_height <= Float(c.height - 1.f));
+        unsigned keep = bits(seen);
+        if (alive_count - i < kLanes) keep &= (1u << (alive_count - i)) - 1;
+        if (!keep) continue;
+        Float mid = Float(0.5f) * (q.cov_xx + q.cov_yy), half_gap = Float(0.5f) * (q.cov_xx - q.cov_yy);
+        Float largest_variance = mid + sqrt(half_gap * half_gap + q.cov_xy * q.cov_xy);
+        auto put = [&](int field, const Float& v) { store_packed(&out.value[field][out.count], keep, v); };
+        put(Packed::kX, q.pixel[0]);
+        put(Packed::kY, q.pixel[1]);
+        put(Packed::kXX, q.conic_xx * Float(-0.5f * kLog2E));
+        put(Packed::kXY, q.conic_xy * Float(-kLog2E));
+        put(Packed::kYY, q.conic_yy * Float(-0.5f * kLog2E));
+        put(Packed::kLogOpacity, log2_opacity);
+        put(Packed::kDepth, q.cam[2]);
+        put(Packed::kHalfWidth, half_width);
+        put(Packed::kHalfHeight, half_height);
+        put(Packed::kRadius, Float(3.f) * sqrt(largest_variance));
+        if constexpr (motion != Motion::kStatic) put(Packed::kDt, g.dt);
+        for (int k = 0; k < 3; ++k) put(Packed::kOffset + k, g.mean[k] - Float(c.position[k]));
+        int extra = Packed::kExtraField;
+        if (s.depth) put(extra++, q.cam[2]);
+        if (s.flow) {
+            Float flow[2] = {0.f, 0.f};
+            if constexpr (motion == Motion::kFull) {
+                Flow f = flow_of(g, q, c, s.flow_dt, s.near_plane);
+                flow[0] = f.pixel[0], flow[1] = f.pixel[1];
+            }
+            put(extra++, flow[0]);
+            put(extra++, flow[1]);
+        }
+        if (s.stats) {
+            put(extra++, motion == Motion::kStatic ? Float(0.f) : stored.mean[3]);
+            if constexpr (motion == Motion::kStatic)
+                put(extra++, 0.f);
+            else
+                put(extra++, g.var_t);
+        }
+        uint32_t* id = out.id + out.count;
+        for (unsigned m = keep; m; m &= m - 1) *id++ = alive[i + __builtin_ctz(m)];
+        out.count += __builtin_popcount(keep);
+    }
+}
+
+template <int order>
+inline void color_and_stage(const Parameters& p, const Settings& s, Packed& in, uint32_t first_place, Splat* staged, float* extras) {
+    const int extra_channels = s.extra_channels();
+    for (int l = 0; l < kLanes && in.count > 0; ++l) in.id[in.count + l] = in.id[in.count - 1];
+    uint32_t next[kLanes];
+    for (int i = 0; i < in.count; i += kLanes) {
+        const int n = std::min(kLanes, in.count - i);
+        for (int l = 0; l < n; ++l) next[l] = in.id[std::min(i + l + kShPrefetch, in.count - 1)];
+        Float offset[3] = {in.at(Packed::kOffset, i), in.at(Packed::kOffset + 1, i), in.at(Packed::kOffset + 2, i)};
+        Float dt(0.f);
+        if constexpr (order > 0) dt = in.at(Packed::kDt, i);
+        Float rgb[3];
+        color<order>(p, in.id + i, n, next, viewing(offset, dt, s.duration), s.sh_degree, rgb);
+        Float row[16] = {in.at(Packed::kX, i), in.at(Packed::kY, i), in.at(Packed::kXX, i), in.at(Packed::kXY, i),
+                         in.at(Packed::kYY, i), in.at(Packed::kLogOpacity, i), max(rgb[0], 0.f), max(rgb[1], 0.f),
+                         max(rgb[2], 0.f), in.at(Packed::kDepth, i), in.at(Packed::kHalfWidth, i),
+                         in.at(Packed::kHalfHeight, i), in.at(Packed::kRadius, i), 0.f, 0.f, 0.f};
+        unsigned clamped[3];
+        for (int k = 0; k < 3; ++k) clamped[k] = bits(rgb[k] < Float(0.f));
+        transpose(row);
+        for (int l = 0; l < n; ++l) {
+            Splat& splat = staged[i + l];
+            row[l].store(&splat.x);
+            splat.id = in.id[i + l];
+            splat.place = first_place + i + l;
+            splat.clamped = (clamped[0] >> l & 1) | (clamped[1] >> l & 1) << 1 | (clamped[2] >> l & 1) << 2;
+            for (int e = 0; e < extra_channels; ++e)
+                extras[kExtraStride * (i + l) + e] = in.value[Packed::kExtraField + e][i + l];
+        }
+    }
+}
+
+template <Motion motion, int order>
+inline void prepare(Frame& f, const Parameters& p) {
+    StageTimer timer(f, kStagePrepare);
+    const int chunks = static_cast<int>((p.count + kChunk - 1) / kChunk);
+    f.staged.resize(static_cast<size_t>(chunks) * kChunk);
+    if (f.settings.extra_channels()) f.extras.resize(static_cast<size_t>(chunks) * kChunk * kExtraStride);
+    f.chunk_count.assign(chunks, 0);
+    f.chunk_alive.assign(chunks, 0);
+    f.chunk_first.assign(chunks + 1, 0);
+#pragma omp parallel num_threads(f.settings.threads)
+    {
+        Packed packed;
+        uint32_t alive[kChunk + kLanes];
+#pragma omp for schedule(dynamic, 1)
+        for (int c = 0; c < chunks; ++c) {
+            const uint32_t first = static_cast<uint32_t>(c) * kChunk, last = std::min(p.count, first + kChunk);
+            const int n = cull_in_time<motion>(p, first, last, f.settings.time, alive);
+            project_chunk<motion>(p, f.camera, f.settings, alive, n, packed);
+            color_and_stage<order>(p, f.settings, packed, first, f.staged.data() + first,
+                                   f.extras.data() + static_cast<size_t>(first) * kExtraStride);
+            f.chunk_alive[c] = n;
+            f.chunk_count[c] = packed.count;
+        }
+    }
+    f.alive = 0;
+    for (int c = 0; c < chunks; ++c) {
+        f.chunk_first[c + 1] = f.chunk_first[c] + f.chunk_count[c];
+        f.alive += f.chunk_alive[c];
+    }
+    f.visible = f.chunk_first[chunks];
+}
+
+}  // namespace splat

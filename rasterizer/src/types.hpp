@@ -1,0 +1,105 @@
+// The data that goes from stage to stage, and the numbers the method fixes (SPEC 1).
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+namespace splat {
+
+inline constexpr float kMinMarginal = 0.05f;         // p(t) below this takes no part in the frame
+inline constexpr float kDilation = 0.3f;             // px² added to the 2D covariance's diagonal
+inline constexpr float kFrustumMargin = 1.3f;        // x/z and y/z are clamped to so many half fields of view
+inline constexpr float kMaxAlpha = 0.99f;
+inline constexpr float kLog2MinAlpha = -7.99435344f;  // log2(1/255): fainter contributions are skipped
+inline constexpr float kMinTransmittance = 1e-4f;    // a pixel ends before it falls below
+
+inline constexpr int kTile = 16;           // a tile is 16×16 pixels ...
+inline constexpr int kBlock = 4;           // ... made of sixteen 4×4 blocks, a block's pixels being the lanes of a Float
+inline constexpr int kBlocks = 16;         // 8×8 tiles have 1.7× the entries; 16×1 and 8×2 blocks lose too
+inline constexpr int kTilePixels = kTile * kTile;
+
+// What a model has; what it does not have is not compiled into its path.
+enum class Motion {
+    kStatic,     // no time: ordinary 3D Gaussian Splatting
+    kSeparable,  // time apart from space: no 4D rotation
+    kFull,       // 4D rotation
+};
+
+// The stored parameters (before activation), row-major.
+struct Parameters {
+    uint32_t count;
+    const float* mean;           // [N, 4], static [N, 3]
+    const float* log_scale;      // [N, 4], static [N, 3]
+    const float* quat_left;      // [N, 4]
+    const float* quat_right;     // [N, 4], full motion only
+    const float* opacity_logit;  // [N]
+    const float* sh;             // [N, (stored_order + 1) · coefficients, 3]
+    int coefficients;            // per Fourier order: 1, 4, 9 or 16
+    int stored_order;            // Fourier orders stored beyond 0
+};
+
+struct Camera {
+    int width, height;
+    float fx, fy, cx, cy;
+    float rotation[3][3];  // world to camera
+    float translation[3];
+    float position[3];
+};
+
+// What is asked of a frame.
+struct Settings {
+    float time, duration;
+    float near_plane;
+    float background[3];
+    float flow_dt;
+    int sh_degree;      // degrees above it are left out
+    int fourier_order;  // orders above it are left out
+    bool depth, flow, stats;
+    int threads;
+
+    int extra_channels() const { return depth + 2 * flow + 2 * stats; }
+};
+
+inline constexpr int kMaxExtra = 5;
+
+// One Gaussian on the screen: one cache line, all that blending reads.
+struct alignas(64) Splat {
+    float x, y;              // pixel coordinates of the mean; pixel (i, j)'s centre is at (i, j) here
+    float xx, xy, yy;        // log2 of alpha at offset (dx, dy): log2_opacity + xx dx² + xy dx dy + yy dy²
+    float log2_opacity;      // of opacity · p(t)
+    float r, g, b;
+    float depth;             // z in the camera's frame
+    float half_width, half_height;  // of the box round the alpha >= 1/255 ellipse, pixels
+    float radius;            // 3 standard deviations along the longer axis, pixels
+    uint32_t id;             // row in the parameters
+    uint32_t place;          // where it was staged (prepare.hpp)
+    uint32_t clamped;        // bit c: channel c was negative and is shown as 0
+};
+static_assert(sizeof(Splat) == 64);
+
+// The gradient a (tile, Gaussian) entry collects; entries of one Gaussian are added in a fixed order. One cache line.
+struct alignas(64) Slot {
+    float value[16];
+};
+enum SlotField { kSlotR, kSlotG, kSlotB, kSlotPower, kSlotX, kSlotY, kSlotXX, kSlotXY, kSlotYY, kSlotExtra };
+inline constexpr int kSlotFields = 9;
+static_assert(kSlotFields + kMaxExtra <= 16);
+
+// The colour gradient of one visible Gaussian in one view: all that the gradient of its up to 144 SH coefficients needs,
+// ∂L/∂k_nlm = color ⊗ Y_lm(direction) · cos(2πn dt/T). Never expanded per view.
+struct ColorGradient {
+    float color[3];
+    float direction[3];
+    float cosine[2];  // of Fourier orders 1 and 2
+};
+
+// Gradients of the parameters, added to; same shapes as the parameters.
+struct ParameterGradients {
+    float* mean;
+    float* log_scale;
+    float* quat_left;
+    float* quat_right;
+    float* opacity_logit;
+};
+
+}  // namespace splat

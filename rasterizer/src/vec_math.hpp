@@ -1,0 +1,72 @@
+// exp2, log2 and cosines of sixteen lanes: polynomials with their error beside them.
+#pragma once
+
+#include "vec.hpp"
+
+namespace splat {
+
+inline constexpr float kLog2E = 1.44269504f;
+inline constexpr float kTwoPi = 6.28318531f;
+// Adding and subtracting 1.5·2²³ rounds a float of magnitude below 2²² to the nearest integer.
+inline constexpr float kRoundMagic = 12582912.f;
+
+SPLAT_INLINE Float round_to_integer(const Float& x) { return (x + Float(kRoundMagic)) - Float(kRoundMagic); }
+
+// 2^x, relative error 2e-7 for -126 <= x <= 126. Below -126: 0 on AVX-512, meaningless elsewhere (callers mask it).
+SPLAT_INLINE Float exp2(const Float& x) {
+    Float r;
+    for (int i = 0; i < kParts; ++i) {
+#if SPLAT_AVX512
+        NativeFloat whole = (NativeFloat)_mm512_roundscale_ps((__m512)x.part[i], 8);
+        NativeFloat f = x.part[i] - whole;
+#else
+        NativeFloat shifted = x.part[i] + kRoundMagic;
+        NativeFloat f = x.part[i] - (shifted - kRoundMagic);
+#endif
+        NativeFloat p = f * 1.3333558e-3f + 9.6181291e-3f;  // Taylor of 2^f, |f| <= ½
+        p = p * f + 5.5504109e-2f;
+        p = p * f + 2.4022651e-1f;
+        p = p * f + 6.9314718e-1f;
+        p = p * f + 1.0f;
+#if SPLAT_AVX512
+        r.part[i] = (NativeFloat)_mm512_scalef_ps((__m512)p, (__m512)whole);
+#else
+        r.part[i] = (NativeFloat)((NativeInt)p + ((NativeInt)shifted << 23));
+#endif
+    }
+    return r;
+}
+
+// e^x with x clamped to ±80: large enough for every scale and logit that means something in float32.
+SPLAT_INLINE Float exp(const Float& x) { return exp2(clamp(x, -80.f, 80.f) * Float(kLog2E)); }
+
+// log2 of a positive normal x, absolute error 1e-7: log2(m) = 2/ln 2 · atanh((m-1)/(m+1)), m in [√½, √2).
+SPLAT_INLINE Float log2(const Float& x) {
+    Float r;
+    for (int i = 0; i < kParts; ++i) {
+        NativeInt b = (NativeInt)x.part[i];
+        NativeInt exponent = (b - 0x3f3504f3) >> 23;
+        NativeFloat m = (NativeFloat)(b - (exponent << 23));
+        NativeFloat z = (m - 1.f) / (m + 1.f), z2 = z * z;
+        NativeFloat series = z2 * 0.3205989f + 0.41219858f;
+        series = series * z2 + 0.57707802f;
+        series = series * z2 + 0.96179669f;
+        series = series * z2 + 2.88539008f;
+        r.part[i] = z * series + __builtin_convertvector(exponent, NativeFloat);
+    }
+    return r;
+}
+
+// cos(2πu) of u in turns: cos(2πu) = -sin(2π(|u - round(u)| - ¼)), sine by Taylor to degree 11 on [-π/2, π/2].
+SPLAT_INLINE Float cos_turns(const Float& u) {
+    Float y = (abs(u - round_to_integer(u)) - Float(0.25f)) * Float(kTwoPi);
+    Float y2 = y * y;
+    Float s = y2 * Float(-2.50521084e-8f) + Float(2.75573192e-6f);
+    s = s * y2 + Float(-1.98412698e-4f);
+    s = s * y2 + Float(8.33333333e-3f);
+    s = s * y2 + Float(-1.66666667e-1f);
+    return -(s * y2 * y + y);
+}
+SPLAT_INLINE Float sin_turns(const Float& u) { return cos_turns(u - Float(0.25f)); }
+
+}  // namespace splat

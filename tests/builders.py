@@ -1,0 +1,197 @@
+"""Small Gaussians and cameras for the rasterizer's tests, and where a rendered image is smooth.
+
+Rendering has jumps: a Gaussian takes part or not (p(t) = 0.05, the near plane), a contribution is skipped or not
+(α' = 1/255), a pixel ends or not (T = 1e-4), two Gaussians swap in depth. Next to one, two correct programs that
+round differently differ by a whole contribution, and no finite difference converges. So tests drop the few Gaussians
+(`away_from_jumps`) and mask the few pixels (`smooth_pixels`) that lie next to one, and compare all the others tightly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
+from rasterizer import reference
+from rasterizer.arguments import Request
+from rasterizer.camera import Camera
+from rasterizer.gaussians import Gaussians, Motion
+from rasterizer.output import RenderOutput
+from rasterizer.reference_blend import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, pixel_centers
+
+ALL_OUTPUTS = ("color", "alpha", "depth", "flow", "stats")
+
+
+def outputs_of(motion: Motion) -> tuple[str, ...]:
+    """The outputs a kind of model has: a static one has no temporal statistics."""
+    return ALL_OUTPUTS[:4] if motion == "static" else ALL_OUTPUTS
+
+
+def generator(seed: int) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+def uniform(shape: Sequence[int], low: float, high: float, rng: torch.Generator) -> Tensor:
+    return low + (high - low) * torch.rand(shape, generator=rng, dtype=torch.float64)
+
+
+def random_gaussians(
+    n: int,
+    motion: Motion,
+    rng: torch.Generator,
+    sh_degree: int = 3,
+    fourier_order: int = 2,
+    log_scale: tuple[float, float] = (-3.2, -1.5),
+    opacity_logit: tuple[float, float] = (-2.0, 3.0),
+) -> Gaussians:
+    """n Gaussians in the cube [-1, 1]³ over about the times [0, 1], float64 but with values float32 can hold.
+
+    Quaternions are not normalised. In the full model qr is near the conjugate of ql, so that speeds are about 1.
+    A static model has Fourier order 0 whatever is asked.
+    """
+    fourier_order = 0 if motion == "static" else fourier_order
+    normal = lambda *shape: torch.randn(shape, generator=rng, dtype=torch.float64)  # noqa: E731
+    mean, scale = uniform((n, 3), -1, 1, rng), uniform((n, 3), *log_scale, rng)
+    if motion != "static":
+        mean = torch.cat([mean, uniform((n, 1), -0.1, 1.1, rng)], dim=1)
+        scale = torch.cat([scale, uniform((n, 1), -2.0, -0.3, rng)], dim=1)
+    left = normal(n, 4)
+    right = None
+    if motion == "full":
+        right = left * torch.tensor([1, -1, -1, -1]) + 0.3 * normal(n, 4)
+    sh = normal(n, fourier_order + 1, (sh_degree + 1) ** 2, 3) * 0.2
+    sh[:, 0, 0] *= 4
+    gaussians = Gaussians(mean, scale, left, right, uniform((n,), *opacity_logit, rng), sh.flatten(1, 2))
+    return gaussians.to(torch.float32).to(torch.float64)
+
+
+def camera_looking_at(
+    eye: Sequence[float],
+    width: int = 45,
+    height: int = 37,
+    focal: float = 50.0,
+    principal: tuple[float, float] | None = None,
+    target: Sequence[float] = (0.0, 0.0, 0.0),
+) -> Camera:
+    """A camera at `eye` that has `target` on its axis, tilted a little so that no axis of the world is its own."""
+    forward = np.subtract(target, eye)
+    forward = forward / np.linalg.norm(forward)
+    right = np.cross([0.1, 1.0, 0.2], forward)
+    right /= np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3, :3] = [right, np.cross(forward, right), forward]
+    pose[:3, 3] = -pose[:3, :3] @ eye
+    cx, cy = principal or (width / 2, height / 2)
+    return Camera(width, height, focal, focal * 1.1, cx, cy, pose)
+
+
+def off_centre_camera() -> Camera:
+    """Sides that are no multiples of a tile's 16 nor of a block's 4, the principal point off the centre."""
+    return camera_looking_at((0.6, -0.8, -3.0), principal=(19.3, 21.7))
+
+
+def rows(gaussians: Gaussians, index: Tensor) -> Gaussians:
+    return Gaussians(**{"quat_right": None, **{name: t[index] for name, t in gaussians.tensors().items()}})
+
+
+def away_from_jumps(gaussians: Gaussians, request: Request, margin: float = 1e-3) -> Gaussians:
+    """Without the rows next to a jump or kink that a whole Gaussian has: p(t) = 0.05, z = near, a colour channel or
+    the Jacobian at the edge of its clamp, a depth shared with another."""
+    sliced = reference.slice_in_time(gaussians, request.time)
+    mean_cam = reference.world_to_camera(sliced.mean, request.camera)
+    raised = gaussians.sh.clone()
+    raised[:, 0] += 1e3  # lifts every colour off its clamp at zero
+    lift = 1e3 * 0.5 / np.sqrt(np.pi)
+    color = reference.colors(replace(gaussians, sh=raised), sliced, request) - lift
+    z, camera = mean_cam[:, 2], request.camera
+    close = ((sliced.presence - reference.MIN_PRESENCE).abs() < margin) | ((z - request.near).abs() < margin)
+    close |= (color.abs() < margin).any(dim=1)
+    for slope, focal, low, size in ((mean_cam[:, 0] / z, camera.fx, camera.cx, camera.width),
+                                    (mean_cam[:, 1] / z, camera.fy, camera.cy, camera.height)):
+        for edge in (-low, size - low):
+            close |= (slope - reference.FRUSTUM_MARGIN * edge / focal).abs() < margin
+    order = torch.argsort(z)
+    gap = torch.full_like(z, torch.inf)
+    gap[order[1:]] = z[order[1:]] - z[order[:-1]]
+    return rows(gaussians, torch.nonzero(~close & (gap > 1e-5)).squeeze(1))
+
+
+@torch.no_grad()
+def smooth_pixels(gaussians: Gaussians, request: Request, margin: float = 2e-3) -> Tensor:
+    """(H, W) True where no α' is next to 1/255 or 0.99 and T never next to 1e-4.
+
+    The margin, relative, is some times what float32 loses in α'; T accumulates such errors, so it has 10 times that.
+    """
+    splats = reference.make_splats(gaussians, request)
+    pixels = pixel_centers(request.camera, splats.center.dtype).reshape(-1, 2)
+    offset = pixels[None] - splats.center[:, None]
+    inverse = splats.conic[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
+    exponent = -0.5 * torch.einsum("vpi,vij,vpj->vp", offset, inverse, offset)
+    alpha = splats.opacity[:, None] * exponent.exp()
+    next_to = ((alpha / MIN_ALPHA - 1).abs() < margin) | ((alpha - MAX_ALPHA).abs() < margin * 0.1)
+    kept = torch.where(alpha < MIN_ALPHA, 0, alpha.clamp(max=MAX_ALPHA))
+    next_to |= (torch.cumprod(1 - kept, dim=0) / MIN_TRANSMITTANCE - 1).abs() < 10 * margin
+    return ~next_to.any(dim=0).reshape(request.camera.height, request.camera.width)
+
+
+def output_weights(request: Request, mask: Tensor, rng: torch.Generator) -> dict[str, Tensor]:
+    """∂L/∂image of each output asked for: random, zero where `mask` (H, W) is False."""
+    channels = {"color": 3, "alpha": 1, "depth": 1, "flow": 2, "stats": 2}
+    size = (request.camera.height, request.camera.width)
+    return {name: torch.randn((channels[name], *size), generator=rng, dtype=torch.float64) * mask
+            for name in request.outputs}
+
+
+def render(rasterize: Callable[..., RenderOutput], gaussians: Gaussians, request: Request) -> RenderOutput:
+    return rasterize(gaussians, **{name: getattr(request, name) for name in request.__dataclass_fields__})
+
+
+def render_and_gradients(
+    rasterize: Callable[..., RenderOutput], gaussians: Gaussians, request: Request, weights: dict[str, Tensor]
+) -> tuple[RenderOutput, dict[str, Tensor]]:
+    """The images, and ∂L/∂parameter by name for L = Σ weights · images."""
+    leaves = {name: tensor.detach().clone().requires_grad_() for name, tensor in gaussians.tensors().items()}
+    out = render(rasterize, Gaussians(**{"quat_right": None, **leaves}), request)
+    loss = sum((getattr(out, name) * weight.to(gaussians.mean.dtype)).sum() for name, weight in weights.items())
+    found = torch.autograd.grad(loss, list(leaves.values()), allow_unused=True)
+    return out, {name: torch.zeros_like(leaf) if gradient is None else gradient
+                 for (name, leaf), gradient in zip(leaves.items(), found)}
+
+
+def quaternion_product(a: Tensor, b: Tensor) -> Tensor:
+    """Hamilton's a b of quaternions (…, 4), w first, from i² = j² = k² = ijk = -1."""
+    (aw, ax, ay, az), (bw, bx, by, bz) = a.unbind(-1), b.unbind(-1)  # broadcast
+    return torch.stack([aw * bw - ax * bx - ay * by - az * bz, aw * bx + ax * bw + ay * bz - az * by,
+                        aw * by - ax * bz + ay * bw + az * bx, aw * bz + ax * by - ay * bx + az * bw], dim=-1)
+
+
+def conjugate(q: Tensor) -> Tensor:
+    return q * torch.tensor([1, -1, -1, -1], dtype=q.dtype)
+
+
+def rotated_world(gaussians: Gaussians, camera: Camera, left: Tensor) -> tuple[Gaussians, Camera]:
+    """The Gaussians and the camera turned together about the origin, by a rotation that `left` (4,) picks.
+
+    v -> l v r with v = x + yi + zj + tk turns space and keeps time when l k r = k, that is r = -k l* k. Colours must
+    not depend on the direction (SH degree 0), for the coefficients are left as they are.
+    """
+    left = left / left.norm()
+    k = torch.tensor([0.0, 0, 0, 1], dtype=left.dtype)
+    right = -quaternion_product(quaternion_product(k, conjugate(left)), k)
+    axes = torch.eye(4, dtype=left.dtype)
+    turn = quaternion_product(quaternion_product(left, axes), right).T  # column i is where axis i goes
+    mean = gaussians.mean.clone()
+    mean[:, :3] = mean[:, :3] @ turn[:3, :3].T.to(mean.dtype)
+    if gaussians.motion == "full":
+        quat_left = quaternion_product(left.to(mean.dtype), gaussians.quat_left)
+        quat_right = quaternion_product(gaussians.quat_right, right.to(mean.dtype))
+    else:
+        x, y, z, w = Rotation.from_matrix(turn[:3, :3].numpy()).as_quat()
+        quat_left = quaternion_product(torch.tensor([w, x, y, z], dtype=mean.dtype), gaussians.quat_left)
+        quat_right = None
+    turned = replace(gaussians, mean=mean, quat_left=quat_left, quat_right=quat_right)
+    return turned, replace(camera, world_to_cam=camera.world_to_cam @ turn.T.numpy())

@@ -1,0 +1,109 @@
+"""Adam against torch's, and rows of parameters and moments that stay together."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from pipeline.model import Model, ModelKind
+from pipeline.optimiser import Adam
+from rasterizer import Gradients
+from test_model import random_model
+
+KIND = ModelKind("full", 2, 3)
+RATES = {"mean": (1e-3, 1e-3, 1e-3, 2e-3), "log_scale": 5e-3, "quat_left": 1e-3, "quat_right": 1e-3,
+         "opacity_logit": 5e-2, "sh": (2.5e-3, 1.25e-4)}
+
+
+def random_gradients(model: Model, generator: torch.Generator) -> Gradients:
+    """Of every field but sh, whose gradient only a rendered view can make."""
+    gradients = Gradients.zeros_like(model.gaussians())
+    for name in RATES.keys() - {"sh"}:
+        getattr(gradients, name).copy_(torch.randn(getattr(gradients, name).shape, generator=generator))
+    return gradients
+
+
+def marked_optimiser(count: int = 6) -> Adam:
+    """Row i of every tensor holds i, in moments i + 100 and i + 200."""
+    model = random_model(KIND, count)
+    optimiser = Adam(model)
+    for offset, tensors in zip((0, 100, 200), (model.parameters, optimiser.first, optimiser.second)):
+        for tensor in tensors.values():
+            tensor.copy_((torch.arange(count) + offset).reshape(-1, *[1] * (tensor.dim() - 1)).expand_as(tensor))
+    return optimiser
+
+
+def test_steps_match_torch_adam() -> None:
+    model, generator = random_model(KIND, 20), torch.Generator().manual_seed(0)
+    twin = model.copy()
+    groups = [{"params": [twin.parameters[n].double().requires_grad_()], "lr": r, "name": n}
+              for n, r in RATES.items() if n not in ("mean", "sh")]
+    reference = torch.optim.Adam(groups, betas=(0.9, 0.999), eps=1e-15)
+    optimiser = Adam(model)
+    for _ in range(10):
+        gradients = random_gradients(model, generator)
+        optimiser.step(gradients, RATES)
+        for group in groups:
+            group["params"][0].grad = getattr(gradients, group["name"]).double()
+        reference.step()
+    for group in groups:
+        # ten float32 updates of size lr <= 0.05 on values of size 1: rounding 10 · 6e-8 and the update's own 1e-6 · lr
+        assert torch.allclose(model.parameters[group["name"]].double(), group["params"][0], atol=3e-6), group["name"]
+    assert optimiser.step_count == 10
+
+
+def test_the_means_columns_have_their_own_rates() -> None:
+    model = random_model(KIND, 5)
+    before = model.parameters["mean"].clone()
+    gradients = Gradients.zeros_like(model.gaussians())
+    gradients.mean.fill_(3.0)
+    Adam(model).step(gradients, RATES)
+    # Adam's first step is the rate itself, whatever the gradient; 1e-6 is float32 rounding of values below 4
+    moved = before - model.parameters["mean"]
+    assert torch.allclose(moved, torch.tensor(RATES["mean"]).expand(5, 4), atol=1e-6)
+
+
+def test_sparse_leaves_untouched_rows_and_their_moments_alone() -> None:
+    model, generator = random_model(KIND, 6), torch.Generator().manual_seed(0)
+    optimiser = Adam(model, sparse=True)
+    touched = torch.tensor([1, 0, 1, 0, 0, 1], dtype=torch.uint8)
+    before = model.copy()
+    optimiser.step(random_gradients(model, generator), RATES, touched)
+    for name in RATES.keys() - {"sh"}:
+        changed = (model.parameters[name] != before.parameters[name]).reshape(6, -1).any(dim=1)
+        assert torch.equal(changed, touched.bool()), name
+        assert not optimiser.first[name][~touched.bool()].any(), name
+
+
+def test_keep_keeps_rows_and_their_moments_in_order() -> None:
+    optimiser = marked_optimiser()
+    optimiser.keep(torch.tensor([True, False, True, True, False, True]))
+    for offset, tensors in zip((0, 100, 200), (optimiser.model.parameters, optimiser.first, optimiser.second)):
+        for name, tensor in tensors.items():
+            rows = tensor.reshape(len(tensor), -1)[:, 0]
+            assert rows.tolist() == [offset + i for i in (0, 2, 3, 5)], name
+            assert tensor.is_contiguous(), name
+
+
+def test_append_adds_rows_with_zero_moments_at_the_end() -> None:
+    optimiser = marked_optimiser()
+    rows = {name: tensor[:2] + 50 for name, tensor in optimiser.model.parameters.items()}
+    optimiser.append(rows)
+    for name, tensor in optimiser.model.parameters.items():
+        assert len(tensor) == 8
+        assert torch.equal(tensor[6:], rows[name]), name
+        for moments in (optimiser.first, optimiser.second):
+            assert not moments[name][6:].any() and moments[name][:6].all(), name
+    optimiser.model.gaussians()  # shapes still fit each other
+
+
+def test_append_of_other_fields_is_refused() -> None:
+    with pytest.raises(ValueError, match="append: expected fields"):
+        marked_optimiser().append({"mean": torch.zeros(1, 4)})
+
+
+def test_zero_moments_of_one_field_only() -> None:
+    optimiser = marked_optimiser()
+    optimiser.zero_moments("opacity_logit")
+    assert not optimiser.first["opacity_logit"].any() and not optimiser.second["opacity_logit"].any()
+    assert optimiser.first["mean"].all()

@@ -1,0 +1,92 @@
+"""A scene and a run folder small enough that training on them takes seconds; also a program: `tiny.py OUT ITERATIONS`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from datasets.scene import Scene, View, camera_extent
+from pipeline.config import AblationConfig, Config, DensifyConfig, SceneConfig, TrainConfig
+from pipeline.initialise import initialise
+from pipeline.model import Model
+from pipeline.train import Progress, TrainResult, train
+from rasterizer import Camera
+
+SIZE = 32
+
+
+def tiny_scene(views: int = 8, static: bool = False) -> Scene:
+    """A red disc that moves to the right over time (or stays), seen by cameras on a small arc in front of it."""
+    made = []
+    for i in range(views):
+        time = 0.0 if static else i / (views - 1)
+        angle = 0.3 * (i % 4 - 1.5)
+        rotation = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
+        pose = np.eye(4)
+        pose[:3, :3], pose[2, 3] = rotation, 4.0  # looks at the origin from 4 away
+        camera = Camera(SIZE, SIZE, 40.0, 40.0, SIZE / 2, SIZE / 2, pose)
+        y, x = np.mgrid[:SIZE, :SIZE] + 0.5
+        disc = (x - (10 + 12 * time)) ** 2 + (y - 16) ** 2 < 36
+        image = np.zeros((SIZE, SIZE, 3), np.uint8)
+        image[disc] = (220, 60, 30)
+        made.append(View(camera, time, image, f"train/r_{i}"))
+    return Scene("tiny", tuple(made), tuple(made[::3]), 1.0, 0.0, (0.0, 0.0, 0.0),
+                 camera_extent([view.camera for view in made]), (-1.2, 1.2), Path("tiny"))
+
+
+def tiny_config(iterations: int = 60, **train_keys) -> Config:
+    """Everything that can happen in a run happens within 60 iterations."""
+    densify = DensifyConfig(start=5, stop=50, every=10, space_gradient=1e-5, opacity_reset_every=25,
+                            prune_big_after=30, max_gaussians=400)
+    keys = dict(iterations=iterations, batch=2, eval_every=10, checkpoint_every=7, sh_degree_every=15,
+                fourier_at=[30, 40], densify=densify, init_points=200)
+    return Config(scene=SceneConfig(init_points=200), ablation=AblationConfig(),
+                  train=TrainConfig(**(keys | train_keys)), threads=1)
+
+
+class TinyRun:
+    """The least a run folder does: see pipeline.train.RunFolder."""
+
+    def __init__(self, path: Path) -> None:
+        path.mkdir(parents=True, exist_ok=True)
+        self.path = path
+
+    def log(self, row: dict) -> None:
+        self._append("log.jsonl", row)
+
+    def append_error_vs_time(self, row: dict) -> None:
+        self._append("error_vs_time.jsonl", row)
+
+    def rows(self, name: str) -> list[dict]:
+        file = self.path / name
+        lines = file.read_text().splitlines(keepends=True) if file.exists() else []
+        return [json.loads(line) for line in lines if line.endswith("\n")]  # a kill may have cut the last one
+
+    def truncate_after(self, iteration: int) -> None:
+        for name in ("log.jsonl", "error_vs_time.jsonl"):
+            kept = [json.dumps(row) + "\n" for row in self.rows(name) if row["iteration"] <= iteration]
+            (self.path / name).write_text("".join(kept))
+
+    def _append(self, name: str, row: dict) -> None:
+        with open(self.path / name, "a") as file:
+            file.write(json.dumps(row) + "\n")
+
+
+def fake_evaluate(model: Model, progress: Progress) -> dict:
+    """A "PSNR" that is a function of the model, so that a different model shows."""
+    return {"psnr": model.parameters["mean"].double().square().mean().item(), "ssim": 0.5, "test_loss": 0.1}
+
+
+def train_tiny(path: Path, cfg: Config | None = None, scene: Scene | None = None) -> TrainResult:
+    cfg, scene = cfg or tiny_config(), scene or tiny_scene()
+    model = initialise(scene, cfg, np.random.default_rng(cfg.seed))
+    return train(model, scene, cfg, TinyRun(path), fake_evaluate)
+
+
+if __name__ == "__main__":
+    import torch
+    torch.set_num_threads(1)
+    train_tiny(Path(sys.argv[1]), tiny_config(int(sys.argv[2])))
