@@ -183,8 +183,8 @@ class RunFolder:
         return json.loads(path.read_text()) if path.exists() else {}
 
     def _check_same_run(self, config: dict) -> None:
-        if not self.config.exists():
-            return
+        if not self.config.exists() or not self._stages():
+            return  # nothing was made yet: a run that failed over a wrong path may be corrected
         there, asked = _comparable(yaml.safe_load(self.config.read_text()) or {}), _comparable(config)
         differing = [key for key in {**there, **asked} if there.get(key) != asked.get(key)]
         if differing:
