@@ -23,8 +23,8 @@ test: $(BUILT) ## set up, run the whole test suite
 	$(RUN) pytest
 
 reproduce: $(BUILT) ## set up, train the synthetic suite and its ablations, write tables, plots, report
-	$(RUN) pipeline -m experiment=synthetic_ablation
-	$(RUN) pipeline -m experiment=synthetic_still
+	$(RUN) pipeline experiment=synthetic_suite
+	$(RUN) pipeline experiment=synthetic_ablation
 	$(RUN) pipeline.report $(RUNS)
 
 bench: $(BUILT) ## time the kernel on workload W1, one thread
@@ -37,7 +37,7 @@ clean: ## remove the built kernel and caches; .venv and results stay
 	rm -rf build rasterizer/*.so .pytest_cache .hypothesis
 	find . -name __pycache__ -not -path './.venv/*' -prune -exec rm -rf {} +
 
-$(INSTALLED): pyproject.toml tools/setup_environment.py
+$(INSTALLED): pyproject.toml tools/setup_environment.py tools/torch_source.py
 	$(PYTHON) tools/setup_environment.py
 	@touch $@
 

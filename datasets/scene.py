@@ -103,7 +103,8 @@ def _validate_view(view: View, scene: Scene, first: View) -> None:
     where = scene.source / view.name
     shape = (view.camera.height, view.camera.width, 3)
     if view.image.dtype != np.uint8 or view.image.shape != shape:
-        raise SceneError(where, f"an image of uint8 {shape}, its camera's size", f"{view.image.dtype} {view.image.shape}")
+        raise SceneError(where, f"an image of uint8 {shape}, its camera's size",
+                         f"{view.image.dtype} {view.image.shape}")
     if view.image.shape != first.image.shape:
         raise SceneError(where, f"{first.camera.width} x {first.camera.height} pixels as {first.name}",
                          f"{view.camera.width} x {view.camera.height}")

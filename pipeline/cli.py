@@ -66,7 +66,7 @@ def run_one(composed: DictConfig) -> None:
         from pipeline.stages import run  # late: a typo on the command line need not wait for the compiled kernel
 
         metrics = run(cfg, command, say=lambda text: print(text, flush=True))
-        _report(cfg, metrics, in_sweep=job.mode == RunMode.MULTIRUN)
+        (_report_line if job.mode == RunMode.MULTIRUN else _report)(cfg, metrics)
     except EXPECTED as error:
         if os.environ.get("PIPELINE_TRACEBACK") == "1":
             raise
@@ -81,26 +81,34 @@ def _complain(line: str) -> None:
     print(f"error: {' '.join(line.split())}", file=sys.stderr, flush=True)
 
 
-def _report(cfg: Config, metrics: dict, in_sweep: bool) -> None:
+def _report(cfg: Config, metrics: dict) -> None:
     """The run's numbers, where they are, and what to do next."""
-    console = Console(width=None if sys.stdout.isatty() else 100)
-    final, best = metrics["final"], metrics["best_on_test"]
-    table = Table("", "final", "best on test", title=f"{cfg.scene.name} · {cfg.ablation.name} · {cfg.train.name} · "
-                                                     f"seed {cfg.seed}", title_justify="left")
+    console = Console(highlight=False, soft_wrap=True)
+    final, best = metrics["final"], metrics["best_on_test"] or {}
+    table = Table(_title(cfg), "final", "best on test")
     for name, heading in _HEADINGS.items():
-        table.add_row(heading, _cell(final[name]), _cell(best[name]) if best else "–")
-    table.add_row("iteration", str(metrics["iterations"]), str(best["iteration"]) if best else "–")
+        table.add_row(heading, _cell(final[name]), _cell(best.get(name)))
+    table.add_row("iteration", str(metrics["iterations"]), str(best.get("iteration", "–")))
     console.print(table)
     console.print(f"{metrics['n_gaussians']} Gaussians, {metrics['n_alive_mean']:.0f} alive a frame; "
                   f"{metrics['train_seconds']:.0f} s of training; {metrics['model_mb']:.1f} MB; "
-                  f"peak memory {metrics['peak_rss_mb']:.0f} MB", soft_wrap=True, highlight=False)
+                  f"peak memory {metrics['peak_rss_mb']:.0f} MB")
     if metrics["note"]:
-        console.print(f"– : {metrics['note']}", soft_wrap=True, highlight=False)
-    console.print(f"written to {cfg.out}", soft_wrap=True, highlight=False)
-    if not in_sweep:
-        runs = Path(cfg.out).parents
-        root = next((str(parent) for parent in runs if parent.name == "runs"), str(Path(cfg.out).parent))
-        console.print(f"tables and plots of all runs: python -m pipeline.report {root}", soft_wrap=True, highlight=False)
+        console.print(f"– : {metrics['note']}")
+    console.print(f"written to {cfg.out}")
+    root = next((parent for parent in Path(cfg.out).parents if parent.name == "runs"), Path(cfg.out))
+    console.print(f"tables and plots of all runs: python -m pipeline.report {root}")
+
+
+def _report_line(cfg: Config, metrics: dict) -> None:
+    """One run of a sweep."""
+    final = metrics["final"]
+    print(f"{_title(cfg)}: PSNR {_cell(final['psnr'])}, SSIM {_cell(final['ssim'])}, {metrics['n_gaussians']} Gaussians, "
+          f"{metrics['train_seconds']:.0f} s of training; written to {cfg.out}", flush=True)
+
+
+def _title(cfg: Config) -> str:
+    return f"{cfg.scene.name} · {cfg.ablation.name} · {cfg.train.name} · seed {cfg.seed}"
 
 
 def _cell(value: float | None) -> str:

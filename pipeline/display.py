@@ -36,9 +36,9 @@ class TrainingDisplay:
     def __exit__(self, *exception: Any) -> None:
         self._bar.__exit__(*exception)
 
-    def update(self, iteration: int, loss: float, psnr: float, gaussians: int, alive: float, train_seconds: float
-               ) -> None:
-        """loss, psnr: of the last batch. alive: mean Gaussians in a view of it. train_seconds: since the very start."""
+    def update(self, iteration: int, loss: float, psnr: float, gaussians: int, alive: float,
+               train_seconds: float) -> None:
+        """loss, psnr: of the last batch. alive: Gaussians with p(t) >= 0.05 in it. train_seconds: since the start."""
         for name, value in (("loss", loss), ("psnr", psnr)):
             if math.isfinite(value):
                 self._smooth[name] = SMOOTHING * self._smooth.get(name, value) + (1 - SMOOTHING) * value
@@ -46,8 +46,9 @@ class TrainingDisplay:
         left = (self._iterations - iteration) / max(pace, 1e-9)
         if self._budget is not None:
             left = min(left, max(0.0, self._budget - train_seconds))
+        minutes, seconds = divmod(round(left), 60)
         text = (f"loss {self._smooth.get('loss', math.nan):.4f}  psnr {self._smooth.get('psnr', math.nan):.2f}  "
-                f"N {gaussians}  alive {alive:.0f}  {pace:.1f} it/s  {left // 60:.0f}:{left % 60:02.0f} left")
+                f"N {gaussians}  alive {alive:.0f}  {pace:.1f} it/s  {minutes}:{seconds:02d} left")
         self._bar.update(self._task, completed=iteration, text=text)
         if not self._console.is_terminal and iteration >= self._next_line:
             self._next_line += self._line_every

@@ -69,7 +69,8 @@ def first_non_finite(gradients: Gradients) -> tuple[str, int] | None:
 
 
 def _first_bad_row(tensor: Tensor) -> int | None:
-    # A sum in float64 of float32 values overflows for no N that fits in memory: non-finite means an entry is.
-    if math.isfinite(tensor.sum(dtype=torch.float64).item()):
+    # One fast pass: a sum is finite only if every entry is. A sum can overflow without one, hence the second look.
+    if math.isfinite(tensor.sum().item()):
         return None
-    return int((~torch.isfinite(tensor.reshape(len(tensor), -1)).all(dim=1)).nonzero()[0])
+    rows = (~torch.isfinite(tensor.reshape(len(tensor), -1)).all(dim=1)).nonzero()
+    return int(rows[0]) if len(rows) else None

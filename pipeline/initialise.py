@@ -17,8 +17,8 @@ MIN_SQUARED_DISTANCE = 1e-7
 def initialise(scene: Scene, cfg: Config, generator: np.random.Generator) -> Model:
     """A fresh model of the kind the scene and the ablation ask for.
 
-    Positions are uniform in the cube `scene.init_box`³ (or `train.init_box`³), times uniform over the scene's duration widened by
-    `train.init_time_margin` × duration a side. Deterministic in `generator`.
+    Positions are uniform in the cube `scene.init_box`³ (or `train.init_box`³), times uniform over the scene's
+    duration widened by `train.init_time_margin` × duration a side. Deterministic in `generator`.
     """
     count = cfg.scene.init_points if cfg.train.init_points is None else cfg.train.init_points
     low, high = scene.init_box if cfg.train.init_box is None else cfg.train.init_box

@@ -30,7 +30,7 @@ def save_ply(path: Path, model: Model) -> None:
 
 
 def load_ply(path: Path) -> Model:
-    """Read a file of `save_ply` or of 3D Gaussian Splatting. Raises ValueError naming the file and what is missing."""
+    """Read a file of `save_ply` or of 3DGS. Raises ValueError naming the file and what is missing."""
     try:
         vertices = PlyData.read(str(path))["vertex"].data
     except (PlyParseError, KeyError, OSError) as error:
@@ -43,7 +43,8 @@ def load_ply(path: Path) -> Model:
         if name not in present:
             raise ValueError(f"{path}: expected a property {name} of a {kind.motion} model, found none")
         parameters[field][:, index] = torch.from_numpy(np.array(vertices[name], dtype=np.float32))
-    return Model(kind, {field: parameters[field].reshape(len(vertices), *row) for field, row in kind.shapes().items()})
+    return Model(kind, {field: parameters[field].reshape(len(vertices), *row)
+                        for field, row in kind.shapes().items()})
 
 
 def _kind(path: Path, present: set[str]) -> ModelKind:

@@ -20,8 +20,8 @@ MIN_MARGINAL = 0.7  # only Gaussians well inside their time, p(t) above this
 VELOCITY_STEP = 0.1
 
 
-def rigid_loss(mean: Tensor, log_scale: Tensor, quat_left: Tensor, quat_right: Tensor, time: float, duration: float,
-               threads: int = 1) -> Tensor:
+def rigid_loss(mean: Tensor, log_scale: Tensor, quat_left: Tensor, quat_right: Tensor, time: float,
+               duration: float, threads: int = 1) -> Tensor:
     """Mean over Gaussians alive at `time`, and their neighbours j, of exp(-100 d²) |u_i - u_j|; scalar.
 
     u = Σ_xyz,t / Σtt × 0.1 duration, how far the conditional mean moves in a tenth of the duration (SPEC 1); d is the

@@ -1,4 +1,4 @@
-"""Quaternions to rotation matrices (SPEC 1), differentiable, for the few places outside the rasterizer that need them."""
+"""Quaternions to rotation matrices (SPEC 1), differentiable, for the few places outside the rasterizer."""
 
 from __future__ import annotations
 

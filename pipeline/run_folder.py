@@ -22,7 +22,7 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-import yaml
+from omegaconf import OmegaConf
 
 # Keys that say where and how a run is made, not what it computes: a finished run may be repeated with others.
 FREE_KEYS = ("out", "threads", "resume", "scene.cache", "evaluate")
@@ -85,7 +85,7 @@ class RunFolder:
         except BaseException:
             self._lock.close()
             raise
-        write_text(self.config, yaml.safe_dump(config, sort_keys=False))
+        write_text(self.config, OmegaConf.to_yaml(OmegaConf.create(config)))
 
     def __enter__(self) -> RunFolder:
         return self
@@ -185,7 +185,7 @@ class RunFolder:
     def _check_same_run(self, config: dict) -> None:
         if not self.config.exists() or not self._stages():
             return  # nothing was made yet: a run that failed over a wrong path may be corrected
-        there, asked = _comparable(yaml.safe_load(self.config.read_text()) or {}), _comparable(config)
+        there, asked = _comparable(OmegaConf.to_container(OmegaConf.load(self.config))), _comparable(config)
         differing = [key for key in {**there, **asked} if there.get(key) != asked.get(key)]
         if differing:
             first = differing[0]

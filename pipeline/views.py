@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import torch
 from torch import Tensor
@@ -31,11 +30,20 @@ def target_of(view: View, scale: float) -> Target:
     """The view at `scale` of its size, each side rounded to whole pixels (at least 1); averaged over areas."""
     height, width = view.image.shape[:2]
     small = max(1, round(width * scale)), max(1, round(height * scale))
-    image, camera = view.image.astype(np.float32) / 255.0, view.camera
+    image = np.ascontiguousarray(view.image.transpose(2, 0, 1), dtype=np.float32) / np.float32(255)
+    camera = view.camera
     if small != (width, height):
-        image = cv2.resize(image, small, interpolation=cv2.INTER_AREA)
+        image = area_weights(height, small[1]) @ image @ area_weights(width, small[0]).T
         camera = camera.resized(*small)
-    return Target(view.name, view.time, camera, torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1))))
+    return Target(view.name, view.time, camera, torch.from_numpy(np.ascontiguousarray(image)))
+
+
+def area_weights(pixels: int, fewer: int) -> np.ndarray:
+    """(fewer, pixels) float32: what part of each new pixel each old one covers. Rows sum to 1."""
+    edges = np.arange(fewer + 1) * (pixels / fewer)  # of the new pixels, in units of old ones
+    old = np.arange(pixels)
+    overlap = np.minimum(edges[1:, None], old + 1) - np.maximum(edges[:-1, None], old)
+    return (np.maximum(overlap, 0.0) * (fewer / pixels)).astype(np.float32)
 
 
 class TrainingViews:

@@ -1,9 +1,10 @@
 """Small Gaussians and cameras for the rasterizer's tests, and where a rendered image is smooth.
 
-Rendering has jumps: a Gaussian takes part or not (p(t) = 0.05, the near plane), a contribution is skipped or not
-(α' = 1/255), a pixel ends or not (T = 1e-4), two Gaussians swap in depth. Next to one, two correct programs that
-round differently differ by a whole contribution, and no finite difference converges. So tests drop the few Gaussians
-(`away_from_jumps`) and mask the few pixels (`smooth_pixels`) that lie next to one, and compare all the others tightly.
+Rendering has jumps: a Gaussian takes part or not (p(t) = 0.05, the near plane), a contribution is skipped
+or not (α' = 1/255), a pixel ends or not (T = 1e-4), two Gaussians swap in depth. Next to one, two correct
+programs that round differently differ by a whole contribution, and no finite difference converges. So tests
+drop the few Gaussians (`away_from_jumps`) and mask the few pixels (`smooth_pixels`) that lie next to one,
+and compare all the others tightly.
 """
 
 from __future__ import annotations
@@ -50,8 +51,8 @@ def random_gaussians(
 ) -> Gaussians:
     """n Gaussians in the cube [-1, 1]³ over about the times [0, 1], float64 but with values float32 can hold.
 
-    Quaternions are not normalised. In the full model qr is near the conjugate of ql, so that speeds are about 1.
-    A static model has Fourier order 0 whatever is asked.
+    Quaternions are not normalised. In the full model qr is near the conjugate of ql, so that speeds are
+    about 1. A static model has Fourier order 0 whatever is asked.
     """
     fourier_order = 0 if motion == "static" else fourier_order
     normal = lambda *shape: torch.randn(shape, generator=rng, dtype=torch.float64)  # noqa: E731
@@ -77,7 +78,7 @@ def camera_looking_at(
     principal: tuple[float, float] | None = None,
     target: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> Camera:
-    """A camera at `eye` that has `target` on its axis, tilted a little so that no axis of the world is its own."""
+    """A camera at `eye` with `target` on its axis, tilted so that no axis of the world is its own."""
     forward = np.subtract(target, eye)
     forward = forward / np.linalg.norm(forward)
     right = np.cross([0.1, 1.0, 0.2], forward)
@@ -99,8 +100,8 @@ def rows(gaussians: Gaussians, index: Tensor) -> Gaussians:
 
 
 def away_from_jumps(gaussians: Gaussians, request: Request, margin: float = 1e-3) -> Gaussians:
-    """Without the rows next to a jump or kink that a whole Gaussian has: p(t) = 0.05, z = near, a colour channel or
-    the Jacobian at the edge of its clamp, a depth shared with another."""
+    """Without the rows next to a jump or kink that a whole Gaussian has: p(t) = 0.05, z = near, a colour
+    channel or the Jacobian at the edge of its clamp, a depth shared with another."""
     sliced = reference.slice_in_time(gaussians, request.time)
     mean_cam = reference.world_to_camera(sliced.mean, request.camera)
     raised = gaussians.sh.clone()
@@ -110,8 +111,10 @@ def away_from_jumps(gaussians: Gaussians, request: Request, margin: float = 1e-3
     z, camera = mean_cam[:, 2], request.camera
     close = ((sliced.presence - reference.MIN_PRESENCE).abs() < margin) | ((z - request.near).abs() < margin)
     close |= (color.abs() < margin).any(dim=1)
-    for slope, focal, low, size in ((mean_cam[:, 0] / z, camera.fx, camera.cx, camera.width),
-                                    (mean_cam[:, 1] / z, camera.fy, camera.cy, camera.height)):
+    for slope, focal, low, size in (
+        (mean_cam[:, 0] / z, camera.fx, camera.cx, camera.width),
+        (mean_cam[:, 1] / z, camera.fy, camera.cy, camera.height),
+    ):
         for edge in (-low, size - low):
             close |= (slope - reference.FRUSTUM_MARGIN * edge / focal).abs() < margin
     order = torch.argsort(z)
@@ -124,7 +127,8 @@ def away_from_jumps(gaussians: Gaussians, request: Request, margin: float = 1e-3
 def smooth_pixels(gaussians: Gaussians, request: Request, margin: float = 2e-3) -> Tensor:
     """(H, W) True where no α' is next to 1/255 or 0.99 and T never next to 1e-4.
 
-    The margin, relative, is some times what float32 loses in α'; T accumulates such errors, so it has 10 times that.
+    The margin, relative, is some times what float32 loses in α'; T accumulates such errors, so it has 10
+    times that.
     """
     splats = reference.make_splats(gaussians, request)
     pixels = pixel_centers(request.camera, splats.center.dtype).reshape(-1, 2)
@@ -142,8 +146,10 @@ def output_weights(request: Request, mask: Tensor, rng: torch.Generator) -> dict
     """∂L/∂image of each output asked for: random, zero where `mask` (H, W) is False."""
     channels = {"color": 3, "alpha": 1, "depth": 1, "flow": 2, "stats": 2}
     size = (request.camera.height, request.camera.width)
-    return {name: torch.randn((channels[name], *size), generator=rng, dtype=torch.float64) * mask
-            for name in request.outputs}
+    return {
+        name: torch.randn((channels[name], *size), generator=rng, dtype=torch.float64) * mask
+        for name in request.outputs
+    }
 
 
 def render(rasterize: Callable[..., RenderOutput], gaussians: Gaussians, request: Request) -> RenderOutput:
@@ -156,17 +162,28 @@ def render_and_gradients(
     """The images, and ∂L/∂parameter by name for L = Σ weights · images."""
     leaves = {name: tensor.detach().clone().requires_grad_() for name, tensor in gaussians.tensors().items()}
     out = render(rasterize, Gaussians(**{"quat_right": None, **leaves}), request)
-    loss = sum((getattr(out, name) * weight.to(gaussians.mean.dtype)).sum() for name, weight in weights.items())
+    loss = sum(
+        (getattr(out, name) * weight.to(gaussians.mean.dtype)).sum() for name, weight in weights.items()
+    )
     found = torch.autograd.grad(loss, list(leaves.values()), allow_unused=True)
-    return out, {name: torch.zeros_like(leaf) if gradient is None else gradient
-                 for (name, leaf), gradient in zip(leaves.items(), found)}
+    return out, {
+        name: torch.zeros_like(leaf) if gradient is None else gradient
+        for (name, leaf), gradient in zip(leaves.items(), found)
+    }
 
 
 def quaternion_product(a: Tensor, b: Tensor) -> Tensor:
     """Hamilton's a b of quaternions (…, 4), w first, from i² = j² = k² = ijk = -1."""
     (aw, ax, ay, az), (bw, bx, by, bz) = a.unbind(-1), b.unbind(-1)  # broadcast
-    return torch.stack([aw * bw - ax * bx - ay * by - az * bz, aw * bx + ax * bw + ay * bz - az * by,
-                        aw * by - ax * bz + ay * bw + az * bx, aw * bz + ax * by - ay * bx + az * bw], dim=-1)
+    return torch.stack(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ],
+        dim=-1,
+    )
 
 
 def conjugate(q: Tensor) -> Tensor:
@@ -176,8 +193,8 @@ def conjugate(q: Tensor) -> Tensor:
 def rotated_world(gaussians: Gaussians, camera: Camera, left: Tensor) -> tuple[Gaussians, Camera]:
     """The Gaussians and the camera turned together about the origin, by a rotation that `left` (4,) picks.
 
-    v -> l v r with v = x + yi + zj + tk turns space and keeps time when l k r = k, that is r = -k l* k. Colours must
-    not depend on the direction (SH degree 0), for the coefficients are left as they are.
+    v -> l v r with v = x + yi + zj + tk turns space and keeps time when l k r = k, that is r = -k l* k.
+    Colours must not depend on the direction (SH degree 0), for the coefficients are left as they are.
     """
     left = left / left.norm()
     k = torch.tensor([0.0, 0, 0, 1], dtype=left.dtype)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 import torch
 
@@ -13,6 +14,7 @@ from pipeline.densify import (
 from pipeline.model import Model, ModelKind
 from pipeline.optimiser import Adam
 from pipeline.rotation import rotation_4d
+from rasterizer import Camera, ViewGradient
 
 EXTENT = 5.0  # so that clones end and splits begin at 0.05
 FULL = ModelKind("full", 0, 0)
@@ -51,7 +53,8 @@ def test_indicators_against_a_naive_sum() -> None:
                     torch.rand(4, generator=generator) * 9) for ids in views]
         statistics.begin()
         for ids, g2, gt, r in by_view:
-            statistics.add_view(torch.tensor(ids, dtype=torch.int32), g2, gt, r, width, height, duration)
+            view = ViewGradient(torch.tensor(ids, dtype=torch.int32), g2, gt, r)
+            statistics.add_view(view, Camera(width, height, 1, 1, 0, 0, np.eye(4)), duration)
         statistics.end(batch)
         for i in range(count):
             rows = [(g2[ids.index(i)], gt[ids.index(i)], r[ids.index(i)]) for ids, g2, gt, r in by_view if i in ids]

@@ -1,4 +1,4 @@
-"""A scene and a run folder small enough that training on them takes seconds; also a program: `tiny.py OUT ITERATIONS`."""
+"""A scene and a run folder so small that training takes seconds; also a program: `tiny.py OUT ITERATIONS`."""
 
 from __future__ import annotations
 

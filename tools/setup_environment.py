@@ -1,7 +1,7 @@
-"""Makes `.venv` and installs the project's requirements in it: `make setup` runs it before it builds the kernel.
+"""Makes `.venv` and installs the project's requirements in it: the first half of `make setup`.
 
-Only the standard library is used, since nothing else is there yet. The resolver's plan is read before anything
-is installed (`pip install --dry-run`: metadata, not wheels); torch_source.py says what to look for in it.
+Only the standard library is used, since nothing else is there yet. The resolver's plan is read before
+anything is installed (`pip install --dry-run`: metadata, not wheels); torch_source.py judges it.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def check_python(version: tuple[int, ...]) -> None:
 
 
 def check_compiler() -> None:
-    """Compiles three lines of C++20 with OpenMP (on x86-64 for AVX-512), whatever the compiler calls itself."""
+    """Compiles a line of C++20 with OpenMP (on x86-64 for AVX-512), whatever the compiler calls itself."""
     compiler = os.environ.get("CXX") or next(filter(shutil.which, ("c++", "g++", "clang++")), None)
     expected = "C++ compiler: expected one with C++20 and OpenMP (g++ 11, clang++ 14 with libomp, or newer)"
     if compiler is None:
@@ -133,8 +133,8 @@ def update_pip(python: Path) -> None:
     if tuple(int(part) for part in found.split(".")[:2]) < MIN_PIP:
         done = pip(python, "install", "--quiet", PIP)
         if done.returncode != 0:
-            raise SetupError(f"pip: expected {dotted(MIN_PIP)} or newer (an older dry run downloads its plan), found"
-                             f" {found}, and updating it failed: {last_line(done.stderr)}")
+            raise SetupError(f"pip: expected {dotted(MIN_PIP)} or newer (an older dry run downloads its plan),"
+                             f" found {found}, and updating it failed: {last_line(done.stderr)}")
 
 
 def install_cpu_torch(python: Path, torch: str, source: TorchSource, plan: list[Package]) -> None:
@@ -192,10 +192,11 @@ def plan_of(python: Path, *arguments: str) -> list[Package]:
 
 
 def install(python: Path, *arguments: str) -> None:
-    """`pip install`, silent but for errors; `.venv/pip.log` keeps the rest."""
-    done = pip(python, "install", "--quiet", "--log", str(VENV / "pip.log"), *arguments)
+    """`pip install`, silent unless it fails. Python compiles what it imports, when it first does."""
+    done = pip(python, "install", "--quiet", "--no-compile", *arguments)
     if done.returncode != 0:
-        raise SetupError(f"pip install failed: {last_line(done.stderr)}; its log is .venv/pip.log")
+        print(done.stderr, file=sys.stderr)
+        raise SetupError(f"pip install failed: {last_line(done.stderr)}")
 
 
 def say(text: str) -> None:

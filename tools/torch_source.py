@@ -43,13 +43,13 @@ def read_plan(report: dict) -> list[Package]:
 
 
 def choose_torch_source(plan: list[Package], has_gpu: bool) -> TorchSource:
-    """CPU_INDEX when the plan carries CUDA packages and there is no NVIDIA GPU; otherwise the index as it is."""
+    """CPU_INDEX when the plan has CUDA packages and the machine no NVIDIA GPU; otherwise no change."""
     cuda = tuple(package for package in plan if package.name.startswith(CUDA_PREFIXES))
     return TorchSource(CPU_INDEX if cuda and not has_gpu else None, cuda)
 
 
 def has_nvidia_gpu(root: Path = Path("/"), search_path: str | None = None) -> bool:
-    """Whether an NVIDIA driver has a device here. `root` and `search_path` (of programs) stand in for tests."""
+    """Whether an NVIDIA driver has a device here. Tests give a `root` and a `search_path` of programs."""
     if (root / "dev/nvidia0").exists() or (root / "proc/driver/nvidia/version").exists():
         return True
     nvidia_smi = shutil.which("nvidia-smi", path=search_path)

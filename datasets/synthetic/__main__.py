@@ -11,7 +11,7 @@ from datasets.scene import SceneError
 from datasets.synthetic import SCENE_NAMES, build_scene
 
 
-def main() -> int:
+def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m datasets.synthetic", description="Makes a synthetic scene in the "
                                      "D-NeRF layout, with exact depth and optical flow for its test views.")
     parser.add_argument("scene", choices=SCENE_NAMES)
@@ -20,7 +20,7 @@ def main() -> int:
     parser.add_argument("--size", type=int, default=200, help="image side in pixels (default: %(default)s)")
     parser.add_argument("--train-views", type=int, default=100, help="default: %(default)s")
     parser.add_argument("--test-views", type=int, default=12, help="default: %(default)s")
-    options = vars(parser.parse_args())
+    options = vars(parser.parse_args(arguments))
     folder = options.pop("out")
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         parser.error(f"--out {folder}: expected a folder that does not exist or is empty")

@@ -114,7 +114,8 @@ def _flow(item: Placed, local: np.ndarray, x: np.ndarray, y: np.ndarray, camera:
     moved = camera.world_to_cam[:3, :3] @ pose.to_world(local) + camera.world_to_cam[:3, 3:]
     valid = (moved[2] > 0) & (pose.scale > 0)
     z = np.where(valid, moved[2], 1)
-    flow = np.stack([camera.fx * moved[0] / z + camera.cx - (x + 0.5), camera.fy * moved[1] / z + camera.cy - (y + 0.5)])
+    flow = np.stack([camera.fx * moved[0] / z + camera.cx - (x + 0.5),
+                     camera.fy * moved[1] / z + camera.cy - (y + 0.5)])
     return np.where(valid, flow, 0), valid
 
 

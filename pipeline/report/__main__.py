@@ -1,7 +1,7 @@
-"""`python -m pipeline.report RUNS_DIR [--out DIR]`: tables (md, csv, tex), plots, strips, report.md, report.html.
+"""`python -m pipeline.report RUNS_DIR [--out DIR]`: tables (md, csv, tex), plots, strips, one page.
 
-Exit status 1 with one line when there is nothing to report. A run that can't be read does not stop the others: it is
-named on standard error and in the report, and the exit status stays 0.
+Exit status 1 with one line when there is nothing to report. A run that can't be read does not stop the
+others: it is named on standard error and in the report, and the exit status stays 0.
 """
 
 from __future__ import annotations
@@ -23,8 +23,9 @@ from .variants import name_variants
 
 def main(arguments: list[str] | None = None) -> int:
     """The command; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m pipeline.report", description="Tables, plots and one HTML page "
-                                     "from a folder of runs.")
+    parser = argparse.ArgumentParser(
+        prog="python -m pipeline.report", description="Tables, plots and one HTML page from a folder of runs."
+    )
     parser.add_argument("runs_dir", type=Path, metavar="RUNS_DIR")
     parser.add_argument("--out", type=Path, metavar="DIR", help="default: RUNS_DIR/../report")
     options = parser.parse_args(arguments)
@@ -45,21 +46,34 @@ def write_report(runs_dir: Path, out: Path) -> None:
         print(f"warning: {line}", file=sys.stderr)
 
     of_paper, ours = paper_tables(collection.runs), run_tables(collection)
-    plots = [CurvePlot(scene, plot_scene(collection.curves, scene), plot_scene(collection.curves, scene, DARK))
-             for scene in curve_scenes(collection.curves)]
+    plots = [
+        CurvePlot(scene, plot_scene(collection.curves, scene), plot_scene(collection.curves, scene, DARK))
+        for scene in curve_scenes(collection.curves)
+    ]
 
     _clear(out)
     for table in (*of_paper, *ours):
         write_all(table, out / "tables")
-    for name, content in [(f"plots/{plot.scene.replace('/', '_')}.svg", plot.light.encode()) for plot in plots] + [
-            (f"strips/{strip.filename}", strip.png) for strip in strips]:
+    for name, content in [
+        (f"plots/{plot.scene.replace('/', '_')}.svg", plot.light.encode()) for plot in plots
+    ] + [(f"strips/{strip.filename}", strip.webp) for strip in strips]:
         (out / name).parent.mkdir(parents=True, exist_ok=True)
         (out / name).write_bytes(content)
     verdicts, *others = ours
     curves = "\n".join(f"![{p.scene}](plots/{p.scene.replace('/', '_')}.svg)\n" for p in plots)
-    (out / "report.md").write_text("\n".join(
-        ["# Benchmark report\n", summary_markdown(summary), "## Training curves\n", curves, "## Tables\n",
-         *(markdown(table) for table in (verdicts, *of_paper, *others))]), encoding="utf-8")
+    (out / "report.md").write_text(
+        "\n".join(
+            [
+                "# Benchmark report\n",
+                summary_markdown(summary),
+                "## Training curves\n",
+                curves,
+                "## Tables\n",
+                *(markdown(table) for table in (verdicts, *of_paper, *others)),
+            ]
+        ),
+        encoding="utf-8",
+    )
     (out / "report.html").write_text(render_page(summary, of_paper, ours, plots, strips), encoding="utf-8")
 
     print(summary_markdown(summary))
@@ -72,7 +86,14 @@ def _clear(out: Path) -> None:
     """Removes what an earlier report wrote here, so that no picture of a deleted run stays behind."""
     if not (out / "report.html").is_file():
         return  # not ours: touch nothing
-    for pattern in ("tables/*.md", "tables/*.csv", "tables/*.tex", "plots/*.svg", "strips/*.png", "report.*"):
+    for pattern in (
+        "tables/*.md",
+        "tables/*.csv",
+        "tables/*.tex",
+        "plots/*.svg",
+        "strips/*.webp",
+        "report.*",
+    ):
         for path in out.glob(pattern):
             path.unlink()
 

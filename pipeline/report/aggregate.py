@@ -11,9 +11,11 @@ import pandas as pd
 
 MIN_SEEDS = 3  # fewer give no usable standard error
 STANDARD_ERRORS = 2.0  # an ablation is worse when it is so many standard errors below `full`
-FORMULA = ("An ablation is worse than full when mean(full) − mean(ablation) > 2 SE, with "
-           "SE = √(s²(full)/n(full) + s²(ablation)/n(ablation)), the standard error of the difference of two "
-           "independent means; s is the standard deviation over seeds (n − 1) and n ≥ 3 the number of seeds.")
+FORMULA = (
+    "An ablation is worse than full when mean(full) − mean(ablation) > 2 SE, with "
+    "SE = √(s²(full)/n(full) + s²(ablation)/n(ablation)), the standard error of the difference of two "
+    "independent means; s is the standard deviation over seeds (n − 1) and n ≥ 3 the number of seeds."
+)
 
 
 @dataclass(frozen=True)
@@ -44,15 +46,17 @@ def select(runs: pd.DataFrame, scene: str, ablation: str, train: str) -> pd.Data
 
 
 def over_seeds(runs: pd.DataFrame, scene: str, ablation: str, train: str, metric: str) -> Estimate | None:
-    """`metric` (a column such as `final.psnr`) of one experiment; None without runs or where a seed lacks it."""
+    """`metric` (a column such as `final.psnr`) of one experiment; None without runs or if a seed lacks it."""
     return estimate(select(runs, scene, ablation, train)[metric])
 
 
-def over_scenes(runs: pd.DataFrame, scenes: Iterable[str], ablation: str, train: str,
-                metric: str) -> tuple[Estimate | None, int]:
+def over_scenes(
+    runs: pd.DataFrame, scenes: Iterable[str], ablation: str, train: str, metric: str
+) -> tuple[Estimate | None, int]:
     """Mean over `scenes` of the per-scene means, and how many of them had runs.
 
-    The std is that of the per-seed means over scenes, over the seeds that every scene has (NaN with fewer than two).
+    The std is that of the per-seed means over scenes, over the seeds that every scene has (NaN with fewer
+    than two).
     """
     mine = runs[(runs["ablation"] == ablation) & (runs["train"] == train) & runs["scene"].isin(list(scenes))]
     if mine.empty:
@@ -68,7 +72,7 @@ def over_scenes(runs: pd.DataFrame, scenes: Iterable[str], ablation: str, train:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Is an ablation worse than `full` on one scene, under one schedule, for one metric (higher is better)?"""
+    """Is an ablation worse than `full` on one scene, under one schedule, for one metric (more is better)?"""
 
     full: Estimate
     ablation: Estimate
@@ -89,8 +93,12 @@ class Verdict:
 
 def compare(full: Estimate, ablation: Estimate) -> Verdict:
     """See FORMULA."""
-    return Verdict(full, ablation, full.mean - ablation.mean,
-                   math.sqrt(full.standard_error**2 + ablation.standard_error**2))
+    return Verdict(
+        full,
+        ablation,
+        full.mean - ablation.mean,
+        math.sqrt(full.standard_error**2 + ablation.standard_error**2),
+    )
 
 
 def verdict(runs: pd.DataFrame, scene: str, ablation: str, train: str, metric: str) -> Verdict | None:
@@ -106,9 +114,3 @@ def trains(runs: pd.DataFrame, scenes: Iterable[str], ablation: str | None = Non
     if ablation is not None:
         mine = mine[mine["ablation"] == ablation]
     return sorted(mine["train"].unique())
-
-
-def ordered(names: Iterable[str], first: tuple[str, ...]) -> list[str]:
-    """`names` without repeats, those in `first` in its order, then the rest sorted."""
-    unique = set(names)
-    return [n for n in first if n in unique] + sorted(unique - set(first))

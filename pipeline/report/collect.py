@@ -1,12 +1,13 @@
 """Reads run folders into tidy frames.
 
-A run folder is any folder with a config.yaml or a metrics.json. One that is unfinished or whose metrics.json can't
-be trusted is named in one line and left out; a missing or damaged side file (curve, environment) is a warning and
-the run stays, without that part.
+A run folder is any folder with a config.yaml or a metrics.json. One that is unfinished or whose metrics.json
+can't be trusted is named in one line and left out; a missing or damaged side file (curve, environment) is a
+warning and the run stays, without that part.
 """
 
 from __future__ import annotations
 
+import io
 import json
 import math
 from dataclasses import dataclass
@@ -17,9 +18,26 @@ import pandas as pd
 from omegaconf import OmegaConf
 
 PROTOCOLS = ("final", "best_on_test")  # the last iteration; the release's pick among the test evaluations
-QUALITY = ("psnr", "ssim", "ms_ssim", "dssim1", "dssim2", "lpips_alex", "lpips_vgg", "fps_raster", "fps_render")
-COST = ("iterations", "train_seconds", "n_gaussians", "n_alive_mean", "peak_rss_mb", "model_mb",
-        "model_with_optimiser_mb")
+QUALITY = (
+    "psnr",
+    "ssim",
+    "ms_ssim",
+    "dssim1",
+    "dssim2",
+    "lpips_alex",
+    "lpips_vgg",
+    "fps_raster",
+    "fps_render",
+)
+COST = (
+    "iterations",
+    "train_seconds",
+    "n_gaussians",
+    "n_alive_mean",
+    "peak_rss_mb",
+    "model_mb",
+    "model_with_optimiser_mb",
+)
 REQUIRED = ("final.psnr", "final.ssim", "iterations", "train_seconds", "n_gaussians")
 CURVE_COLUMNS = ("train_seconds", "iteration", "psnr", "n_gaussians")
 ENVIRONMENT = ("machine", "date", "git_commit", "command")  # these stand beside the numbers
@@ -33,11 +51,12 @@ class BrokenRun(ValueError):
 class Collection:
     """Everything the report knows.
 
-    runs:     one row a run: run (its path under RUNS_DIR), folder, scene, ablation, train, seed, machine, date,
-              git_commit, command, lpips_note, and the metrics as `final.psnr`, `best_on_test.psnr`, `n_gaussians` …
-              (floats; NaN: not measured). `*.dssim_ms` = (1 - MS-SSIM) / 2 is the paper's DSSIM.
-    curves:   one row an evaluation: run, scene, ablation, train, seed, train_seconds (s), iteration, psnr (dB),
-              n_gaussians
+    runs:     one row a run: run (its path under RUNS_DIR), folder, scene, ablation, train, seed, machine,
+              date, git_commit, command, *_note, and the metrics as `final.psnr`, `best_on_test.psnr`,
+              `n_gaussians` … (floats; NaN: not measured). `*.dssim_ms` = (1 - MS-SSIM) / 2 is the paper's
+              DSSIM
+    curves:   one row an evaluation: run, scene, ablation, train, seed, train_seconds (s), iteration,
+              psnr (dB), n_gaussians
     settings: run -> its resolved config, flattened to `train.densify.every` style keys
     left_out: one line for each run not used;  warnings: one line for each part of a run not used
     """
@@ -52,8 +71,9 @@ class Collection:
 def collect(runs_dir: Path) -> Collection:
     """Reads every run folder under `runs_dir`; FileNotFoundError if there is none that can be read."""
     if not runs_dir.is_dir():
-        raise FileNotFoundError(f"{runs_dir}: expected a folder of runs, found "
-                                f"{'a file' if runs_dir.exists() else 'nothing'}")
+        raise FileNotFoundError(
+            f"{runs_dir}: expected a folder of runs, found {'a file' if runs_dir.exists() else 'nothing'}"
+        )
     rows, curves, settings = [], [], {}
     left_out, warnings = [], []
     for folder in run_folders(runs_dir):
@@ -64,23 +84,36 @@ def collect(runs_dir: Path) -> Collection:
         except BrokenRun as error:
             left_out.append(f"{run}: left out: {error}")
             continue
-        row |= _or_warn(read_environment, folder / "environment.json", dict.fromkeys(ENVIRONMENT, "unknown"),
-                        run, warnings)
+        row |= _or_warn(
+            read_environment,
+            folder / "environment.json",
+            dict.fromkeys(ENVIRONMENT, "unknown"),
+            run,
+            warnings,
+        )
         rows.append(row)
         settings[run] = config
         if not config:
             warnings.append(f"{run}: no config.yaml: settings taken to be those its name says")
         curve = _or_warn(read_curve, folder / "error_vs_time.csv", None, run, warnings)
         if curve is not None:
-            curves.append(curve.assign(run=run, **{key: row[key] for key in ("scene", "ablation", "train", "seed")}))
+            curves.append(
+                curve.assign(run=run, **{key: row[key] for key in ("scene", "ablation", "train", "seed")})
+            )
     if not rows:
         reason = f"; {len(left_out)} left out, the first: {left_out[0]}" if left_out else ""
-        raise FileNotFoundError(f"{runs_dir}: expected at least one finished run (metrics.json), found none{reason}")
+        raise FileNotFoundError(
+            f"{runs_dir}: expected at least one finished run (metrics.json), found none{reason}"
+        )
     return Collection(
         runs=pd.DataFrame(rows),
-        curves=pd.concat(curves, ignore_index=True) if curves else pd.DataFrame(
-            columns=[*CURVE_COLUMNS, "run", "scene", "ablation", "train", "seed"]),
-        settings=settings, left_out=tuple(left_out), warnings=tuple(warnings))
+        curves=pd.concat(curves, ignore_index=True)
+        if curves
+        else pd.DataFrame(columns=[*CURVE_COLUMNS, "run", "scene", "ablation", "train", "seed"]),
+        settings=settings,
+        left_out=tuple(left_out),
+        warnings=tuple(warnings),
+    )
 
 
 def run_folders(runs_dir: Path) -> list[Path]:
@@ -119,21 +152,26 @@ def read_metrics(path: Path) -> dict[str, Any]:
     for key in REQUIRED:
         if math.isnan(row[key]):
             raise BrokenRun(f"metrics.json: {key}: expected a number, found none")
-    row["lpips_note"] = str((data.get("final") or {}).get("lpips_note") or "")
+    for key in ("lpips_note", "ms_ssim_note"):  # why a number is missing
+        row[key] = str(data["final"].get(key) or "")
     return row
 
 
 def read_curve(path: Path) -> pd.DataFrame:
-    """error_vs_time.csv: one row an evaluation, in the order they were made."""
+    """error_vs_time.csv, one row an evaluation; a last line without an end, cut by a kill, is dropped."""
     if not path.is_file():
         raise BrokenRun(f"no {path.name}")
     try:
-        curve = pd.read_csv(path)
+        lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+        whole = lines if not lines or lines[-1].endswith("\n") else lines[:-1]
+        curve = pd.read_csv(io.StringIO("".join(whole)))
     except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
         raise BrokenRun(f"{path.name}: expected a CSV table, found {str(error).splitlines()[0]}") from None
     missing = [c for c in CURVE_COLUMNS if c not in curve]
     if missing:
-        raise BrokenRun(f"{path.name}: expected columns {', '.join(CURVE_COLUMNS)}; missing {', '.join(missing)}")
+        raise BrokenRun(
+            f"{path.name}: expected columns {', '.join(CURVE_COLUMNS)}; missing {', '.join(missing)}"
+        )
     numbers = curve[list(CURVE_COLUMNS)].apply(pd.to_numeric, errors="coerce")
     if numbers.empty or numbers.isna().any(axis=None):
         bad = "no rows" if numbers.empty else f"none in line {2 + int(numbers.isna().any(axis=1).idxmax())}"

@@ -1,4 +1,4 @@
-"""Writes a Table as Markdown (columns padded, so it reads in a terminal), CSV (numbers, one a cell) and LaTeX."""
+"""Writes a Table as Markdown (padded, so it reads in a terminal), CSV (one number a cell) and LaTeX."""
 
 from __future__ import annotations
 
@@ -9,11 +9,34 @@ from pathlib import Path
 from .table import Column, Table
 
 _LATEX = {
-    "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
-    "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "<": r"\textless{}", ">": r"\textgreater{}",
-    "±": r"$\pm$", "×": r"$\times$", "−": r"$-$", "–": r"--", "·": r"$\cdot$", "↑": r"$\uparrow$",
-    "↓": r"$\downarrow$", "√": r"$\surd$", "≥": r"$\geq$", "²": r"$^{2}$", "¹": r"$^{1}$", "³": r"$^{3}$",
-    "⁴": r"$^{4}$", "⁵": r"$^{5}$", "⁶": r"$^{6}$", "…": r"\ldots{}",
+    "\\": r"\textbackslash{}",
+    "&": r"\&",
+    "%": r"\%",
+    "$": r"\$",
+    "#": r"\#",
+    "_": r"\_",
+    "{": r"\{",
+    "}": r"\}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "<": r"\textless{}",
+    ">": r"\textgreater{}",
+    "±": r"$\pm$",
+    "×": r"$\times$",
+    "−": r"$-$",
+    "–": r"--",
+    "·": r"$\cdot$",
+    "↑": r"$\uparrow$",
+    "↓": r"$\downarrow$",
+    "√": r"$\surd$",
+    "≥": r"$\geq$",
+    "²": r"$^{2}$",
+    "¹": r"$^{1}$",
+    "³": r"$^{3}$",
+    "⁴": r"$^{4}$",
+    "⁵": r"$^{5}$",
+    "⁶": r"$^{6}$",
+    "…": r"\ldots{}",
 }
 
 
@@ -30,16 +53,30 @@ def write_all(table: Table, folder: Path) -> list[Path]:
 
 def markdown(table: Table) -> str:
     """Title, caption, padded pipe table, footnotes."""
-    body = [[_shown(table, row, column).replace("|", r"\|") for column in table.columns] for row in table.rows]
+    body = [
+        [_shown(table, row, column).replace("|", r"\|") for column in table.columns] for row in table.rows
+    ]
     head = [column.header for column in table.columns]
     widths = [max(3, *(len(line[i]) for line in [head, *body])) for i in range(len(head))]
 
     def line(cells: list[str]) -> str:
-        return "| " + " | ".join(c.rjust(w) if column.number else c.ljust(w) for c, w, column in
-                                 zip(cells, widths, table.columns)) + " |"
+        return (
+            "| "
+            + " | ".join(
+                c.rjust(w) if column.number else c.ljust(w)
+                for c, w, column in zip(cells, widths, table.columns)
+            )
+            + " |"
+        )
 
-    rule = "|" + "|".join("-" * (w + 1) + ":" if column.number else ":" + "-" * (w + 1)
-                          for w, column in zip(widths, table.columns)) + "|"
+    rule = (
+        "|"
+        + "|".join(
+            "-" * (w + 1) + ":" if column.number else ":" + "-" * (w + 1)
+            for w, column in zip(widths, table.columns)
+        )
+        + "|"
+    )
     parts = [f"### {table.title}", ""] + ([table.caption, ""] if table.caption else [])
     parts += [line(head), rule, *(line(cells) for cells in body), ""]
     parts += [f"- {mark + ' ' if mark else ''}{note}" for mark, note in table.footnotes]
@@ -47,9 +84,11 @@ def markdown(table: Table) -> str:
 
 
 def comma_separated(table: Table) -> str:
-    """One number a cell at full precision: std in a column of its own, footnote marks in `note`, no run = empty."""
+    """One number a cell at full precision; std in columns of their own, footnote marks in `note`."""
     with_std = {c.key for c in table.columns if any(table.cell(row, c).std is not None for row in table.rows)}
-    head = [name for c in table.columns for name in ([c.key, f"{c.key}_std"] if c.key in with_std else [c.key])]
+    head = [
+        name for c in table.columns for name in ([c.key, f"{c.key}_std"] if c.key in with_std else [c.key])
+    ]
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(["kind", *head, "note"])
@@ -60,8 +99,13 @@ def comma_separated(table: Table) -> str:
             if row.kind != "ours" and cell.value is not None and cell.std is None:
                 line.append(cell.text)  # as printed in the paper
             else:
-                line.append(_plain(cell.value) if cell.value is not None else
-                            "" if cell.text in ("–", "n/a", "·") else cell.text)
+                line.append(
+                    _plain(cell.value)
+                    if cell.value is not None
+                    else ""
+                    if cell.text in ("–", "n/a", "·")
+                    else cell.text
+                )
             if column.key in with_std:
                 line.append(_plain(cell.std) if cell.std is not None else "")
         writer.writerow([*line, row.mark])
@@ -70,10 +114,17 @@ def comma_separated(table: Table) -> str:
 
 def latex(table: Table) -> str:
     r"""A table environment with booktabs rules; the paper's and our rows are parted by a \midrule."""
-    out = ["% needs \\usepackage{booktabs}", r"\begin{table}", r"\centering",
-           rf"\caption{{{escape(table.title)}}}", rf"\label{{tab:{table.slug}}}",
-           r"\begin{tabular}{" + "".join("r" if c.number else "l" for c in table.columns) + "}", r"\toprule",
-           " & ".join(escape(c.header) for c in table.columns) + r" \\", r"\midrule"]
+    out = [
+        "% needs \\usepackage{booktabs}",
+        r"\begin{table}",
+        r"\centering",
+        rf"\caption{{{escape(table.title)}}}",
+        rf"\label{{tab:{table.slug}}}",
+        r"\begin{tabular}{" + "".join("r" if c.number else "l" for c in table.columns) + "}",
+        r"\toprule",
+        " & ".join(escape(c.header) for c in table.columns) + r" \\",
+        r"\midrule",
+    ]
     previous = None
     for row in table.rows:
         ours = row.kind == "ours"
@@ -82,7 +133,9 @@ def latex(table: Table) -> str:
         previous = ours
         out.append(" & ".join(escape(_shown(table, row, c)) for c in table.columns) + r" \\")
     out += [r"\bottomrule", r"\end{tabular}"]
-    notes = ([table.caption] if table.caption else []) + [f"{mark} {note}".strip() for mark, note in table.footnotes]
+    notes = ([table.caption] if table.caption else []) + [
+        f"{mark} {note}".strip() for mark, note in table.footnotes
+    ]
     out += [r"\par\smallskip\footnotesize " + r" \\ ".join(escape(note) for note in notes)] if notes else []
     return "\n".join([*out, r"\end{table}", ""])
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from .strips import Strip
+from .strips import DIFFERENCE_GAIN, Strip
 from .summary import Summary
 from .table import Table
 
@@ -23,18 +23,34 @@ class CurvePlot:
     dark: str
 
 
-def render_page(summary: Summary, paper_tables: Sequence[Table], our_tables: Sequence[Table],
-                plots: Sequence[CurvePlot], strips: Sequence[Strip]) -> str:
+def render_page(
+    summary: Summary,
+    paper_tables: Sequence[Table],
+    our_tables: Sequence[Table],
+    plots: Sequence[CurvePlot],
+    strips: Sequence[Strip],
+) -> str:
     """HTML text. Text is escaped by the template engine; images become data URIs."""
-    environment = Environment(loader=FileSystemLoader(Path(__file__).parent), autoescape=True,
-                              undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
     environment.filters["svg_uri"] = lambda svg: _data_uri("image/svg+xml", svg.encode())
-    environment.filters["png_uri"] = lambda png: _data_uri("image/png", png)
+    environment.filters["webp_uri"] = lambda webp: _data_uri("image/webp", webp)
     own = {table.slug: table for table in our_tables}
     return environment.get_template("page.html").render(
-        summary=summary, paper_tables=paper_tables, verdicts=own["ablation_verdicts"],
+        summary=summary,
+        paper_tables=paper_tables,
+        verdicts=own["ablation_verdicts"],
         scene_tables=[t for t in our_tables if t.slug.startswith("scenes_")],
-        raw_tables=[own["all_runs"], own["provenance"]], plots=plots, strips=_by_group(strips))
+        raw_tables=[own["all_runs"], own["provenance"]],
+        plots=plots,
+        strips=_by_group(strips),
+        difference_gain=DIFFERENCE_GAIN,
+    )
 
 
 def _by_group(strips: Sequence[Strip]) -> Mapping[tuple[str, str], list[Strip]]:

@@ -1,46 +1,71 @@
-"""Our own tables: the ablation verdicts, each family's scenes, every run, and where each number comes from."""
+"""Our own tables: ablation verdicts, each family's scenes, every run, where each number comes from."""
 
 from __future__ import annotations
 
 import pandas as pd
 
 from . import scenes
-from .aggregate import FORMULA, Verdict, ordered, over_seeds, select, trains, verdict
+from .aggregate import FORMULA, Verdict, over_seeds, select, trains, verdict
 from .collect import PROTOCOLS, Collection
 from .table import Cell, Column, Row, Table, measured, number, text
 from .tables import PROTOCOL_NOTE
 
-_FAMILY_TITLE = {"synthetic": "Synthetic suite", "dnerf": "D-NeRF per scene", "plenoptic": "Plenoptic Video in detail",
-                 "other": "Other scenes"}
+_FAMILY_TITLE = {
+    "synthetic": "Synthetic suite",
+    "dnerf": "D-NeRF per scene",
+    "plenoptic": "Plenoptic Video in detail",
+    "other": "Other scenes",
+}
 
 
 def run_tables(collection: Collection) -> list[Table]:
-    """All of them, in reading order; a family without runs (D-NeRF excepted: its empty rows say so) is left out."""
+    """All, in reading order; a family without runs is left out, except D-NeRF: its rows are empty."""
     runs = collection.runs
-    families = [scene_table(runs, family) for family in _FAMILY_TITLE
-                if family == "dnerf" or (runs["scene"].map(scenes.family) == family).any()]
+    families = [
+        scene_table(runs, family)
+        for family in _FAMILY_TITLE
+        if family == "dnerf" or (runs["scene"].map(scenes.family) == family).any()
+    ]
     return [verdicts(runs), *families, all_runs(runs), provenance(runs)]
 
 
 def verdicts(runs: pd.DataFrame) -> Table:
     """Is each ablation worse than `full` on the scene made for it?"""
-    columns = (Column("ablation", "Ablation", False), Column("scene", "Made for it", False),
-               Column("train", "Schedule", False), Column("protocol", "Model", False),
-               Column("full_psnr", "full, PSNR"), Column("ablation_psnr", "ablation, PSNR"),
-               Column("difference", "full − ablation"), Column("two_se", "2 SE"), Column("verdict", "Verdict", False))
+    columns = (
+        Column("ablation", "Ablation", False),
+        Column("scene", "Made for it", False),
+        Column("train", "Schedule", False),
+        Column("protocol", "Model", False),
+        Column("full_psnr", "full, PSNR"),
+        Column("ablation_psnr", "ablation, PSNR"),
+        Column("difference", "full − ablation"),
+        Column("two_se", "2 SE"),
+        Column("verdict", "Verdict", False),
+    )
     rows = []
     for made in scenes.MADE_FOR:
         head = {"ablation": text(made.ablation), "scene": text(made.scene)}
         our_trains = trains(runs, [made.scene])
         for train in our_trains:
             for protocol in PROTOCOLS:
-                rows.append(Row(head | {"train": text(train), "protocol": text(protocol.replace("_", " "))}
-                                | _verdict_cells(runs, made, train, f"{protocol}.psnr")))
+                rows.append(
+                    Row(
+                        head
+                        | {"train": text(train), "protocol": text(protocol.replace("_", " "))}
+                        | _verdict_cells(runs, made, train, f"{protocol}.psnr")
+                    )
+                )
         if not our_trains:
             rows.append(Row(head | {"verdict": text("no run")}))
     reasons = tuple(("", f"{made.scene} for {made.ablation}: {made.reason}.") for made in scenes.MADE_FOR)
-    return Table("ablation_verdicts", "Does each part earn its place? Ablations on the scenes made for them", columns,
-                 tuple(rows), caption=FORMULA, notes=reasons + (PROTOCOL_NOTE,))
+    return Table(
+        "ablation_verdicts",
+        "Does each part earn its place? Ablations on the scenes made for them",
+        columns,
+        tuple(rows),
+        caption=FORMULA,
+        notes=reasons + (PROTOCOL_NOTE,),
+    )
 
 
 def _verdict_cells(runs: pd.DataFrame, made: scenes.MadeFor, train: str, metric: str) -> dict[str, Cell]:
@@ -48,30 +73,46 @@ def _verdict_cells(runs: pd.DataFrame, made: scenes.MadeFor, train: str, metric:
     if found is None:
         lacking = [name for name in ("full", made.ablation) if select(runs, made.scene, name, train).empty]
         return {"verdict": text(f"no run of {' and '.join(lacking)}" if lacking else "not measured")}
-    return {"full_psnr": measured(found.full), "ablation_psnr": measured(found.ablation),
-            "difference": number(found.difference), "two_se": number(2 * found.standard_error),
-            "verdict": text(_sentence(found))}
+    return {
+        "full_psnr": measured(found.full),
+        "ablation_psnr": measured(found.ablation),
+        "difference": number(found.difference),
+        "two_se": number(2 * found.standard_error),
+        "verdict": text(_sentence(found)),
+    }
 
 
 def _sentence(found: Verdict) -> str:
     """The verdict's word and, where it is not the hoped-for one, that."""
     if found.word == "too few seeds":
         return f"too few seeds ({min(found.full.n, found.ablation.n)} of 3)"
-    return {"worse": "worse, as it should be", "better": "NOT worse: better",
-            "no difference shown": "NOT shown to be worse"}[found.word]
+    return {
+        "worse": "worse, as it should be",
+        "better": "NOT worse: better",
+        "no difference shown": "NOT shown to be worse",
+    }[found.word]
 
 
 def scene_table(runs: pd.DataFrame, family: str) -> Table:
     """Every scene of a family × schedule × ablation, `final` and `best on test` side by side."""
-    columns = (Column("scene", "Scene", False), Column("train", "Schedule", False),
-               Column("ablation", "Ablation", False), Column("seeds", "Seeds"),
-               Column("final_psnr", "PSNR ↑ final"), Column("best_psnr", "PSNR ↑ best on test"),
-               Column("final_ssim", "SSIM ↑ final"), Column("best_ssim", "SSIM ↑ best on test"),
-               Column("final_lpips_vgg", "LPIPS-VGG ↓ final"), Column("n_gaussians", "Gaussians"),
-               Column("train_seconds", "Train s"), Column("full_minus", "full − this, PSNR"),
-               Column("two_se", "2 SE"), Column("verdict", "vs full", False))
+    columns = (
+        Column("scene", "Scene", False),
+        Column("train", "Schedule", False),
+        Column("ablation", "Ablation", False),
+        Column("seeds", "Seeds"),
+        Column("final_psnr", "PSNR ↑ final"),
+        Column("best_psnr", "PSNR ↑ best on test"),
+        Column("full_minus", "full − this, PSNR"),
+        Column("two_se", "2 SE"),
+        Column("verdict", "vs full", False),
+        Column("final_ssim", "SSIM ↑ final"),
+        Column("best_ssim", "SSIM ↑ best on test"),
+        Column("final_lpips_vgg", "LPIPS-VGG ↓ final"),
+        Column("n_gaussians", "Gaussians"),
+        Column("train_seconds", "Train s"),
+    )
     present = runs[runs["scene"].map(scenes.family) == family]
-    listed = scenes.DNERF if family == "dnerf" else ordered(present["scene"], scenes.PLENOPTIC)
+    listed = scenes.DNERF if family == "dnerf" else scenes.in_order(present["scene"])
     rows = []
     for scene in listed:
         of_scene = present[present["scene"] == scene]
@@ -79,10 +120,14 @@ def scene_table(runs: pd.DataFrame, family: str) -> Table:
             rows.append(Row({"scene": text(scene)}))
         for train in sorted(of_scene["train"].unique()):
             names = of_scene[of_scene["train"] == train]["ablation"]
-            for name in ordered(names, ("full", *scenes.ABLATIONS[:3])):
-                rows.append(Row({"scene": text(scene), "train": text(train), "ablation": text(name)}
-                                | _scene_cells(of_scene, scene, name, train)))
-    notes = [PROTOCOL_NOTE, *_lpips_notes(present)]
+            for name in scenes.ablations_in_order(names):
+                rows.append(
+                    Row(
+                        {"scene": text(scene), "train": text(train), "ablation": text(name)}
+                        | _scene_cells(of_scene, scene, name, train)
+                    )
+                )
+    notes = [PROTOCOL_NOTE, *_gap_notes(present)]
     if any("verdict" in row.cells for row in rows):
         notes.append(("", "vs full: final PSNR, by the rule of the ablation verdicts."))
     return Table(f"scenes_{family}", _FAMILY_TITLE[family], columns, tuple(rows), notes=tuple(notes))
@@ -92,53 +137,122 @@ def _scene_cells(runs: pd.DataFrame, scene: str, ablation: str, train: str) -> d
     def cell(metric: str, decimals: int) -> Cell:
         return measured(over_seeds(runs, scene, ablation, train, metric), decimals)
 
-    cells = {"seeds": number(len(select(runs, scene, ablation, train)), 0),
-             "final_psnr": cell("final.psnr", 2), "best_psnr": cell("best_on_test.psnr", 2),
-             "final_ssim": cell("final.ssim", 4), "best_ssim": cell("best_on_test.ssim", 4),
-             "final_lpips_vgg": cell("final.lpips_vgg", 3),
-             "n_gaussians": cell("n_gaussians", 0), "train_seconds": cell("train_seconds", 0)}
+    cells = {
+        "seeds": number(len(select(runs, scene, ablation, train)), 0),
+        "final_psnr": cell("final.psnr", 2),
+        "best_psnr": cell("best_on_test.psnr", 2),
+        "final_ssim": cell("final.ssim", 3),
+        "best_ssim": cell("best_on_test.ssim", 3),
+        "final_lpips_vgg": cell("final.lpips_vgg", 3),
+        "n_gaussians": cell("n_gaussians", 0),
+        "train_seconds": cell("train_seconds", 0),
+    }
     found = verdict(runs, scene, ablation, train, "final.psnr") if ablation != "full" else None
     if found is None:
         dash = text("·")  # nothing to compare: this is `full`, or `full` has no run
         return cells | {"full_minus": dash, "two_se": dash, "verdict": dash}
-    return cells | {"full_minus": number(found.difference), "two_se": number(2 * found.standard_error),
-                    "verdict": text(found.word)}
+    return cells | {
+        "full_minus": number(found.difference),
+        "two_se": number(2 * found.standard_error),
+        "verdict": text(found.word),
+    }
 
 
 def all_runs(runs: pd.DataFrame) -> Table:
     """One row a run: quality and cost."""
-    columns = (Column("run", "Run", False), Column("final_psnr", "PSNR final"), Column("best_psnr", "PSNR best on test"),
-               Column("best_iteration", "at iteration"), Column("final_ssim", "SSIM"), Column("final_ms_ssim", "MS-SSIM"),
-               Column("final_dssim1", "DSSIM1"), Column("final_dssim2", "DSSIM2"),
-               Column("final_lpips_alex", "LPIPS-Alex"), Column("final_lpips_vgg", "LPIPS-VGG"),
-               Column("fps_raster", "FPS raster"), Column("fps_render", "FPS render"), Column("iterations", "Iterations"),
-               Column("train_seconds", "Train s"), Column("n_gaussians", "Gaussians"), Column("n_alive", "alive/frame"),
-               Column("model_mb", "Model MB"), Column("model_with_optimiser_mb", "+ optimiser MB"),
-               Column("peak_rss_mb", "Peak RSS MB"))
-    source = {"final_psnr": ("final.psnr", 2), "best_psnr": ("best_on_test.psnr", 2),
-              "best_iteration": ("best_on_test.iteration", 0), "final_ssim": ("final.ssim", 4),
-              "final_ms_ssim": ("final.ms_ssim", 4), "final_dssim1": ("final.dssim1", 4),
-              "final_dssim2": ("final.dssim2", 4), "final_lpips_alex": ("final.lpips_alex", 3),
-              "final_lpips_vgg": ("final.lpips_vgg", 3), "fps_raster": ("final.fps_raster", 1),
-              "fps_render": ("final.fps_render", 1), "iterations": ("iterations", 0),
-              "train_seconds": ("train_seconds", 1), "n_gaussians": ("n_gaussians", 0),
-              "n_alive": ("n_alive_mean", 0), "model_mb": ("model_mb", 1),
-              "model_with_optimiser_mb": ("model_with_optimiser_mb", 1), "peak_rss_mb": ("peak_rss_mb", 0)}
-    rows = tuple(Row({"run": text(row["run"]), **{key: number(row[metric], decimals)
-                                                  for key, (metric, decimals) in source.items()}})
-                 for row in runs.to_dict("records"))
-    return Table("all_runs", "Every run", columns, rows, notes=(
-        *_lpips_notes(runs),
-        ("", "FPS raster: rasterizing alone; FPS render: with slicing and sorting. Train s: without evaluation.")))
+    columns = (
+        Column("run", "Run", False),
+        Column("final_psnr", "PSNR final"),
+        Column("best_psnr", "PSNR best on test"),
+        Column("best_iteration", "at iteration"),
+        Column("final_ssim", "SSIM"),
+        Column("final_ms_ssim", "MS-SSIM"),
+        Column("final_dssim1", "DSSIM1"),
+        Column("final_dssim2", "DSSIM2"),
+        Column("final_lpips_alex", "LPIPS-Alex"),
+        Column("final_lpips_vgg", "LPIPS-VGG"),
+        Column("fps_raster", "FPS raster"),
+        Column("fps_render", "FPS render"),
+        Column("iterations", "Iterations"),
+        Column("train_seconds", "Train s"),
+        Column("n_gaussians", "Gaussians"),
+        Column("n_alive", "alive/frame"),
+        Column("model_mb", "Model MB"),
+        Column("model_with_optimiser_mb", "+ optimiser MB"),
+        Column("peak_rss_mb", "Peak RSS MB"),
+    )
+    source = {
+        "final_psnr": ("final.psnr", 2),
+        "best_psnr": ("best_on_test.psnr", 2),
+        "best_iteration": ("best_on_test.iteration", 0),
+        "final_ssim": ("final.ssim", 4),
+        "final_ms_ssim": ("final.ms_ssim", 4),
+        "final_dssim1": ("final.dssim1", 4),
+        "final_dssim2": ("final.dssim2", 4),
+        "final_lpips_alex": ("final.lpips_alex", 3),
+        "final_lpips_vgg": ("final.lpips_vgg", 3),
+        "fps_raster": ("final.fps_raster", 1),
+        "fps_render": ("final.fps_render", 1),
+        "iterations": ("iterations", 0),
+        "train_seconds": ("train_seconds", 1),
+        "n_gaussians": ("n_gaussians", 0),
+        "n_alive": ("n_alive_mean", 0),
+        "model_mb": ("model_mb", 1),
+        "model_with_optimiser_mb": ("model_with_optimiser_mb", 1),
+        "peak_rss_mb": ("peak_rss_mb", 0),
+    }
+    rows = tuple(
+        Row(
+            {
+                "run": text(row["run"]),
+                **{key: number(row[metric], decimals) for key, (metric, decimals) in source.items()},
+            }
+        )
+        for row in runs.to_dict("records")
+    )
+    return Table(
+        "all_runs",
+        "Every run",
+        columns,
+        rows,
+        notes=(
+            *_gap_notes(runs),
+            (
+                "",
+                "FPS raster: blending alone; FPS render: with slicing, sorting. Train s: without evaluation.",
+            ),
+        ),
+    )
 
 
 def provenance(runs: pd.DataFrame) -> Table:
     """Machine, date, commit and command of every run."""
-    columns = tuple(Column(key, header, False) for key, header in (
-        ("run", "Run"), ("machine", "Machine"), ("date", "Date"), ("git_commit", "Commit"), ("command", "Command")))
-    return Table("provenance", "Where the numbers come from", columns, tuple(
-        Row({column.key: text(str(row[column.key])) for column in columns}) for row in runs.to_dict("records")))
+    columns = tuple(
+        Column(key, header, False)
+        for key, header in (
+            ("run", "Run"),
+            ("machine", "Machine"),
+            ("date", "Date"),
+            ("git_commit", "Commit"),
+            ("command", "Command"),
+        )
+    )
+    return Table(
+        "provenance",
+        "Where the numbers come from",
+        columns,
+        tuple(
+            Row({column.key: text(str(row[column.key])) for column in columns})
+            for row in runs.to_dict("records")
+        ),
+    )
 
 
-def _lpips_notes(runs: pd.DataFrame) -> list[tuple[str, str]]:
-    return [("", f"LPIPS: {note}") for note in sorted(set(runs["lpips_note"])) if note]
+def _gap_notes(runs: pd.DataFrame) -> list[tuple[str, str]]:
+    """Why LPIPS or MS-SSIM is missing, as the runs say."""
+    return [
+        ("", f"{name}: {note}")
+        for name, column in (("LPIPS", "lpips_note"), ("MS-SSIM", "ms_ssim_note"))
+        for note in sorted(set(runs[column]))
+        if note
+    ]

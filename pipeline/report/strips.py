@@ -1,8 +1,8 @@
 """Render | truth | difference strips from the images a run left in renders/.
 
-For each scene and schedule: the median and the worst view of `full`, then the same median view of each ablation, so
-that the eye compares like with like. The median is shown because it is what the number stands for, the worst because
-a mean hides it.
+For each scene and schedule: the median and the worst view of `full`, then the same median view of each
+ablation, so that the eye compares like with like. The median is shown because it is what the number stands
+for, the worst because a mean hides it.
 """
 
 from __future__ import annotations
@@ -15,16 +15,17 @@ import pandas as pd
 from PIL import Image, UnidentifiedImageError
 
 from . import scenes
-from .aggregate import ordered
 
 PARTS = ("render", "truth", "difference")
 _MAX_SIDE = 512  # a wider view is shrunk: the page must stay mailable
 _GAP = 6  # pixels between the parts
+_QUALITY = 90  # of 100: no loss the eye finds; the exact images stay in the run's renders/
+DIFFERENCE_GAIN = 4  # pipeline/evaluate.py writes |render - truth| so many times brighter
 
 
 @dataclass(frozen=True)
 class Strip:
-    """One picture for the page; `png` holds render, truth and difference side by side."""
+    """One picture for the page; `webp` holds render, truth and difference side by side."""
 
     scene: str
     ablation: str
@@ -33,41 +34,44 @@ class Strip:
     view: str
     why: str  # median | worst | shown: how the view was picked
     psnr: float | None  # of this view, dB
-    png: bytes
+    webp: bytes
 
     @property
     def filename(self) -> str:
         """Unique among strips, safe in any file system."""
         words = (self.scene, self.ablation, self.train, f"seed{self.seed}", self.why, self.view)
-        return "".join(c if c.isalnum() or c in "-_." else "_" for c in "__".join(words)) + ".png"
+        return "".join(c if c.isalnum() or c in "-_." else "_" for c in "__".join(words)) + ".webp"
 
 
 def make_strips(runs: pd.DataFrame) -> tuple[list[Strip], list[str]]:
     """Strips in the report's order, and one warning line for each image that could not be read."""
     strips: list[Strip] = []
     warnings: list[str] = []
-    listed = ordered(runs["scene"], (*(m.scene for m in scenes.MADE_FOR), *scenes.DNERF, *scenes.PLENOPTIC))
-    for scene in listed:
+    for scene in scenes.in_order(runs["scene"]):
         for train in sorted(runs[runs["scene"] == scene]["train"].unique()):
             group = runs[(runs["scene"] == scene) & (runs["train"] == train)]
-            chosen: list[tuple[str, str]] = []  # (why, view): fixed by the first run, so all show the same view
-            for name in ordered(group["ablation"], ("full", *scenes.ABLATIONS[:3])):
+            chosen: list[
+                tuple[str, str]
+            ] = []  # (why, view): fixed by the first run, so all show the same view
+            for name in scenes.ablations_in_order(group["ablation"]):
                 row = group[group["ablation"] == name].sort_values("seed").iloc[0]
                 folder = Path(row["folder"])
                 psnr_of = _psnr_by_view(folder / "per_image.csv")
                 chosen = chosen or choose_views(folder / "renders", psnr_of)
                 for why, view in chosen if name == "full" else chosen[:1]:
                     try:
-                        png = compose([folder / "renders" / f"{view}_{part}.png" for part in PARTS])
+                        webp = compose([folder / "renders" / f"{view}_{part}.png" for part in PARTS])
                     except (OSError, UnidentifiedImageError) as error:
                         warnings.append(f"{row['run']}: no strip of {view}: {error}")
                         continue
-                    strips.append(Strip(scene, name, train, int(row["seed"]), view, why, psnr_of.get(view), png))
+                    strips.append(
+                        Strip(scene, name, train, int(row["seed"]), view, why, psnr_of.get(view), webp)
+                    )
     return strips, warnings
 
 
 def choose_views(renders: Path, psnr_of: dict[str, float]) -> list[tuple[str, str]]:
-    """(why, view): the median and the worst by PSNR; without PSNRs the middle one by name; [] without images."""
+    """(why, view): median and worst by PSNR; without PSNRs the middle one by name; [] without images."""
     views = sorted(p.name.removesuffix("_render.png") for p in renders.glob("*_render.png"))
     known = sorted((psnr_of[v], v) for v in views if v in psnr_of)
     if not known:
@@ -77,7 +81,7 @@ def choose_views(renders: Path, psnr_of: dict[str, float]) -> list[tuple[str, st
 
 
 def compose(paths: list[Path]) -> bytes:
-    """The images side by side as PNG, gaps transparent; a view larger than 512 pixels is shrunk."""
+    """The images side by side as WebP, gaps transparent; a view larger than 512 pixels is shrunk."""
     images = []
     for path in paths:
         with Image.open(path) as image:
@@ -86,15 +90,17 @@ def compose(paths: list[Path]) -> bytes:
     size = (max(1, round(images[0].width * scale)), max(1, round(images[0].height * scale)))
     strip = Image.new("RGBA", (len(images) * size[0] + (len(images) - 1) * _GAP, size[1]), (0, 0, 0, 0))
     for i, image in enumerate(images):
-        strip.paste(image if image.size == size else image.resize(size, Image.Resampling.LANCZOS),
-                    (i * (size[0] + _GAP), 0))
+        strip.paste(
+            image if image.size == size else image.resize(size, Image.Resampling.LANCZOS),
+            (i * (size[0] + _GAP), 0),
+        )
     buffer = io.BytesIO()
-    strip.save(buffer, "PNG", optimize=True)
+    strip.save(buffer, "WEBP", quality=_QUALITY)
     return buffer.getvalue()
 
 
 def _psnr_by_view(path: Path) -> dict[str, float]:
-    """per_image.csv: view (as in file names, / as _) -> PSNR of the last iteration's model; {} if it can't be read."""
+    """per_image.csv: view (/ as _, as in file names) -> PSNR of the final model; {} if it can't be read."""
     try:
         table = pd.read_csv(path)
     except (OSError, ValueError):
@@ -103,5 +109,8 @@ def _psnr_by_view(path: Path) -> dict[str, float]:
         return {}
     if "model" in table:
         table = table[table["model"] == "final"]
-    return {str(view).replace("/", "_"): float(psnr)
-            for view, psnr in zip(table["view"], pd.to_numeric(table["psnr"], errors="coerce")) if psnr == psnr}
+    return {
+        str(view).replace("/", "_"): float(psnr)
+        for view, psnr in zip(table["view"], pd.to_numeric(table["psnr"], errors="coerce"))
+        if psnr == psnr
+    }

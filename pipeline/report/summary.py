@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import pandas as pd
 
 from . import scenes
-from .aggregate import ordered, over_seeds, select, trains, verdict
+from .aggregate import over_seeds, select, trains, verdict
 from .collect import Collection
 from .table import measured
 
@@ -56,32 +56,47 @@ def summarise(collection: Collection, strip_warnings: Sequence[str] = ()) -> Sum
     dates = sorted(d[:10] for d in runs["date"] if d != "unknown")
     return Summary(
         runs=len(runs),
-        headlines=tuple(_headline(runs, scene, train)
-                        for scene in ordered(runs["scene"], (*(m.scene for m in scenes.MADE_FOR), *scenes.DNERF))
-                        for train in trains(runs, [scene], "full")),
+        headlines=tuple(
+            _headline(runs, scene, train)
+            for scene in scenes.in_order(runs["scene"])
+            for train in trains(runs, [scene], "full")
+        ),
         holdings=tuple(h for made in scenes.MADE_FOR for h in _holdings(runs, made)),
         missing=_missing(runs),
-        left_out=collection.left_out, warnings=(*collection.warnings, *strip_warnings),
-        machines=tuple(sorted(set(runs["machine"]))), commits=tuple(sorted(set(runs["git_commit"]))),
-        dates=" to ".join(dict.fromkeys((dates[0], dates[-1]))) if dates else "unknown")
+        left_out=collection.left_out,
+        warnings=(*collection.warnings, *strip_warnings),
+        machines=tuple(sorted(set(runs["machine"]))),
+        commits=tuple(sorted(set(runs["git_commit"]))),
+        dates=" to ".join(dict.fromkeys((dates[0], dates[-1]))) if dates else "unknown",
+    )
 
 
 def summary_markdown(summary: Summary) -> str:
     """The first screen of report.md."""
-    lines = [f"{summary.runs} runs; dates: {summary.dates}; machine: {'; '.join(summary.machines)}; "
-             f"commit: {', '.join(summary.commits)}.", ""]
-    lines += [f"- **{h.scene}**, {h.train}: {h.psnr} dB final, {h.best} dB best on test, {h.seconds} s of training, "
-              f"{h.seeds} seed{'s' if h.seeds != 1 else ''}" for h in summary.headlines]
+    lines = [
+        f"{summary.runs} runs; dates: {summary.dates}; machine: {'; '.join(summary.machines)}; "
+        f"commit: {', '.join(summary.commits)}.",
+        "",
+    ]
+    lines += [
+        f"- **{h.scene}**, {h.train}: {h.psnr} dB final, {h.best} dB best on test, {h.seconds} s training, "
+        f"{h.seeds} seed{'s' if h.seeds != 1 else ''}"
+        for h in summary.headlines
+    ]
     lines += [f"- {h.ablation} on {h.scene}: {h.sentence}" for h in summary.holdings]
     lines += [f"- {line}" for line in (*summary.missing, *summary.left_out, *summary.warnings)]
     return "\n".join(lines) + "\n"
 
 
 def _headline(runs: pd.DataFrame, scene: str, train: str) -> Headline:
-    return Headline(scene, train, measured(over_seeds(runs, scene, "full", train, "final.psnr")).text,
-                    measured(over_seeds(runs, scene, "full", train, "best_on_test.psnr")).text,
-                    measured(over_seeds(runs, scene, "full", train, "train_seconds"), 0).text,
-                    len(select(runs, scene, "full", train)))
+    return Headline(
+        scene,
+        train,
+        measured(over_seeds(runs, scene, "full", train, "final.psnr")).text,
+        measured(over_seeds(runs, scene, "full", train, "best_on_test.psnr")).text,
+        measured(over_seeds(runs, scene, "full", train, "train_seconds"), 0).text,
+        len(select(runs, scene, "full", train)),
+    )
 
 
 def _holdings(runs: pd.DataFrame, made: scenes.MadeFor) -> list[Holding]:
@@ -96,21 +111,32 @@ def _holdings(runs: pd.DataFrame, made: scenes.MadeFor) -> list[Holding]:
         else:
             state = "good" if result.word == "worse" else "bad"
             rule = f"2 SE = {2 * result.standard_error:.2f} dB"
-            sentence = {"worse": f"worse than full: {by}, {rule} ({train})",
-                        "better": f"NOT worse than full but better: {by}, {rule} ({train})",
-                        "no difference shown": f"NOT shown to be worse than full: {by}, {rule} ({train})"}[result.word]
+            sentence = {
+                "worse": f"worse than full: {by}, {rule} ({train})",
+                "better": f"NOT worse than full but better: {by}, {rule} ({train})",
+                "no difference shown": f"NOT shown to be worse than full: {by}, {rule} ({train})",
+            }[result.word]
         found.append(Holding(made.ablation, made.scene, sentence, state))
     return found or [Holding(made.ablation, made.scene, "no runs to compare", "open")]
 
 
 def _missing(runs: pd.DataFrame) -> tuple[str, ...]:
     lines = []
-    for title, wanted in (("Table 1 (Plenoptic Video)", scenes.PLENOPTIC), ("Table 2 (D-NeRF)", scenes.DNERF)):
+    for title, wanted in (
+        ("Table 1 (Plenoptic Video)", scenes.PLENOPTIC),
+        ("Table 2 (D-NeRF)", scenes.DNERF),
+    ):
         have = runs[runs["scene"].isin(wanted) & (runs["ablation"] == "full")]["scene"].nunique()
         if have < len(wanted):
-            lines.append(f"{title}: {f'{have} of {len(wanted)} scenes have' if have else 'no scene has'} a run of "
-                         f"full; {'the mean is over those' if have else 'our cells are empty'}.")
+            lines.append(
+                f"{title}: {f'{have} of {len(wanted)} scenes have' if have else 'no scene has'} a run of "
+                f"full; {'the mean is over those' if have else 'our cells are empty'}."
+            )
     have = runs[runs["scene"].isin(scenes.TABLE3)]
-    if not all(((have["scene"] == s) & (have["ablation"] == a)).any() for s in scenes.TABLE3 for a in scenes.ABLATIONS):
+    if not all(
+        ((have["scene"] == s) & (have["ablation"] == a)).any()
+        for s in scenes.TABLE3
+        for a in scenes.ABLATIONS
+    ):
         lines.append("Table 3 (ablations on Plenoptic Video): cells without a run are empty.")
     return tuple(lines)

@@ -63,11 +63,19 @@ class Table:
     def footnotes(self) -> tuple[tuple[str, str], ...]:
         """`notes` and what the marks –, n/a, ± and an empty cell mean, as far as they occur."""
         cells = [self.cell(row, column) for row in self.rows for column in self.columns]
-        legend = [(EMPTY_NOTE, any(c == NO_RUN for c in cells)),
-                  (NOT_REPORTED_NOTE, any(c == NOT_REPORTED for c in cells)),
-                  (NOT_MEASURED_NOTE, any(c == NOT_MEASURED for c in cells)),
-                  (SEEDS_NOTE, any(row.kind == "ours" and c.value is not None
-                                   for row in self.rows for c in row.cells.values()))]
+        legend = [
+            (EMPTY_NOTE, any(c == NO_RUN for c in cells)),
+            (NOT_REPORTED_NOTE, any(c == NOT_REPORTED for c in cells)),
+            (NOT_MEASURED_NOTE, any(c == NOT_MEASURED for c in cells)),
+            (
+                SEEDS_NOTE,
+                any(
+                    row.kind == "ours" and c.value is not None
+                    for row in self.rows
+                    for c in row.cells.values()
+                ),
+            ),
+        ]
         return self.notes + tuple(("", text) for text, occurs in legend if occurs)
 
 

@@ -1,8 +1,9 @@
 """Tells runs apart that carry one name but not one set of settings.
 
-`train=fast train.iterations=600` is still called `fast`. Averaged with true `fast` runs it would be a number that
-no command prints, so inside a scene all runs with one `train` name (and one `ablation` name) are compared key by
-key; those that differ from most get the differing keys in their name: `fast (iterations=600)`.
+`train=fast train.iterations=600` is still called `fast`. Averaged with true `fast` runs it would be a number
+that no command prints, so inside a scene all runs with one `train` name (and one `ablation` name) are
+compared key by key; those that differ from most get the differing keys in
+their name, as `fast (iterations=600)`.
 """
 
 from __future__ import annotations
@@ -17,39 +18,55 @@ import pandas as pd
 
 from .collect import Collection
 
-# Keys that may differ between runs of one experiment: the seed, where things lie, how many threads (images and
-# gradients do not depend on it), how often a checkpoint is written and what is written besides the metrics.
-_FREE = ("seed", "out", "threads", "resume", "scene.cache", "train.checkpoint_every", "train.checkpoint_keep_moments",
-         "evaluate.renders", "evaluate.lpips", "evaluate.speed_repeats", "evaluate.best_on_test", "hydra")
+# Keys that may differ between runs of one experiment: the seed, where things lie, how many threads (images
+# and gradients do not depend on it), how often a checkpoint is written and what is written besides the
+# metrics.
+_FREE = (
+    "seed",
+    "out",
+    "threads",
+    "resume",
+    "scene.cache",
+    "train.checkpoint_every",
+    "train.checkpoint_keep_moments",
+    "evaluate",
+    "hydra",
+)
 _SHOWN = 3  # differing keys spelled out in a name
 
 
 def name_variants(collection: Collection) -> Collection:
-    """The same runs under names that are equal only where the settings are; repeated runs are left out by name."""
+    """The same runs under names equal only where the settings are; repeated runs are left out, and named."""
     runs, settings = collection.runs, collection.settings
     runs = runs.assign(
         train=_distinct_names(runs, "train", {run: _of_schedule(settings[run]) for run in runs["run"]}),
-        ablation=_distinct_names(runs, "ablation", {run: _of_ablation(settings[run]) for run in runs["run"]}))
+        ablation=_distinct_names(runs, "ablation", {run: _of_ablation(settings[run]) for run in runs["run"]}),
+    )
 
     key = ["scene", "ablation", "train", "seed"]
     repeated = runs.duplicated(key)
     first = runs[~repeated].set_index(key)["run"]
-    left_out = tuple(f"{row['run']}: left out: same scene, ablation, settings and seed as "
-                     f"{first[tuple(row[key])]}" for _, row in runs[repeated].iterrows())
+    left_out = tuple(
+        f"{row['run']}: left out: same scene, ablation, settings and seed as {first[tuple(row[key])]}"
+        for _, row in runs[repeated].iterrows()
+    )
     runs = runs[~repeated].reset_index(drop=True)
 
     curves = collection.curves[collection.curves["run"].isin(runs["run"])]
     renamed = runs.set_index("run")
     curves = curves.assign(**{c: curves["run"].map(renamed[c]) for c in ("train", "ablation")})
-    return replace(collection, runs=runs, curves=curves.reset_index(drop=True),
-                   left_out=collection.left_out + left_out)
+    return replace(
+        collection, runs=runs, curves=curves.reset_index(drop=True), left_out=collection.left_out + left_out
+    )
 
 
 def _distinct_names(runs: pd.DataFrame, column: str, settings: dict[str, dict[str, Any]]) -> pd.Series:
-    """`column`, with the differing keys added where a run's settings are not those most runs of its name have."""
+    """`column`, plus the differing keys where a run's settings are not those of most runs of its name."""
     names: dict[str, str] = {}
     for (_, name), group in runs.groupby(["scene", column], sort=False)["run"]:
-        texts = {run: json.dumps(settings[run], sort_keys=True, default=str) for run in group if settings[run]}
+        texts = {
+            run: json.dumps(settings[run], sort_keys=True, default=str) for run in group if settings[run]
+        }
         most = Counter(texts.values()).most_common(1)[0][0] if texts else None
         usual = next((settings[run] for run in texts if texts[run] == most), {})
         for run in group:
@@ -59,9 +76,13 @@ def _distinct_names(runs: pd.DataFrame, column: str, settings: dict[str, dict[st
 
 
 def _of_schedule(settings: dict[str, Any]) -> dict[str, Any]:
-    kept = {key: value for key, value in settings.items()
-            if not key.startswith("ablation.") and not any(key == f or key.startswith(f + ".") for f in _FREE)}
-    if kept.get("scene.path"):  # another machine keeps the same scene elsewhere; another folder is another scene
+    kept = {
+        key: value
+        for key, value in settings.items()
+        if not key.startswith("ablation.") and not any(key == f or key.startswith(f + ".") for f in _FREE)
+    }
+    # Another machine keeps the same scene elsewhere; but a folder of another name is another scene.
+    if kept.get("scene.path"):
         kept["scene.path"] = PurePath(str(kept["scene.path"])).name
     return kept
 
@@ -73,5 +94,7 @@ def _of_ablation(settings: dict[str, Any]) -> dict[str, Any]:
 def _difference(settings: dict[str, Any], usual: dict[str, Any]) -> list[str]:
     """`iterations=600` for each key whose value is not the usual one; the first three, then how many more."""
     keys = sorted(k for k in settings.keys() | usual.keys() if settings.get(k) != usual.get(k))
-    shown = [f"{key.removeprefix('train.').removeprefix('ablation.')}={settings.get(key)}" for key in keys[:_SHOWN]]
+    shown = [
+        f"{key.removeprefix('train.').removeprefix('ablation.')}={settings.get(key)}" for key in keys[:_SHOWN]
+    ]
     return shown + ([f"{len(keys) - _SHOWN} more"] if len(keys) > _SHOWN else [])

@@ -11,35 +11,53 @@ namespace splat {
 
 struct AdamStep {
     float beta1, beta2, epsilon;
+    float one_minus_beta1, one_minus_beta2;  // from double: 1.f - 0.999f is off by 1e-5
     float inverse_correction1;       // 1/(1-β1ᵗ)
     float inverse_sqrt_correction2;  // 1/√(1-β2ᵗ)
 
     AdamStep(double beta1, double beta2, double epsilon, long step)
         : beta1(static_cast<float>(beta1)), beta2(static_cast<float>(beta2)), epsilon(static_cast<float>(epsilon)),
+          one_minus_beta1(static_cast<float>(1 - beta1)), one_minus_beta2(static_cast<float>(1 - beta2)),
           inverse_correction1(static_cast<float>(1 / (1 - std::pow(beta1, step)))),
           inverse_sqrt_correction2(static_cast<float>(1 / std::sqrt(1 - std::pow(beta2, step)))) {}
 };
 
-// Rows of `columns` floats, a learning rate a column. keep: one byte a row, 0 leaves the row and its moments alone; or null.
-inline void adam_rows(float* __restrict p, const float* __restrict g, float* __restrict m, float* __restrict v, size_t rows,
-                      int columns, const float* lr, const uint8_t* keep, const AdamStep& a, int threads) {
-    const float c1 = 1 - a.beta1, c2 = 1 - a.beta2;
-#pragma omp parallel for schedule(static) num_threads(threads)
-    for (size_t r = 0; r < rows; ++r) {
-        if (keep && !keep[r]) continue;
-        for (int c = 0; c < columns; ++c) {
-            const size_t i = r * columns + c;
-            m[i] = a.beta1 * m[i] + c1 * g[i];
-            v[i] = a.beta2 * v[i] + c2 * g[i] * g[i];
-            p[i] -= lr[c] * a.inverse_correction1 * m[i] / (std::sqrt(v[i]) * a.inverse_sqrt_correction2 + a.epsilon);
-        }
-    }
+SPLAT_INLINE void adam_vector(Float& p, const Float& g, Float& m, Float& v, const Float& rate, const AdamStep& a) {
+    m = Float(a.beta1) * m + Float(a.one_minus_beta1) * g;
+    v = Float(a.beta2) * v + Float(a.one_minus_beta2) * (g * g);
+    p -= rate * m / (sqrt(v) * Float(a.inverse_sqrt_correction2) + Float(a.epsilon));
 }
 
-SPLAT_INLINE void adam_vector(Float& p, const Float& g, Float& m, Float& v, const Float& rate, const AdamStep& a) {
-    m = Float(a.beta1) * m + Float(1 - a.beta1) * g;
-    v = Float(a.beta2) * v + Float(1 - a.beta2) * (g * g);
-    p -= rate * m / (sqrt(v) * Float(a.inverse_sqrt_correction2) + Float(a.epsilon));
+// Rows of `columns` floats, a learning rate a column. keep: one byte a row, 0 leaves the row and its moments alone; or null.
+inline void adam_rows(float* p, const float* g, float* m, float* v, size_t rows, int columns, const float* lr, const uint8_t* keep,
+                      const AdamStep& a, int threads) {
+    // Rows are one long array; vector k of it has the rates of columns (16 k + lane) mod columns, which recur with k mod columns.
+    std::vector<Float> rate(columns);
+    alignas(64) float lane[kLanes];
+    for (int k = 0; k < columns; ++k) {
+        for (int l = 0; l < kLanes; ++l) lane[l] = lr[(kLanes * k + l) % columns] * a.inverse_correction1;
+        rate[k] = Float::load(lane);
+    }
+    const size_t floats = rows * columns, vectors = (floats + kLanes - 1) / kLanes;
+#pragma omp parallel for schedule(static) num_threads(threads)
+    for (size_t k = 0; k < vectors; ++k) {
+        const size_t at = k * kLanes;
+        const int n = static_cast<int>(std::min<size_t>(kLanes, floats - at));
+        const bool whole = n == kLanes;
+        auto load = [&](const float* from) { return whole ? Float::load(from + at) : Float::load_first(from + at, n); };
+        Float pk = load(p), mk = load(m), vk = load(v);
+        const Float p0 = pk, m0 = mk, v0 = vk;
+        adam_vector(pk, load(g), mk, vk, rate[k % columns], a);
+        if (keep) {
+            alignas(64) float wanted[kLanes];
+            for (int l = 0; l < n; ++l) wanted[l] = keep[(at + l) / columns] ? 1.f : 0.f;
+            for (int l = n; l < kLanes; ++l) wanted[l] = 0.f;
+            const Mask mask = Float::load(wanted) > Float(0.f);
+            pk = select(mask, pk, p0), mk = select(mask, mk, m0), vk = select(mask, vk, v0);
+        }
+        auto store = [&](const Float& value, float* to) { whole ? value.store(to + at) : value.store_first(to + at, n); };
+        store(pk, p), store(mk, m), store(vk, v);
+    }
 }
 
 // Adam on SH coefficients [N, orders · coefficients, 3], their gradient expanded chunk by chunk and never stored.

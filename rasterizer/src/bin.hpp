@@ -8,18 +8,11 @@
 #include <algorithm>
 #include <utility>
 
+#include "blocks.hpp"
 #include "frame.hpp"
 #include "vec_math.hpp"
 
 namespace splat {
-
-struct BlockCorners {
-    alignas(64) float x[16], y[16];  // first pixel of each block within its tile
-    constexpr BlockCorners() : x{}, y{} {
-        for (int b = 0; b < kBlocks; ++b) x[b] = static_cast<float>(b % 4 * kBlock), y[b] = static_cast<float>(b / 4 * kBlock);
-    }
-};
-inline constexpr BlockCorners kBlockCorner;
 
 // Bit b: the largest alpha over the pixel centres' square of block b is at least 1/255.
 // ln alpha is concave, so over a rectangle it is largest on the side facing the mean: try the nearest column and the
@@ -61,23 +54,27 @@ inline void bin(Frame& f) {
 #pragma omp parallel for schedule(static, 1) num_threads(segments)
     for (int s = 0; s < segments; ++s) {
         Frame::Segment& list = f.segments[s];
-        list.tile.clear();
-        list.mask.clear();
         list.tile_count.assign(tiles, 0);
+        size_t n_entries = 0;
         for (size_t i = segment_begin(s); i < segment_begin(s + 1); ++i) {
             const Splat& splat = f.sorted[i];
             const TileRange range = tiles_under(f, splat);
-            uint32_t count = 0;
+            const size_t most = n_entries + static_cast<size_t>(range.x1 - range.x0 + 1) * (range.y1 - range.y0 + 1);
+            if (most > list.tile.size()) {
+                list.tile.resize(most + most / 2 + 1024);
+                list.mask.resize(list.tile.size());
+            }
+            const size_t before = n_entries;
             for (int y = range.y0; y <= range.y1; ++y)
                 for (int x = range.x0; x <= range.x1; ++x) {
                     const unsigned mask = touched_blocks(splat, static_cast<float>(x * kTile), static_cast<float>(y * kTile));
-                    if (!mask) continue;
-                    const uint32_t tile = static_cast<uint32_t>(y * f.tiles_x + x);
-                    list.tile.push_back(tile);
-                    list.mask.push_back(static_cast<uint16_t>(mask));
-                    ++list.tile_count[tile];
-                    ++count;
+                    const uint32_t tile = static_cast<uint32_t>(y * f.tiles_x + x), touched = mask != 0;
+                    list.tile[n_entries] = tile;  // kept only if touched; a branch here would be a coin toss
+                    list.mask[n_entries] = static_cast<uint16_t>(mask);
+                    list.tile_count[tile] += touched;
+                    n_entries += touched;
                 }
+            const uint32_t count = static_cast<uint32_t>(n_entries - before);
             f.slot_count[splat.place] = count;
         }
     }

@@ -6,18 +6,13 @@
 // list goes by. `extra` is how many channels beyond colour are blended (depth, flow, statistics): none costs nothing.
 #pragma once
 
-#include "bin.hpp"
+#include <algorithm>
+
+#include "blocks.hpp"
 #include "frame.hpp"
 #include "vec_math.hpp"
 
 namespace splat {
-
-inline constexpr struct BlockPixels {
-    alignas(64) float x[16], y[16];
-    constexpr BlockPixels() : x{}, y{} {
-        for (int l = 0; l < kLanes; ++l) x[l] = static_cast<float>(l % kBlock), y[l] = static_cast<float>(l / kBlock);
-    }
-} kBlockPixel;
 
 // log2 of alpha before its cap, at (dx, dy) from the splat's mean.
 SPLAT_INLINE Float log2_alpha(const Splat& s, const Float& dx, const Float& dy) {
@@ -151,19 +146,11 @@ inline void write_outputs(const Frame& f, const OutputPlanes& out) {
         for (int b = 0; b < kBlocks; ++b) {
             const int x = span.x + b % 4 * kBlock, y = span.y + b / 4 * kBlock;
             const Float T = Float::load(&f.transmittance[(static_cast<size_t>(tile) * kBlocks + b) * kLanes]);
-            alignas(64) float lane[16];
-            for (int k = 0; k < 3 && out.color; ++k) {
-                (Float::load(&f.image[block_at(f, tile, k, b)]) + T * Float(f.settings.background[k])).store(lane);
-                store_block(out.color + k * plane, width, height, x, y, lane);
-            }
-            if (out.alpha) {
-                (Float(1.f) - T).store(lane);
-                store_block(out.alpha, width, height, x, y, lane);
-            }
-            for (int e = 0; e < extra; ++e) {
-                Float::load(&f.image[block_at(f, tile, 3 + e, b)]).store(lane);
-                store_block(extra_plane[e], width, height, x, y, lane);
-            }
+            auto blended = [&](int channel) { return Float::load(&f.image[block_at(f, tile, channel, b)]); };
+            for (int k = 0; k < 3 && out.color; ++k)
+                store_block(out.color + k * plane, width, height, x, y, blended(k) + T * Float(f.settings.background[k]));
+            if (out.alpha) store_block(out.alpha, width, height, x, y, Float(1.f) - T);
+            for (int e = 0; e < extra; ++e) store_block(extra_plane[e], width, height, x, y, blended(3 + e));
         }
     }
 }

@@ -43,12 +43,7 @@ inline void start_tile(const Frame& f, int tile, const TileSpan& span, const Out
     if (f.settings.stats) add(d.stats, 2);
     for (int b = 0; b < kBlocks; ++b) {
         const int x = span.x + b % 4 * kBlock, y = span.y + b / 4 * kBlock;
-        alignas(64) float lane[16];
-        auto gradient = [&](const float* p) {
-            if (!p) return Float(0.f);
-            load_block(p, width, height, x, y, lane);
-            return Float::load(lane);
-        };
+        auto gradient = [&](const float* p) { return p ? load_block(p, width, height, x, y) : Float(0.f); };
         const Float T = Float::load(&f.transmittance[(static_cast<size_t>(tile) * kBlocks + b) * kLanes]);
         Float rest = -(T * gradient(d.alpha));
         for (int k = 0; k < 3 + extra; ++k) {

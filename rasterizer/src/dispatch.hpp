@@ -4,6 +4,7 @@
 #include <stdexcept>
 #include <utility>
 
+#include "bin.hpp"
 #include "blend_backward.hpp"
 #include "gaussian_backward.hpp"
 #include "prepare.hpp"

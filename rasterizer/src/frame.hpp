@@ -37,7 +37,8 @@ struct Frame {
     Buffer<uint32_t> entry_slot;   // where its gradient goes
     Buffer<uint32_t> slot_count, slot_begin;  // per place
     struct Segment {               // one thread's share of the sorted splats
-        std::vector<uint32_t> tile, tile_count;
+        std::vector<uint32_t> tile_count;
+        std::vector<uint32_t> tile;  // of each entry; longer than there are entries, so that it is never cleared
         std::vector<uint16_t> mask;
     };
     std::vector<Segment> segments;
@@ -67,16 +68,5 @@ private:
     double& slot_;
     Clock::time_point start_;
 };
-
-// A 4×4 block of an image plane [height, width] at (x, y), lane = 4 row + column; pixels outside read as zero.
-inline void load_block(const float* plane, int width, int height, int x, int y, float (&lane)[16]) {
-    for (int r = 0; r < kBlock; ++r)
-        for (int c = 0; c < kBlock; ++c)
-            lane[4 * r + c] = (y + r < height && x + c < width) ? plane[static_cast<size_t>(y + r) * width + x + c] : 0.f;
-}
-inline void store_block(float* plane, int width, int height, int x, int y, const float (&lane)[16]) {
-    for (int r = 0; r < kBlock && y + r < height; ++r)
-        for (int c = 0; c < kBlock && x + c < width; ++c) plane[static_cast<size_t>(y + r) * width + x + c] = lane[4 * r + c];
-}
 
 }  // namespace splat

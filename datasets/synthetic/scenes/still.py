@@ -16,8 +16,8 @@ FLOOR = -0.45
 
 
 def build(rng: np.random.Generator) -> World:
-    red, blue, green, sand, white, ink = (0.78, 0.22, 0.18), (0.18, 0.38, 0.70), (0.25, 0.55, 0.32), (0.86, 0.72, 0.48), \
-        (0.93, 0.91, 0.86), (0.12, 0.13, 0.18)
+    red, blue, green = (0.78, 0.22, 0.18), (0.18, 0.38, 0.70), (0.25, 0.55, 0.32)
+    sand, white, ink = (0.86, 0.72, 0.48), (0.93, 0.91, 0.86), (0.12, 0.13, 0.18)
     floor = tiles(mottled((0.55, 0.42, 0.28), (0.78, 0.62, 0.42), 0.12, rng),
                   mottled((0.36, 0.25, 0.16), (0.54, 0.38, 0.25), 0.12, rng), 0.2)
     # The board leans back; its own z axis is its normal.

@@ -20,9 +20,9 @@ FLOOR = -0.70
 
 
 def build(rng: np.random.Generator) -> World:
-    red, cream, teal, gold, ink = (0.80, 0.20, 0.15), (0.95, 0.88, 0.72), (0.10, 0.55, 0.55), (0.90, 0.65, 0.15), \
-        (0.12, 0.14, 0.25)
-    rim = sectors([mottled(red, cream, 0.12, rng), mottled(teal, cream, 0.12, rng), mottled(gold, red, 0.12, rng)] * 2)
+    red, cream, teal = (0.80, 0.20, 0.15), (0.95, 0.88, 0.72), (0.10, 0.55, 0.55)
+    gold, ink = (0.90, 0.65, 0.15), (0.12, 0.14, 0.25)
+    rim = sectors([mottled(*pair, 0.12, rng) for pair in ((red, cream), (teal, cream), (gold, red))] * 2)
     spoke_colours = [red, teal, gold] * (SPOKES // 3)
     floor = tiles(mottled((0.38, 0.36, 0.34), (0.62, 0.60, 0.56), 0.1, rng),
                   mottled((0.16, 0.24, 0.30), (0.30, 0.42, 0.48), 0.1, rng), 0.22)
@@ -41,8 +41,9 @@ def build(rng: np.random.Generator) -> World:
         bodies.append(Body(Box((0.10, 0.10, 0.28)), Material(post), rest((x, y, FLOOR + 0.28))))
         bodies.append(Body(Sphere(0.13), Material(mottled(gold, cream, 0.1, rng), specular=0.4),
                            rest((x, y, FLOOR + 0.69))))
-    return World(bodies=tuple(bodies), lights=(Light((2.2, -1.8, 4.0), 0.35, steady(0.72, 0.68, 0.60)),
-                                               Light((-3.0, 2.5, 2.5), 0.4, steady(0.16, 0.19, 0.24), casts_shadow=False)))
+    return World(bodies=tuple(bodies), lights=(
+        Light((2.2, -1.8, 4.0), 0.35, steady(0.72, 0.68, 0.60)),
+        Light((-3.0, 2.5, 2.5), 0.4, steady(0.16, 0.19, 0.24), casts_shadow=False)))
 
 
 def _rolling(angle: float = 0.0, distance: float = 0.0) -> Motion:

@@ -1,0 +1,170 @@
+"""Every file under conf/ composes to a valid configuration, and what a user gets wrong is named in one line."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
+
+from pipeline.config import Config
+from pipeline.configure import CONFIG_DIR, known_keys, one_line, register_schema, to_config
+
+ROOT = CONFIG_DIR.parent
+
+
+def options(group: str) -> list[str]:
+    folder = CONFIG_DIR / group
+    return sorted(str(file.relative_to(folder).with_suffix("")) for file in folder.rglob("*.yaml"))
+
+
+def config_of(*overrides: str) -> Config:
+    register_schema()
+    with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
+        return to_config(compose("config", overrides=list(overrides)))
+
+
+def complaint(*overrides: str) -> str:
+    with pytest.raises(Exception) as caught:
+        config_of(*overrides)
+    line = one_line(caught.value)
+    assert "\n" not in line
+    return line
+
+
+@pytest.mark.parametrize("scene", options("scene"))
+def test_every_scene(scene: str) -> None:
+    cfg = config_of(f"scene={scene}")
+    assert cfg.scene.name == scene
+    assert cfg.out == f"results/runs/{scene}/full/paper/seed0"
+
+
+@pytest.mark.parametrize("train", options("train"))
+def test_every_schedule(train: str) -> None:
+    cfg = config_of("scene=dnerf", f"train={train}")
+    assert cfg.train.name == train
+    assert cfg.train.densify.stop <= cfg.train.iterations
+    assert all(at <= cfg.train.iterations for at in cfg.train.fourier_at)
+
+
+@pytest.mark.parametrize("ablation", options("ablation"))
+def test_every_ablation(ablation: str) -> None:
+    assert config_of("scene=dnerf", f"ablation={ablation}").ablation.name == ablation
+
+
+@pytest.mark.parametrize("scene", options("release"))
+def test_every_scene_of_the_release(scene: str) -> None:
+    cfg = config_of(f"scene={scene}", "train=release")
+    assert (cfg.train.name, cfg.scene.name) == ("release", scene)
+
+
+@pytest.mark.parametrize("experiment", options("experiment"))
+def test_every_experiment_and_every_run_of_it(experiment: str) -> None:
+    register_schema()
+    with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
+        hydra = compose("config", overrides=[f"experiment={experiment}", "scene=dnerf"], return_hydra_config=True).hydra
+        assert hydra.mode.name == "MULTIRUN"
+        sweep = OmegaConf.to_container(hydra.sweeper.params)
+        longest = max(len(values.split(",")) for values in sweep.values())
+        for i in range(longest):  # each value of each swept key at least once
+            chosen = [f"{key}={values.split(',')[i % len(values.split(','))]}" for key, values in sweep.items()]
+            to_config(compose("config", overrides=[f"experiment={experiment}", *chosen]))
+    text = (CONFIG_DIR / "experiment" / f"{experiment}.yaml").read_text()
+    assert f"python -m pipeline experiment={experiment}\n" in text, "opens with the command that runs it"
+
+
+@pytest.mark.parametrize("launcher", ["local", "joblib"])
+def test_launchers(launcher: str) -> None:
+    assert config_of("scene=dnerf", f"launcher={launcher}").threads == (1 if launcher == "joblib" else 0)
+
+
+def test_a_launcher_whose_package_is_missing() -> None:
+    pytest.importorskip("hydra_plugins")
+    try:
+        import hydra_plugins.hydra_submitit_launcher  # noqa: F401
+        config_of("scene=dnerf", "launcher=slurm")
+    except ImportError:
+        assert "submitit_slurm: no such option; is its package installed?" in complaint("scene=dnerf", "launcher=slurm")
+
+
+def test_defaults_are_the_papers() -> None:
+    cfg = config_of("scene=dnerf")  # numbers: SPEC 2, column `ours`
+    assert (cfg.train.iterations, cfg.train.batch, cfg.scene.init_points) == (30_000, 4, 100_000)
+    assert cfg.train == Config().train
+
+
+@pytest.mark.parametrize("scene, batch, points", [  # SPEC 2.1
+    ("bouncingballs", 2, 100_000), ("hellwarrior", 1, 100_000), ("hook", 8, 300_000), ("jumpingjacks", 16, 300_000),
+    ("lego", 2, 100_000), ("mutant", 8, 300_000), ("standup", 8, 300_000), ("trex", 24, 300_000)])
+def test_release_differs_from_scene_to_scene(scene: str, batch: int, points: int) -> None:
+    train = config_of(f"scene=dnerf/{scene}", "train=release").train
+    assert (train.batch, train.init_points) == (batch, points)
+    assert train.rigid_weight == (1.0 if scene == "lego" else 0.0)
+    schedule = (train.iterations, train.rate.decay_iterations, train.densify.every, train.densify.stop)
+    assert schedule == ((20_000, 15_000, 200, 10_000) if scene == "bouncingballs" else (30_000, 30_000, 100, 15_000))
+    assert train.init_box == [-1.3, 1.3] and not train.densify.use_time_gradient
+
+
+def test_the_command_line_wins_over_every_file() -> None:
+    assert config_of("scene=dnerf/trex", "train=release", "train.batch=3").train.batch == 3
+
+
+@pytest.mark.parametrize("override, expected", [
+    ("train.iteratons=5", "train.iteratons: no such key; did you mean train.iterations?"),
+    ("+train.iteratons=5", "train.iteratons: no such key; did you mean train.iterations?"),
+    ("train.rate.mea=5", "train.rate.mea: no such key; did you mean train.rate.mean?"),
+    ("trian=fast", "trian: no such key; did you mean train?"),
+    ("train=fats", "train=fats: no such option; there are fast, "),
+    ("scene=dnerf/legs", "scene=dnerf/legs: no such option; there are dnerf, "),
+    ("train.iterations=many", "train.iterations: Value 'many' of type 'str' could not be converted to Integer"),
+    ("train.iterations=null", "train.iterations: field 'train.iterations' is not Optional"),
+    ("train.iterations=[1", "train.iterations=[1: not a key=value that Hydra can read"),
+    ("train.iterations=0", "train.iterations: expected at least 1, found 0"),
+    ("train.batch=-2", "train.batch: expected at least 1, found -2"),
+    ("train.ssim_weight=nan", "train.ssim_weight: expected in [0, 1], found nan"),
+    ("train.sampler=best", "train.sampler: expected pairs, views_at_one_time or times_of_one_view, found 'best'"),
+    ("train.resolution_steps=[{until: 2}]", "train.resolution_steps.until: expected in (0, 1], found 2.0"),
+    ("train.densify.prune_opacity=1", "train.densify.prune_opacity: expected in (0, 1), found 1.0"),
+    ("train.rate.scale=-1", "train.rate.scale: expected >= 0, found -1.0"),
+    ("scene.background=[0, 0]", "scene.background: expected three values in [0, 1], found [0.0, 0.0]"),
+    ("scene.init_box=[1, -1]", "scene.init_box: expected [low, high] with low < high, found [1.0, -1.0]"),
+    ("ablation.fourier_order=3", "ablation.fourier_order: expected 0 to 2, found 3"),
+    ("evaluate.renders=-5", "evaluate.renders: expected >= -1 (-1: all), found -5"),
+    ("threads=-1", "threads: expected >= 0 (0: all), found -1"),
+    ("seed=-1", "seed: expected >= 0, found -1"),
+])
+def test_mistakes_are_named_in_one_line(override: str, expected: str) -> None:
+    scene = [] if override.startswith("scene=") else ["scene=dnerf"]
+    assert complaint(*scene, override).startswith(expected)
+
+
+def test_no_scene() -> None:
+    assert complaint().startswith("scene: must be given; there are dnerf, ")
+
+
+def test_a_typo_in_a_file_names_file_and_key(tmp_path: Path) -> None:
+    (tmp_path / "train").mkdir()
+    (tmp_path / "train" / "mine.yaml").write_text("iteratons: 5\n")
+    line = complaint("scene=dnerf", "train=mine", f"hydra.searchpath=[file://{tmp_path}]")
+    assert line == "conf/train/mine.yaml: train.iteratons: no such key; did you mean train.iterations?"
+
+
+def test_known_keys_are_the_schemas() -> None:
+    keys = known_keys()
+    assert {"scene.path", "train.rate.mean_final", "train.densify.stop", "evaluate.lpips", "out"} <= set(keys)
+    assert len(keys) == len(set(keys))
+
+
+@pytest.mark.parametrize("arguments", [["scene=dnerf", "train.batch=0"], ["scene=dnerf", "train.iteratons=5"], [],
+                                       ["scene=dnerf", "scene.path=not/there"]])
+def test_a_failing_command(arguments: list[str], tmp_path: Path) -> None:
+    done = subprocess.run([sys.executable, "-m", "pipeline", *arguments], cwd=tmp_path, capture_output=True, text=True,
+                          env={**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"})
+    assert done.returncode == 1
+    assert done.stderr.startswith("error: ") and done.stderr.count("\n") == 1
+    assert "Traceback" not in done.stderr
+    assert sorted(tmp_path.glob("*")) in ([], [tmp_path / "results"])  # at most our own run folder
