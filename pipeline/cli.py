@@ -11,7 +11,6 @@ import sys
 from pathlib import Path
 
 import hydra
-import torch
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException
 from hydra.types import RunMode
@@ -62,9 +61,11 @@ def run_one(composed: DictConfig) -> None:
     command = shlex.join(["python", "-m", "pipeline", *job.overrides.task])
     try:
         cfg = to_config(composed)
-        torch.set_num_threads(1)  # the heavy work is the kernel's, which has threads of its own (cfg.threads)
-        from pipeline.stages import run  # late: a typo on the command line need not wait for the compiled kernel
+        import torch  # these two late: a typo on the command line need not wait for them
 
+        from pipeline.stages import run
+
+        torch.set_num_threads(1)  # the heavy work is the kernel's, which has threads of its own (cfg.threads)
         metrics = run(cfg, command, say=lambda text: print(text, flush=True))
         (_report_line if job.mode == RunMode.MULTIRUN else _report)(cfg, metrics)
     except EXPECTED as error:

@@ -49,8 +49,11 @@ def evaluate(model: Model, scene: Scene, cfg: Config, threads: int, save: SaveIm
     """Measure `model` on every test view of `scene`, at the size training ended with.
 
     Renders are clamped to [0, 1] and not rounded to 8 bits. save: called in the order of the views with those that
-    `cfg.evaluate.renders` picks. Raises ValueError for a render that is not finite.
+    `cfg.evaluate.renders` picks. Raises ValueError for a model that is not finite.
     """
+    if broken := model.first_non_finite():  # a render would not show it: max(0, NaN) is 0
+        raise ValueError(f"model to evaluate: expected finite values, found NaN or Inf in {broken[0]} of Gaussian "
+                         f"{broken[1]}")
     networks, lpips_note = _lpips_networks(cfg, scene)
     frame, gaussians = Frame(threads=threads), model.gaussians()
     shown = set(_spread(len(scene.test), cfg.evaluate.renders))
@@ -134,10 +137,8 @@ def png_saver(folder: Path) -> SaveImages:
 
 def _rendered(frame: Frame, gaussians: Gaussians, target: Target, scene: Scene, cfg: Config) -> np.ndarray:
     """(H, W, 3) float32 in [0, 1]."""
-    image = frame.render(gaussians, _request(target, scene, cfg)).color.numpy().transpose(1, 2, 0)
-    if not np.isfinite(image).all():
-        raise ValueError(f"{target.name}: expected a finite render, found NaN or Inf")
-    return np.clip(image, 0.0, 1.0)
+    image = frame.render(gaussians, _request(target, scene, cfg)).color
+    return np.clip(image.numpy().transpose(1, 2, 0), 0.0, 1.0)
 
 
 def _channels_last(target: Target) -> np.ndarray:
