@@ -38,14 +38,15 @@ clean: ## remove the built kernel and caches; .venv and results stay
 	find . -name __pycache__ -not -path './.venv/*' -prune -exec rm -rf {} +
 
 $(INSTALLED): pyproject.toml tools/setup_environment.py tools/torch_source.py
-	$(PYTHON) tools/setup_environment.py
+	@$(PYTHON) tools/setup_environment.py
 	@touch $@
 
 # The project itself, editable. No build isolation, which would fetch a second set of tools for every build.
 build/build.ninja: $(INSTALLED)
-	PATH="$(CURDIR)/.venv/bin:$$PATH" .venv/bin/pip install --quiet --no-build-isolation --no-deps --editable .
+	@echo "setup: compiling the kernel, once for each instruction set"
+	@PATH="$(CURDIR)/.venv/bin:$$PATH" .venv/bin/pip install --quiet --no-build-isolation --no-deps --editable .
 	@touch $@
 
 $(BUILT): build/build.ninja $(KERNEL_SOURCES)
-	PATH="$(CURDIR)/.venv/bin:$$PATH" cmake --build build
+	@PATH="$(CURDIR)/.venv/bin:$$PATH" cmake --build build
 	@touch $@

@@ -104,8 +104,9 @@ def _report(cfg: Config, metrics: dict) -> None:
 def _report_line(cfg: Config, metrics: dict) -> None:
     """One run of a sweep."""
     final = metrics["final"]
-    print(f"{_title(cfg)}: PSNR {_cell(final['psnr'])}, SSIM {_cell(final['ssim'])}, {metrics['n_gaussians']} Gaussians, "
-          f"{metrics['train_seconds']:.0f} s of training; written to {cfg.out}", flush=True)
+    print(f"{_title(cfg)}: PSNR {_cell(final['psnr'])}, SSIM {_cell(final['ssim'])}, "
+          f"{metrics['n_gaussians']} Gaussians, {metrics['train_seconds']:.0f} s of training; written to {cfg.out}",
+          flush=True)
 
 
 def _title(cfg: Config) -> str:

@@ -150,7 +150,8 @@ class TrainConfig:
     rigid_weight: float = 0.0
     optimiser: str = "adam"  # adam (dense, the paper's) | sparse_adam (touched Gaussians only)
     sh_degree_every: int = 1000  # +1 degree so often, to 3; 0: all at once
-    fourier_at: list[int] = field(default_factory=lambda: [4000, 5000])  # Fourier order 1, 2 from these iterations; empty: at once
+    # Fourier order 1, 2 from these iterations; empty: both at once
+    fourier_at: list[int] = field(default_factory=lambda: [4000, 5000])
     init_opacity: float = 0.1
     init_time_scale: float = 0.5  # × duration
     init_time_margin: float = 0.0  # times uniform over the duration widened so much a side

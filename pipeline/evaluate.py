@@ -60,7 +60,8 @@ def evaluate(model: Model, scene: Scene, cfg: Config, threads: int, save: SaveIm
     rows: list[dict] = []
 
     def measured(job: tuple[np.ndarray, np.ndarray]) -> dict[str, float | None]:
-        return {**measure(*job), **{f"lpips_{net}": network(*job) if network else None for net, network in networks.items()}}
+        distances = {f"lpips_{net}": network(*job) if network else None for net, network in networks.items()}
+        return {**measure(*job), **distances}
 
     # Rendering takes all threads for milliseconds, measuring one for a quarter of a second: a few views at a time.
     with ThreadPoolExecutor(threads) as pool:

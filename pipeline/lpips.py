@@ -30,7 +30,8 @@ _FILES = {
             ("lpips-v0.1-vgg.pth", "a78928a0", _HEADS_AT + "vgg.pth")),
 }
 
-# Layers of torchvision's `features`, as (kind, out channels, kernel, stride, padding); "tap": features are compared here.
+# Layers of torchvision's `features`, as (kind, out channels, kernel, stride, padding). "tap" is no layer: there the
+# features of the two images are compared.
 _ALEX = (("conv", 64, 11, 4, 2), ("relu",), ("tap",), ("pool", 3), ("conv", 192, 5, 1, 2), ("relu",), ("tap",),
          ("pool", 3), ("conv", 384, 3, 1, 1), ("relu",), ("tap",), ("conv", 256, 3, 1, 1), ("relu",), ("tap",),
          ("conv", 256, 3, 1, 1), ("relu",), ("tap",))

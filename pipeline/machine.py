@@ -16,7 +16,10 @@ PROJECT_ROOT = Path(__file__).resolve().parent.parent
 
 
 def environment(command: str) -> dict:
-    """For environment.json. command: what the user typed. `machine` is one readable line, `git_commit` ends in "-dirty" with uncommitted changes."""
+    """For environment.json. command: what the user typed.
+
+    `machine` is one readable line; `git_commit` ends in "-dirty" where tracked files were changed.
+    """
     return {
         "date": now(), "command": command,
         "git_commit": git_commit(), "machine": machine_line(), "cpu": cpu_model(), "cores": usable_cores(),

@@ -191,7 +191,8 @@ class RunFolder:
             first = differing[0]
             more = f" (and {', '.join(differing[1:4])}{', …' if len(differing) > 4 else ''})" if differing[1:] else ""
             raise ValueError(f"{self.path}: holds another run, with {first}={there.get(first)} where "
-                             f"{asked.get(first)} is asked for{more}; give another out=DIR, or resume=false to replace it")
+                             f"{asked.get(first)} is asked for{more}; give another out=DIR, or resume=false to "
+                             "replace it")
 
     def _clear(self) -> None:
         for name in _OURS:

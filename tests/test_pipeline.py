@@ -1,4 +1,4 @@
-"""The whole chain by its command line: what a run leaves, that it is not made twice, and that it survives being killed."""
+"""The whole chain by its command line: what a run leaves, that it is not made twice, that it survives a kill."""
 
 from __future__ import annotations
 

@@ -133,7 +133,7 @@ def update_pip(python: Path) -> None:
     if tuple(int(part) for part in found.split(".")[:2]) < MIN_PIP:
         done = pip(python, "install", "--quiet", PIP)
         if done.returncode != 0:
-            raise SetupError(f"pip: expected {dotted(MIN_PIP)} or newer (an older dry run downloads its plan),"
+            raise SetupError(f"pip: expected {dotted(MIN_PIP)} or newer (before, dry runs download wheels),"
                              f" found {found}, and updating it failed: {last_line(done.stderr)}")
 
 
