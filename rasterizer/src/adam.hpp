@@ -38,6 +38,17 @@ inline void adam_rows(float* p, const float* g, float* m, float* v, size_t rows,
         for (int l = 0; l < kLanes; ++l) lane[l] = lr[(kLanes * k + l) % columns] * a.inverse_correction1;
         rate[k] = Float::load(lane);
     }
+    if (keep) {
+#pragma omp parallel for schedule(static) num_threads(threads)
+        for (size_t r = 0; r < rows; ++r) {
+            if (!keep[r]) continue;
+            const size_t at = r * columns;
+            Float pr = Float::load_first(p + at, columns), mr = Float::load_first(m + at, columns), vr = Float::load_first(v + at, columns);
+            adam_vector(pr, Float::load_first(g + at, columns), mr, vr, rate[0], a);
+            pr.store_first(p + at, columns), mr.store_first(m + at, columns), vr.store_first(v + at, columns);
+        }
+        return;
+    }
     const size_t floats = rows * columns, vectors = (floats + kLanes - 1) / kLanes;
 #pragma omp parallel for schedule(static) num_threads(threads)
     for (size_t k = 0; k < vectors; ++k) {
@@ -45,17 +56,9 @@ inline void adam_rows(float* p, const float* g, float* m, float* v, size_t rows,
         const int n = static_cast<int>(std::min<size_t>(kLanes, floats - at));
         const bool whole = n == kLanes;
         auto load = [&](const float* from) { return whole ? Float::load(from + at) : Float::load_first(from + at, n); };
-        Float pk = load(p), mk = load(m), vk = load(v);
-        const Float p0 = pk, m0 = mk, v0 = vk;
-        adam_vector(pk, load(g), mk, vk, rate[k % columns], a);
-        if (keep) {
-            alignas(64) float wanted[kLanes];
-            for (int l = 0; l < n; ++l) wanted[l] = keep[(at + l) / columns] ? 1.f : 0.f;
-            for (int l = n; l < kLanes; ++l) wanted[l] = 0.f;
-            const Mask mask = Float::load(wanted) > Float(0.f);
-            pk = select(mask, pk, p0), mk = select(mask, mk, m0), vk = select(mask, vk, v0);
-        }
         auto store = [&](const Float& value, float* to) { whole ? value.store(to + at) : value.store_first(to + at, n); };
+        Float pk = load(p), mk = load(m), vk = load(v);
+        adam_vector(pk, load(g), mk, vk, rate[k % columns], a);
         store(pk, p), store(mk, m), store(vk, v);
     }
 }

@@ -45,13 +45,27 @@ struct Float {
         return r;
     }
     SPLAT_INLINE void store(float* p) const { std::memcpy(p, this, sizeof *this); }
-    // The first `count` floats at p, zeros behind them.
+    // The first `count` <= 16 floats at p, zeros behind them.
     SPLAT_INLINE static Float load_first(const float* p, int count) {
-        Float r(0.f);
-        std::memcpy(&r, p, 4 * static_cast<size_t>(count));
+#if SPLAT_AVX512
+        Float r;
+        r.part[0] = (NativeFloat)_mm512_maskz_loadu_ps(static_cast<__mmask16>((1u << count) - 1), p);
         return r;
+#else
+        alignas(64) float lane[kLanes] = {};
+        for (int i = 0; i < count; ++i) lane[i] = p[i];
+        return load(lane);
+#endif
     }
-    SPLAT_INLINE void store_first(float* p, int count) const { std::memcpy(p, this, 4 * static_cast<size_t>(count)); }
+    SPLAT_INLINE void store_first(float* p, int count) const {
+#if SPLAT_AVX512
+        _mm512_mask_storeu_ps(p, static_cast<__mmask16>((1u << count) - 1), (__m512)part[0]);
+#else
+        alignas(64) float lane[kLanes];
+        store(lane);
+        for (int i = 0; i < count; ++i) p[i] = lane[i];
+#endif
+    }
 };
 
 struct Mask {
