@@ -15,7 +15,7 @@ from pipeline.model import Model
 from rasterizer import Gradients
 
 
-class NonFiniteError(RuntimeError):
+class NonFiniteError(FloatingPointError):
     """A loss, a gradient or a parameter became NaN or Inf. The last checkpoint on disk is from before."""
 
 

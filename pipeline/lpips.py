@@ -121,7 +121,8 @@ def _download(url: str, path: Path, digest: str) -> None:
             return
         except (OSError, RuntimeError) as error:
             problem = str(error)
-    raise LpipsUnavailable(" ".join(f"LPIPS weights {path.name} are neither in {path.parent} nor to be had from "
+    folder = str(path.parent).replace(str(Path.home()), "~")
+    raise LpipsUnavailable(" ".join(f"LPIPS weights {path.name} are neither in {folder} nor to be had from "
                                     f"{url.split('/')[2]}: {problem}".split()))
 
 

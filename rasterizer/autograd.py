@@ -48,8 +48,8 @@ def rasterize(gaussians: Gaussians, camera: Camera, time: float = 0.0, duration:
     `rasterizer.reference.rasterize` is the same function in plain PyTorch. Raises ValueError for wrong shapes, types
     and values that are not finite.
     """
-    request = Request(camera, float(time), float(duration), tuple(background), tuple(dict.fromkeys(outputs)), flow_dt, near,
-                      sh_degree, fourier_order)
+    request = Request(camera, float(time), float(duration), tuple(background), tuple(dict.fromkeys(outputs)),
+                      flow_dt, near, sh_degree, fourier_order)
     check_float32(gaussians)
     check_finite(gaussians)
     images = _Rasterize.apply(request, threads, *(getattr(gaussians, name) for name in _FIELDS))

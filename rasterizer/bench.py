@@ -1,8 +1,9 @@
 """How fast the kernel is: `python -m rasterizer.bench W1 [--isa v2|v3|v4] [--threads 1] [--json]`.
 
 Three workloads, the same numbers for everybody (splitmix64, fixed seeds): W1 like a D-NeRF scene, W2 like a Plenoptic
-Video scene, W2h the same at half its resolution. One thread is timed by its CPU time, minimum over repetitions, because
-machines are shared; several threads by the wall clock. `--parts` shows what each part of the model and each output costs.
+Video scene, W2h the same at half its resolution. One thread is timed by its CPU time, minimum over repetitions,
+because machines are shared; several threads by the wall clock. `--parts` shows what each part of the model and each
+output costs.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import math
 import os
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -128,6 +129,7 @@ def measure(workload: Workload, threads: int, repeats: int, outputs: tuple[str, 
     asked = Request(camera, workload.time, workload.duration, outputs=outputs,
                     flow_dt=0.01 if "flow" in outputs else None, **request)
     forward, backward, expand, stages = [], [], [], []
+    d_sh = torch.zeros_like(workload.gaussians.sh)
     for _ in range(repeats):
         gradients.zero_()
         t0 = clock()
@@ -135,14 +137,16 @@ def measure(workload: Workload, threads: int, repeats: int, outputs: tuple[str, 
         t1 = clock()
         frame.backward(gradients, d_color=d_color)
         t2 = clock()
-        gradients.sh(threads)
+        gradients.sh(threads, out=d_sh)
         t3 = clock()
         forward.append(t1 - t0), backward.append(t3 - t1), expand.append(t3 - t2)
         stages.append(list(frame.stage_ms.values()))
-    best = dict(zip(STAGES, np.min(stages, axis=0).round(3).tolist(), strict=True)) | {"expand_sh": round(1e3 * min(expand), 3)}
+    best = dict(zip(STAGES, np.min(stages, axis=0).round(3).tolist(), strict=True))
+    best["expand_sh"] = round(1e3 * min(expand), 3)
     totals = [f + b for f, b in zip(forward, backward, strict=True)]
     return {"forward_ms": round(1e3 * min(forward), 3), "backward_ms": round(1e3 * min(backward), 3),
-            "total_ms": round(1e3 * min(totals), 3), "stages": best, "visible": frame.visible, "alive": frame.alive}
+            "total_ms": round(1e3 * min(totals), 3), "stages": best, "visible": frame.visible,
+            "alive": frame.alive}
 
 
 def measure_parts(workload: Workload, threads: int, repeats: int) -> list[tuple[str, dict]]:
@@ -151,12 +155,16 @@ def measure_parts(workload: Workload, threads: int, repeats: int) -> list[tuple[
 
     g = workload.gaussians
     orders = {n: g.sh[:, :16 * (n + 1)].contiguous() for n in range(3)}
-    separable = Gaussians(g.mean, g.log_scale, g.quat_left, None, g.opacity_logit, orders[2])
-    static = Gaussians(g.mean[:, :3].contiguous(), g.log_scale[:, :3].contiguous(), g.quat_left, None, g.opacity_logit, orders[0])
-    without = [("full model, colour only", g), ("without Fourier order 2",
-                Gaussians(g.mean, g.log_scale, g.quat_left, g.quat_right, g.opacity_logit, orders[1])),
-               ("without 4DSH", Gaussians(g.mean, g.log_scale, g.quat_left, g.quat_right, g.opacity_logit, orders[0])),
-               ("without 4D rotation", separable), ("static: no time at all (all Gaussians alive)", static)]
+    xyz, scale = g.mean[:, :3].contiguous(), g.log_scale[:, :3].contiguous()
+    without = [
+        ("full model, colour only", g),
+        ("without Fourier order 2", replace(g, sh=orders[1])),
+        ("without 4DSH", replace(g, sh=orders[0])),
+        ("without 4D rotation", replace(g, quat_right=None)),
+        ("without 4D rotation and 4DSH", replace(g, quat_right=None, sh=orders[0])),
+        ("static: no time at all (all Gaussians alive)",
+         Gaussians(xyz, scale, g.quat_left, None, g.opacity_logit, orders[0])),
+    ]
     rows = [(label, measure(Workload(model, workload.camera, workload.time, workload.duration), threads, repeats))
             for label, model in without]
     for extra in (("alpha",), ("depth",), ("flow",), ("stats",), ("alpha", "depth", "flow", "stats")):
@@ -185,9 +193,10 @@ def main() -> None:
         if options.json:
             print(json.dumps(head | {"parts": {label: row for label, row in rows}}))
             return
-        print(f"{options.workload}, {isa}, {options.threads} thread(s), minimum of {options.repeats}, milliseconds")
+        print(f"{options.workload}, {isa}, {options.threads} thread(s), minimum of {options.repeats}, ms")
         for label, row in rows:
-            print(f"  {label:<48} forward {row['forward_ms']:8.2f}  backward {row['backward_ms']:8.2f}  total {row['total_ms']:8.2f}")
+            print(f"  {label:<46} {row['visible']:6} visible  forward {row['forward_ms']:7.2f}  "
+                  f"backward {row['backward_ms']:7.2f}  total {row['total_ms']:7.2f}")
         return
     result = head | measure(workload, options.threads, options.repeats)
     if options.json:
@@ -197,7 +206,8 @@ def main() -> None:
           f"{result['visible']} of {len(workload.gaussians)} Gaussians visible")
     for stage, ms in result["stages"].items():
         print(f"  {stage:<18} {ms:8.2f} ms")
-    print(f"  forward {result['forward_ms']:.2f} ms, backward {result['backward_ms']:.2f} ms, total {result['total_ms']:.2f} ms")
+    print(f"  forward {result['forward_ms']:.2f} ms, backward {result['backward_ms']:.2f} ms, "
+          f"total {result['total_ms']:.2f} ms")
 
 
 if __name__ == "__main__":

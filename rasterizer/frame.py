@@ -31,7 +31,7 @@ def default_threads() -> int:
 
 @dataclass(frozen=True)
 class ViewColors:
-    """The colour gradient one view left, compact: the SH gradient of visible Gaussian v is an outer product of row v."""
+    """The colour gradient one view left: the SH gradient of its visible Gaussian v is an outer product of row v."""
 
     visible: Tensor  # (V,) int32, ascending ids
     gradient: Tensor  # (V, 8): ∂L/∂rgb, unit direction, cos(2πn (t-μt)/T) for n = 1, 2
@@ -71,7 +71,8 @@ class Gradients:
 
     def dense(self) -> dict[str, Tensor]:
         """All gradients but the SH's, by name."""
-        named = {name: getattr(self, name) for name in ("mean", "log_scale", "quat_left", "quat_right", "opacity_logit")}
+        names = ("mean", "log_scale", "quat_left", "quat_right", "opacity_logit")
+        named = {name: getattr(self, name) for name in names}
         return {name: tensor for name, tensor in named.items() if tensor is not None}
 
     def zero_(self) -> None:
@@ -79,12 +80,12 @@ class Gradients:
             tensor.zero_()
         self.views.clear()
 
-    def sh(self, threads: int = 1) -> Tensor:
-        """The SH gradient, dense (N, (n+1)(l+1)², 3). Training never asks for it."""
+    def sh(self, threads: int = 1, out: Tensor | None = None) -> Tensor:
+        """The SH gradient, dense (N, (n+1)(l+1)², 3), into `out` if given. Training never asks for it."""
         count, orders = split_coefficients(self.sh_shape[1])
-        out = torch.empty(self.sh_shape)
-        kernel.expand_sh(views=[view.as_tuple() for view in self.views], dense=out, coefficients=count, orders=orders,
-                         threads=threads)
+        out = torch.empty(self.sh_shape) if out is None else out
+        kernel.expand_sh(views=[view.as_tuple() for view in self.views], dense=out, coefficients=count,
+                         orders=orders, threads=threads)
         return out
 
 
@@ -123,7 +124,8 @@ class Frame:
         self.fourier_order = gaussians.fourier_order if request.fourier_order is None else request.fourier_order
         coefficients, orders = split_coefficients(gaussians.sh.shape[1])
         detached = {name: tensor.detach() for name, tensor in gaussians.tensors().items()}
-        self._model = kernel.Model(**{"quat_right": None, **detached}, coefficients=coefficients, stored_order=orders - 1)
+        self._model = kernel.Model(**{"quat_right": None, **detached}, coefficients=coefficients,
+                                   stored_order=orders - 1)
         self._frame.set_view(
             camera=kernel.Camera.make(camera.width, camera.height, intrinsics, camera.world_to_cam.astype(np.float32)),
             time=request.time, duration=request.duration, near=request.near, background=list(request.background),
@@ -133,8 +135,15 @@ class Frame:
         self._frame.render(self._model, **{name: images.get(name) for name in _CHANNELS})
         return RenderOutput(**{name: images.get(name) for name in _CHANNELS})
 
-    def backward(self, gradients: Gradients, d_color: Tensor | None = None, d_alpha: Tensor | None = None,
-                 d_depth: Tensor | None = None, d_flow: Tensor | None = None, d_stats: Tensor | None = None) -> ViewGradient:
+    def backward(
+        self,
+        gradients: Gradients,
+        d_color: Tensor | None = None,  # (3, H, W)
+        d_alpha: Tensor | None = None,  # (1, H, W)
+        d_depth: Tensor | None = None,  # (1, H, W)
+        d_flow: Tensor | None = None,  # (2, H, W)
+        d_stats: Tensor | None = None,  # (2, H, W)
+    ) -> ViewGradient:
         """Carry image gradients (shapes of the outputs; None: zero) back to the parameters, adding to `gradients`.
 
         Follows the last `render`; the Gaussians must not have changed since.
@@ -147,14 +156,14 @@ class Frame:
             if image is None:
                 continue
             if name not in self._request.outputs and name in _EXTRAS:
-                raise ValueError(f"d_{name} was given but {name!r} was not among the outputs {tuple(self._request.outputs)}")
+                raise ValueError(f"d_{name}: expected {name!r} among the outputs, found {self._request.outputs}")
             if image.dtype != torch.float32 or list(image.shape) != [_CHANNELS[name], *size]:
                 raise ValueError(f"d_{name} must be float32 {[_CHANNELS[name], *size]}, got "
                                  f"{str(image.dtype).removeprefix('torch.')} {list(image.shape)}")
             images[name] = image.detach().contiguous()
         visible = self._frame.visible
-        out = ViewGradient(torch.empty(visible, dtype=torch.int32), torch.empty(visible, 2), torch.empty(visible),
-                           torch.empty(visible))
+        out = ViewGradient(torch.empty(visible, dtype=torch.int32), torch.empty(visible, 2),
+                           torch.empty(visible), torch.empty(visible))
         colors = ViewColors(out.visible, torch.empty(visible, 8), self.sh_degree, self.fourier_order)
         self._frame.backward(self._model, **{f"d_{name}": image for name, image in images.items()},
                              **{"quat_right": None, **gradients.dense()}, id=out.visible, mean2d=out.mean2d,

@@ -12,7 +12,7 @@ ISA_VARIABLE = "RASTERIZER_ISA"
 
 
 def available_isas() -> list[str]:
-    """The instruction sets the kernel can run with on this processor, best first: v4, v3, v2 (x86-64 levels) or plain."""
+    """The instruction sets this processor has a kernel for, best first: v4, v3, v2 (x86-64 levels) or plain."""
     return _cpu.supported_levels()
 
 

@@ -30,17 +30,21 @@ class L1Ssim:
         self._kernel = kernel.L1Ssim()
 
     def __call__(self, image: Tensor, target: Tensor) -> LossValue:
-        """image, target: (3, H, W) contiguous float32 in [0, 1]. Raises ValueError when shapes or types differ from it."""
+        """image, target: (3, H, W) float32 in [0, 1]. Raises ValueError when shapes or types differ from it."""
         for name, tensor in (("image", image), ("target", target)):
-            if tensor.dtype != torch.float32 or tensor.ndim != 3 or tensor.shape[0] != 3 or tensor.shape != image.shape:
-                raise ValueError(f"{name} must be float32 {[3, *image.shape[1:]]}, got {tensor.dtype} {list(tensor.shape)}")
+            expected = [3, *image.shape[1:]]
+            if tensor.dtype != torch.float32 or tensor.ndim != 3 or list(tensor.shape) != expected:
+                kind = str(tensor.dtype).removeprefix("torch.")
+                raise ValueError(f"{name} must be float32 {expected}, got {kind} {list(tensor.shape)}")
         d_image = torch.empty_like(image)
         l1, ssim = self._kernel(image=image.contiguous(), target=target.contiguous(), gradient=d_image,
                                 ssim_weight=self.ssim_weight, threads=self.threads)
         return LossValue((1 - self.ssim_weight) * l1 + self.ssim_weight * (1 - ssim), l1, ssim, d_image)
 
 
-def l1_ssim(image: Tensor, target: Tensor, ssim_weight: float = 0.2, threads: int = 0) -> tuple[float, float, float, Tensor]:
+def l1_ssim(
+    image: Tensor, target: Tensor, ssim_weight: float = 0.2, threads: int = 0
+) -> tuple[float, float, float, Tensor]:
     """(loss, l1, ssim, d_image) of one pair; see `L1Ssim`."""
     value = L1Ssim(ssim_weight, threads)(image, target)
     return value.loss, value.l1, value.ssim, value.d_image

@@ -452,3 +452,11 @@ def test_a_second_report_is_the_same_and_leaves_no_stale_strip(tmp_path):
     second = files()
     assert first.keys() == second.keys()
     assert [path.name for path in first if first[path] != second[path]] == []
+
+
+def test_pictures_of_a_family_can_be_left_out(tmp_path, capsys):
+    write_run(tmp_path / "runs", "dnerf/lego", images=2)
+    write_run(tmp_path / "runs", "synthetic/wheel", images=2)
+    assert main([str(tmp_path / "runs"), "--no-pictures", "dnerf"]) == 0
+    assert [p.name.split("__")[0] for p in (tmp_path / "report/strips").glob("*.webp")] == ["synthetic_wheel"] * 2
+    assert "dnerf/lego: pictures left out" in capsys.readouterr().err

@@ -28,19 +28,25 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("runs_dir", type=Path, metavar="RUNS_DIR")
     parser.add_argument("--out", type=Path, metavar="DIR", help="default: RUNS_DIR/../report")
+    parser.add_argument("--no-pictures", nargs="*", default=[], metavar="SCENE",
+                        help="scenes, or families of them (dnerf), whose images may not be passed on: no strips")
     options = parser.parse_args(arguments)
     try:
-        write_report(options.runs_dir, options.out or options.runs_dir.resolve().parent / "report")
+        out = options.out or options.runs_dir.resolve().parent / "report"
+        write_report(options.runs_dir, out, tuple(options.no_pictures))
     except (FileNotFoundError, PermissionError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
     return 0
 
 
-def write_report(runs_dir: Path, out: Path) -> None:
-    """Reads `runs_dir`, writes everything under `out`, prints the summary and the tables that compare."""
+def write_report(runs_dir: Path, out: Path, no_pictures: tuple[str, ...] = ()) -> None:
+    """Reads `runs_dir`, writes everything under `out`, prints the summary and the tables that compare.
+
+    no_pictures: scenes or families of scenes without strips.
+    """
     collection = name_variants(collect(runs_dir))
-    strips, strip_warnings = make_strips(collection.runs)
+    strips, strip_warnings = make_strips(collection.runs, no_pictures)
     summary = summarise(collection, strip_warnings)
     for line in (*summary.left_out, *summary.warnings):
         print(f"warning: {line}", file=sys.stderr)

@@ -43,11 +43,17 @@ class Strip:
         return "".join(c if c.isalnum() or c in "-_." else "_" for c in "__".join(words)) + ".webp"
 
 
-def make_strips(runs: pd.DataFrame) -> tuple[list[Strip], list[str]]:
-    """Strips in the report's order, and one warning line for each image that could not be read."""
+def make_strips(runs: pd.DataFrame, no_pictures: tuple[str, ...] = ()) -> tuple[list[Strip], list[str]]:
+    """Strips in the report's order, and one warning line for each image that could not be read.
+
+    no_pictures: scenes (dnerf/lego) or families (dnerf) that get none; a warning line says so.
+    """
     strips: list[Strip] = []
     warnings: list[str] = []
     for scene in scenes.in_order(runs["scene"]):
+        if scene in no_pictures or scene.split("/")[0] in no_pictures:
+            warnings.append(f"{scene}: pictures left out, as asked (--no-pictures)")
+            continue
         for train in sorted(runs[runs["scene"] == scene]["train"].unique()):
             group = runs[(runs["scene"] == scene) & (runs["train"] == train)]
             chosen: list[

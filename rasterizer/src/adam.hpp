@@ -1,4 +1,5 @@
-// Adam (Kingma & Ba 2015), fused: one pass over parameter, gradient and moments, torch.optim.Adam's arithmetic.
+// Adam (Kingma & Ba 2015), fused: one pass over parameter, gradient and moments, torch.optim.Adam's
+// arithmetic.
 //
 //     m ← β1 m + (1-β1) g,  v ← β2 v + (1-β2) g²,  p ← p - lr/(1-β1ᵗ) · m / (√v/√(1-β2ᵗ) + ε)
 #pragma once
@@ -12,26 +13,32 @@ namespace splat {
 struct AdamStep {
     float beta1, beta2, epsilon;
     float one_minus_beta1, one_minus_beta2;  // from double: 1.f - 0.999f is off by 1e-5
-    float inverse_correction1;       // 1/(1-β1ᵗ)
-    float inverse_sqrt_correction2;  // 1/√(1-β2ᵗ)
+    float inverse_correction1;               // 1/(1-β1ᵗ)
+    float inverse_sqrt_correction2;          // 1/√(1-β2ᵗ)
 
     AdamStep(double beta1, double beta2, double epsilon, long step)
-        : beta1(static_cast<float>(beta1)), beta2(static_cast<float>(beta2)), epsilon(static_cast<float>(epsilon)),
-          one_minus_beta1(static_cast<float>(1 - beta1)), one_minus_beta2(static_cast<float>(1 - beta2)),
+        : beta1(static_cast<float>(beta1)),
+          beta2(static_cast<float>(beta2)),
+          epsilon(static_cast<float>(epsilon)),
+          one_minus_beta1(static_cast<float>(1 - beta1)),
+          one_minus_beta2(static_cast<float>(1 - beta2)),
           inverse_correction1(static_cast<float>(1 / (1 - std::pow(beta1, step)))),
           inverse_sqrt_correction2(static_cast<float>(1 / std::sqrt(1 - std::pow(beta2, step)))) {}
 };
 
-SPLAT_INLINE void adam_vector(Float& p, const Float& g, Float& m, Float& v, const Float& rate, const AdamStep& a) {
+SPLAT_INLINE void adam_vector(Float& p, const Float& g, Float& m, Float& v, const Float& rate,
+                              const AdamStep& a) {
     m = Float(a.beta1) * m + Float(a.one_minus_beta1) * g;
     v = Float(a.beta2) * v + Float(a.one_minus_beta2) * (g * g);
     p -= rate * m / (sqrt(v) * Float(a.inverse_sqrt_correction2) + Float(a.epsilon));
 }
 
-// Rows of `columns` floats, a learning rate a column. keep: one byte a row, 0 leaves the row and its moments alone; or null.
-inline void adam_rows(float* p, const float* g, float* m, float* v, size_t rows, int columns, const float* lr, const uint8_t* keep,
-                      const AdamStep& a, int threads) {
-    // Rows are one long array; vector k of it has the rates of columns (16 k + lane) mod columns, which recur with k mod columns.
+// Rows of `columns` floats, a learning rate a column. keep: one byte a row, 0 leaves the row and its moments
+// alone; or null.
+inline void adam_rows(float* p, const float* g, float* m, float* v, size_t rows, int columns, const float* lr,
+                      const uint8_t* keep, const AdamStep& a, int threads) {
+    // Rows are one long array; vector k of it has the rates of columns (16 k + lane) mod columns, which recur
+    // with k mod columns.
     std::vector<Float> rate(columns);
     alignas(64) float lane[kLanes];
     for (int k = 0; k < columns; ++k) {
@@ -43,7 +50,8 @@ inline void adam_rows(float* p, const float* g, float* m, float* v, size_t rows,
         for (size_t r = 0; r < rows; ++r) {
             if (!keep[r]) continue;
             const size_t at = r * columns;
-            Float pr = Float::load_first(p + at, columns), mr = Float::load_first(m + at, columns), vr = Float::load_first(v + at, columns);
+            Float pr = Float::load_first(p + at, columns), mr = Float::load_first(m + at, columns),
+                  vr = Float::load_first(v + at, columns);
             adam_vector(pr, Float::load_first(g + at, columns), mr, vr, rate[0], a);
             pr.store_first(p + at, columns), mr.store_first(m + at, columns), vr.store_first(v + at, columns);
         }
@@ -55,19 +63,24 @@ inline void adam_rows(float* p, const float* g, float* m, float* v, size_t rows,
         const size_t at = k * kLanes;
         const int n = static_cast<int>(std::min<size_t>(kLanes, floats - at));
         const bool whole = n == kLanes;
-        auto load = [&](const float* from) { return whole ? Float::load(from + at) : Float::load_first(from + at, n); };
-        auto store = [&](const Float& value, float* to) { whole ? value.store(to + at) : value.store_first(to + at, n); };
+        auto load = [&](const float* from) {
+            return whole ? Float::load(from + at) : Float::load_first(from + at, n);
+        };
+        auto store = [&](const Float& value, float* to) {
+            whole ? value.store(to + at) : value.store_first(to + at, n);
+        };
         Float pk = load(p), mk = load(m), vk = load(v);
         adam_vector(pk, load(g), mk, vk, rate[k % columns], a);
         store(pk, p), store(mk, m), store(vk, v);
     }
 }
 
-// Adam on SH coefficients [N, orders · coefficients, 3], their gradient expanded chunk by chunk and never stored.
-// Orders from `active_orders` on are left alone: they have had no gradient yet, so their moments are zero.
-// sparse: rows no view of the batch saw are left alone too.
-inline void adam_sh(float* sh, float* m, float* v, uint32_t count, int coefficients, int orders, int active_orders, float lr_dc,
-                    float lr_rest, bool sparse, const std::vector<ViewColors>& views, const AdamStep& a, int threads) {
+// Adam on SH coefficients [N, orders · coefficients, 3], their gradient expanded chunk by chunk and never
+// stored. Orders from `active_orders` on are left alone: they have had no gradient yet, so their moments are
+// zero. sparse: rows no view of the batch saw are left alone too.
+inline void adam_sh(float* sh, float* m, float* v, uint32_t count, int coefficients, int orders,
+                    int active_orders, float lr_dc, float lr_rest, bool sparse,
+                    const std::vector<ViewColors>& views, const AdamStep& a, int threads) {
     const size_t order_stride = static_cast<size_t>(coefficients) * 3, row_stride = order_stride * orders;
     const Float rest(lr_rest * a.inverse_correction1);
     alignas(64) float first_lanes[16];
@@ -90,7 +103,8 @@ inline void adam_sh(float* sh, float* m, float* v, uint32_t count, int coefficie
                     ShRow vr = ShRow::load(v + at, coefficients);
                     for (int k = 0; k < kRowVectors; ++k)
                         adam_vector(pr.v[k], g.v[k], mr.v[k], vr.v[k], n == 0 && k == 0 ? with_dc : rest, a);
-                    pr.store(sh + at, coefficients), mr.store(m + at, coefficients), vr.store(v + at, coefficients);
+                    pr.store(sh + at, coefficients), mr.store(m + at, coefficients),
+                        vr.store(v + at, coefficients);
                 }
             }
         }

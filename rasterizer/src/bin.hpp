@@ -1,8 +1,9 @@
-// Stage 3: for each 16×16 tile the Gaussians that touch it, front to back, and which of its 4×4 blocks they touch.
+// Stage 3: for each 16×16 tile the Gaussians that touch it, front to back, and which of its 4×4 blocks they
+// touch.
 //
-// Exact: an entry is made, and a block marked, only where alpha reaches 1/255 somewhere in it (3 to 4 times fewer
-// pixels than the bounding rectangle). The splats come sorted, so a stable counting scatter keeps each tile's list
-// front to back without sorting entries.
+// Exact: an entry is made, and a block marked, only where alpha reaches 1/255 somewhere in it (3 to 4 times
+// fewer pixels than the bounding rectangle). The splats come sorted, so a stable counting scatter keeps each
+// tile's list front to back without sorting entries.
 #pragma once
 
 #include <algorithm>
@@ -15,13 +16,15 @@
 namespace splat {
 
 // Bit b: the largest alpha over the pixel centres' square of block b is at least 1/255.
-// ln alpha is concave, so over a rectangle it is largest on the side facing the mean: try the nearest column and the
-// nearest row, each at its best point.
+// ln alpha is concave, so over a rectangle it is largest on the side facing the mean: try the nearest column
+// and the nearest row, each at its best point.
 SPLAT_INLINE unsigned touched_blocks(const Splat& s, float tile_x, float tile_y) {
-    const Float x0 = Float::load(kBlockCorner.x) + Float(tile_x - s.x), y0 = Float::load(kBlockCorner.y) + Float(tile_y - s.y);
+    const Float x0 = Float::load(kBlockCorner.x) + Float(tile_x - s.x),
+                y0 = Float::load(kBlockCorner.y) + Float(tile_y - s.y);
     const Float x1 = x0 + Float(kBlock - 1.f), y1 = y0 + Float(kBlock - 1.f);
     const Float dx = clamp(0.f, x0, x1), dy = clamp(0.f, y0, y1);
-    const Float y_best = clamp(dx * Float(-0.5f * s.xy / s.yy), y0, y1), x_best = clamp(dy * Float(-0.5f * s.xy / s.xx), x0, x1);
+    const Float y_best = clamp(dx * Float(-0.5f * s.xy / s.yy), y0, y1),
+                x_best = clamp(dy * Float(-0.5f * s.xy / s.xx), x0, x1);
     const Float xx(s.xx), xy(s.xy), yy(s.yy);
     const Float column = dx * (dx * xx + y_best * xy) + y_best * y_best * yy;
     const Float row = x_best * (x_best * xx + dy * xy) + dy * dy * yy;
@@ -35,8 +38,8 @@ inline TileRange tiles_under(const Frame& f, const Splat& s) {
     auto tile = [](float v, int tiles) {  // clamped as a float: a huge extent does not fit an int
         return static_cast<int>(std::clamp(v * (1.f / kTile), 0.f, static_cast<float>(tiles - 1)));
     };
-    return {tile(s.x - s.half_width, f.tiles_x), tile(s.x + s.half_width, f.tiles_x), tile(s.y - s.half_height, f.tiles_y),
-            tile(s.y + s.half_height, f.tiles_y)};
+    return {tile(s.x - s.half_width, f.tiles_x), tile(s.x + s.half_width, f.tiles_x),
+            tile(s.y - s.half_height, f.tiles_y), tile(s.y + s.half_height, f.tiles_y)};
 }
 
 inline void bin(Frame& f) {
@@ -59,7 +62,8 @@ inline void bin(Frame& f) {
         for (size_t i = segment_begin(s); i < segment_begin(s + 1); ++i) {
             const Splat& splat = f.sorted[i];
             const TileRange range = tiles_under(f, splat);
-            const size_t most = n_entries + static_cast<size_t>(range.x1 - range.x0 + 1) * (range.y1 - range.y0 + 1);
+            const size_t most =
+                n_entries + static_cast<size_t>(range.x1 - range.x0 + 1) * (range.y1 - range.y0 + 1);
             if (most > list.tile.size()) {
                 list.tile.resize(most + most / 2 + 1024);
                 list.mask.resize(list.tile.size());
@@ -67,7 +71,8 @@ inline void bin(Frame& f) {
             const size_t before = n_entries;
             for (int y = range.y0; y <= range.y1; ++y)
                 for (int x = range.x0; x <= range.x1; ++x) {
-                    const unsigned mask = touched_blocks(splat, static_cast<float>(x * kTile), static_cast<float>(y * kTile));
+                    const unsigned mask =
+                        touched_blocks(splat, static_cast<float>(x * kTile), static_cast<float>(y * kTile));
                     const uint32_t tile = static_cast<uint32_t>(y * f.tiles_x + x), touched = mask != 0;
                     list.tile[n_entries] = tile;  // kept only if touched; a branch here would be a coin toss
                     list.mask[n_entries] = static_cast<uint16_t>(mask);
@@ -87,7 +92,8 @@ inline void bin(Frame& f) {
         for (auto& list : f.segments) total += std::exchange(list.tile_count[t], total);
     }
     f.tile_begin[tiles] = total;
-    // Gradient slots of one Gaussian lie together, Gaussians in order of id: the reduction reads them in sequence.
+    // Gradient slots of one Gaussian lie together, Gaussians in order of id: the reduction reads them in
+    // sequence.
     uint32_t slot = 0;
     for (size_t c = 0; c < f.chunk_count.size(); ++c)
         for (uint32_t i = 0; i < f.chunk_count[c]; ++i) {
@@ -104,7 +110,8 @@ inline void bin(Frame& f) {
         Frame::Segment& list = f.segments[s];
         size_t e = 0;
         for (size_t i = segment_begin(s); i < segment_begin(s + 1); ++i) {
-            const uint32_t place = f.sorted[i].place, count = f.slot_count[place], first_slot = f.slot_begin[place];
+            const uint32_t place = f.sorted[i].place, count = f.slot_count[place],
+                           first_slot = f.slot_begin[place];
             for (uint32_t k = 0; k < count; ++k, ++e) {
                 const uint32_t to = list.tile_count[list.tile[e]]++;
                 f.entry_splat[to] = static_cast<uint32_t>(i);

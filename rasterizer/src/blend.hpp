@@ -2,8 +2,9 @@
 //
 //     alpha = min(0.99, opacity p(t) exp(-½ dᵀ Σ2d⁻¹ d)),   w = alpha T,   C += w c,   T ← T - w
 //
-// A block's sixteen pixels are the lanes; its transmittance and colour stay in registers while its part of the tile's
-// list goes by. `extra` is how many channels beyond colour are blended (depth, flow, statistics): none costs nothing.
+// A block's sixteen pixels are the lanes; its transmittance and colour stay in registers while its part of
+// the tile's list goes by. `extra` is how many channels beyond colour are blended (depth, flow, statistics):
+// none costs nothing.
 #pragma once
 
 #include <algorithm>
@@ -11,6 +12,7 @@
 #include "blocks.hpp"
 #include "frame.hpp"
 #include "vec_math.hpp"
+#include "vec_move.hpp"
 
 namespace splat {
 
@@ -41,8 +43,8 @@ struct Blended {
 
 // Blends `count` splats into one block; returns how many it took until every pixel had ended, else -1.
 template <int extra>
-SPLAT_INLINE int blend_block(const Splat* splats, const float* extras, const uint32_t* index, int count, const Float& px,
-                             const Float& py, Blended<extra>& state) {
+SPLAT_INLINE int blend_block(const Splat* splats, const float* extras, const uint32_t* index, int count,
+                             const Float& px, const Float& py, Blended<extra>& state) {
     Float T = state.transmittance, C[3 + extra];
     for (int k = 0; k < 3 + extra; ++k) C[k] = state.channel[k];
     Mask live = state.live;
@@ -90,7 +92,8 @@ inline void blend_tile(Frame& f, int tile) {
     for (uint32_t first = span.begin; first < span.end && open; first += kBatch) {
         const int n = static_cast<int>(std::min<uint32_t>(kBatch, span.end - first));
         uint32_t ahead = first + n;
-        const uint32_t ahead_end = std::min<uint32_t>(ahead + kBatch, static_cast<uint32_t>(f.entry_slot.size()));
+        const uint32_t ahead_end =
+            std::min<uint32_t>(ahead + kBatch, static_cast<uint32_t>(f.entry_slot.size()));
         for (unsigned blocks = open; blocks; blocks &= blocks - 1) {
             const int b = __builtin_ctz(blocks);
             for (int k = 0; k < kPrefetchPerBlock && ahead < ahead_end; ++k, ++ahead)
@@ -98,7 +101,8 @@ inline void blend_tile(Frame& f, int tile) {
             const int count = pack_matching(&f.entry_splat[first], &f.entry_mask[first], n, b, packed);
             const Float px = lane_x + Float(static_cast<float>(span.x + b % 4 * kBlock));
             const Float py = lane_y + Float(static_cast<float>(span.y + b / 4 * kBlock));
-            const int used = blend_block<extra>(f.sorted.data(), f.extras.data(), packed, count, px, py, state[b]);
+            const int used =
+                blend_block<extra>(f.sorted.data(), f.extras.data(), packed, count, px, py, state[b]);
             if (used < 0) continue;
             open &= ~(1u << b);
             uint32_t last = first;
@@ -123,7 +127,8 @@ inline void blend(Frame& f) {
     for (int tile = 0; tile < tiles; ++tile) blend_tile<extra>(f, tile);
 }
 
-// Images as planes [height, width]. color [3] over the background; alpha = 1 - T; extras as blended. Null: not wanted.
+// Images as planes [height, width]. color [3] over the background; alpha = 1 - T; extras as blended. Null:
+// not wanted.
 struct OutputPlanes {
     float* color;
     float* alpha;
@@ -148,7 +153,8 @@ inline void write_outputs(const Frame& f, const OutputPlanes& out) {
             const Float T = Float::load(&f.transmittance[(static_cast<size_t>(tile) * kBlocks + b) * kLanes]);
             auto blended = [&](int channel) { return Float::load(&f.image[block_at(f, tile, channel, b)]); };
             for (int k = 0; k < 3 && out.color; ++k)
-                store_block(out.color + k * plane, width, height, x, y, blended(k) + T * Float(f.settings.background[k]));
+                store_block(out.color + k * plane, width, height, x, y,
+                            blended(k) + T * Float(f.settings.background[k]));
             if (out.alpha) store_block(out.alpha, width, height, x, y, Float(1.f) - T);
             for (int e = 0; e < extra; ++e) store_block(extra_plane[e], width, height, x, y, blended(3 + e));
         }

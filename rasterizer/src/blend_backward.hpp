@@ -1,10 +1,10 @@
 // Backward of stage 4: from image gradients to one gradient slot per (tile, Gaussian) entry.
 //
-// Gaussian by Gaussian, front to back as in blend.hpp. With g the image gradient of a pixel and Q the still unblended
-// part of Σ_k g_k C_k (background and alpha included), blending splat i gives
+// Gaussian by Gaussian, front to back as in blend.hpp. With g the image gradient of a pixel and Q the still
+// unblended part of Σ_k g_k C_k (background and alpha included), blending splat i gives
 //     Q ← Q - w g·c_i,        ∂L/∂alpha_i = T g·c_i - Q / (1 - alpha_i),
-// so nothing is stored per contribution and nothing is read backwards. Each entry owns its slot: no atomics, and the
-// same bits for any number of threads.
+// so nothing is stored per contribution and nothing is read backwards. Each entry owns its slot: no atomics,
+// and the same bits for any number of threads.
 #pragma once
 
 #include "blend.hpp"
@@ -29,7 +29,8 @@ struct Unblended {
 };
 
 template <int extra>
-inline void start_tile(const Frame& f, int tile, const TileSpan& span, const OutputGradients& d, Unblended<extra>& u) {
+inline void start_tile(const Frame& f, int tile, const TileSpan& span, const OutputGradients& d,
+                       Unblended<extra>& u) {
     const int width = f.camera.width, height = f.camera.height;
     const size_t plane = static_cast<size_t>(width) * height;
     const float* planes[3 + kMaxExtra] = {};
@@ -88,12 +89,14 @@ inline void blend_backward_tile(Frame& f, int tile, const OutputGradients& d) {
             const Mask live = next >= Float(kMinTransmittance);
             w = zero_unless(live, w);
             u.transmittance[b] = zero_unless(live, next);
-            Float along = u.gradient[0][b] * Float(s.r) + u.gradient[1][b] * Float(s.g) + u.gradient[2][b] * Float(s.b);
+            Float along =
+                u.gradient[0][b] * Float(s.r) + u.gradient[1][b] * Float(s.g) + u.gradient[2][b] * Float(s.b);
             for (int k = 0; k < extra; ++k) along += u.gradient[3 + k][b] * Float(value[k]);
             const Float rest = u.rest[b] - w * along;
             u.rest[b] = rest;
             const Float d_alpha = T * along - rest * fast_inverse(Float(1.f) - alpha);
-            const Float d_power = zero_unless(live & (Float(kMaxAlpha) >= peak), alpha * d_alpha);  // of ln alpha
+            const Float d_power =
+                zero_unless(live & (Float(kMaxAlpha) >= peak), alpha * d_alpha);  // of ln alpha
             const Float mx = d_power * dx, my = d_power * dy;
             sum[kSlotR] += w * u.gradient[0][b];
             sum[kSlotG] += w * u.gradient[1][b];

@@ -8,9 +8,9 @@ namespace splat {
 
 // How a Gaussian is looked at.
 struct Viewing {
-    Float direction[3];      // unit, camera centre to μ(t)
+    Float direction[3];  // unit, camera centre to μ(t)
     Float inverse_distance;
-    Float turns;             // (t - μt)/T
+    Float turns;  // (t - μt)/T
 };
 
 SPLAT_INLINE Viewing viewing(const Float (&offset)[3], const Float& dt, float duration) {
@@ -32,7 +32,8 @@ struct Cosines {
     }
 };
 
-// How far ahead coefficient rows are fetched, in Gaussians: the rows are the largest read of a frame and are not in order.
+// How far ahead coefficient rows are fetched, in Gaussians: the rows are the largest read of a frame and are
+// not in order.
 inline constexpr int kShPrefetch = 8;
 
 SPLAT_INLINE void prefetch_sh(const Parameters& p, uint32_t id, int order) {
@@ -42,11 +43,13 @@ SPLAT_INLINE void prefetch_sh(const Parameters& p, uint32_t id, int order) {
     for (int b = 0; b < bytes; b += 64) __builtin_prefetch(at + b);
 }
 
-// rgb before the clamp at zero: ½ + Σ k cos Y. ids[0..count-1] are the rows; next_ids what comes kShPrefetch later.
+// rgb before the clamp at zero: ½ + Σ k cos Y. ids[0..count-1] are the rows; next_ids what comes kShPrefetch
+// later.
 template <int order>
-SPLAT_INLINE void color(const Parameters& p, const uint32_t* ids, int count, const uint32_t* next_ids, const Viewing& view,
-                        int sh_degree, Float (&rgb)[3]) {
-    const size_t order_stride = static_cast<size_t>(p.coefficients) * 3, row_stride = order_stride * (p.stored_order + 1);
+SPLAT_INLINE void color(const Parameters& p, const uint32_t* ids, int count, const uint32_t* next_ids,
+                        const Viewing& view, int sh_degree, Float (&rgb)[3]) {
+    const size_t order_stride = static_cast<size_t>(p.coefficients) * 3,
+                 row_stride = order_stride * (p.stored_order + 1);
     Float basis[16], spread[kRowVectors][16];
     sh_basis(view.direction[0], view.direction[1], view.direction[2], sh_degree, basis);
     spread_basis(basis, spread);
@@ -70,13 +73,14 @@ SPLAT_INLINE void color(const Parameters& p, const uint32_t* ids, int count, con
     }
 }
 
-// From ∂L/∂rgb (zero where the colour was clamped): ∂L/∂(camera to μ(t)) and ∂L/∂dt. The coefficients' own gradient is
-// left as a ColorGradient (sh_gradient.hpp expands it).
+// From ∂L/∂rgb (zero where the colour was clamped): ∂L/∂(camera to μ(t)) and ∂L/∂dt. The coefficients' own
+// gradient is left as a ColorGradient (sh_gradient.hpp expands it).
 template <int order>
-SPLAT_INLINE void color_backward(const Parameters& p, const uint32_t* ids, int count, const uint32_t* next_ids,
-                                 const Viewing& view, float duration, int sh_degree, const Float (&d_rgb)[3],
-                                 Float (&d_offset)[3], Float& d_dt) {
-    const size_t order_stride = static_cast<size_t>(p.coefficients) * 3, row_stride = order_stride * (p.stored_order + 1);
+SPLAT_INLINE void color_backward(const Parameters& p, const uint32_t* ids, int count,
+                                 const uint32_t* next_ids, const Viewing& view, float duration, int sh_degree,
+                                 const Float (&d_rgb)[3], Float (&d_offset)[3], Float& d_dt) {
+    const size_t order_stride = static_cast<size_t>(p.coefficients) * 3,
+                 row_stride = order_stride * (p.stored_order + 1);
     Float channels[kRowVectors][16];
     spread_channels(d_rgb, channels);
     alignas(64) float cosine[order + 1][kLanes];
@@ -115,9 +119,12 @@ SPLAT_INLINE void color_backward(const Parameters& p, const uint32_t* ids, int c
         for (int l = 0; l < kLanes; ++l) d_basis[(kLanes * v + l) / 3] += channels[v][l];
     }
     Float d_direction[3];
-    sh_basis_backward(view.direction[0], view.direction[1], view.direction[2], sh_degree, d_basis, d_direction);
-    Float along = d_direction[0] * view.direction[0] + d_direction[1] * view.direction[1] + d_direction[2] * view.direction[2];
-    for (int i = 0; i < 3; ++i) d_offset[i] = (d_direction[i] - along * view.direction[i]) * view.inverse_distance;
+    sh_basis_backward(view.direction[0], view.direction[1], view.direction[2], sh_degree, d_basis,
+                      d_direction);
+    Float along = d_direction[0] * view.direction[0] + d_direction[1] * view.direction[1] +
+                  d_direction[2] * view.direction[2];
+    for (int i = 0; i < 3; ++i)
+        d_offset[i] = (d_direction[i] - along * view.direction[i]) * view.inverse_distance;
     d_dt = 0.f;
     if constexpr (order > 0) {
         Float d_turns(0.f), sine = sin_turns(view.turns);

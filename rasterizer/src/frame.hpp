@@ -1,4 +1,5 @@
-// Everything one view's forward pass leaves for its backward pass. Reused from view to view: buffers only grow.
+// Everything one view's forward pass leaves for its backward pass. Reused from view to view: buffers only
+// grow.
 //
 //     prepare → sort → bin → blend          forward, a file each
 //     blend_backward → gaussian_backward    and back
@@ -12,13 +13,15 @@
 
 namespace splat {
 
-inline constexpr int kChunk = 1024;  // Gaussians prepared together: their working set stays in the second-level cache
+inline constexpr int kChunk =
+    1024;  // Gaussians prepared together: their working set stays in the second-level cache
 
 struct Frame {
     Camera camera;
     Settings settings;
 
-    // prepare: chunk c stages its visible Gaussians at places [c·kChunk, c·kChunk + chunk_count[c]), in order of id
+    // prepare: chunk c stages its visible Gaussians at places [c·kChunk, c·kChunk + chunk_count[c]), in order
+    // of id
     Buffer<Splat> staged;
     Buffer<float> extras;  // per place kExtraStride floats: depth, flow, statistics, as far as asked for
     std::vector<uint32_t> chunk_count, chunk_first;  // chunk_first: visible Gaussians before the chunk
@@ -31,23 +34,24 @@ struct Frame {
 
     // bin: entry lists of the tiles, each front to back
     int tiles_x = 0, tiles_y = 0;
-    Buffer<uint32_t> tile_begin;   // [tiles + 1]
-    Buffer<uint32_t> entry_splat;  // index into sorted
-    Buffer<uint16_t> entry_mask;   // which of the tile's 4×4 blocks it touches
-    Buffer<uint32_t> entry_slot;   // where its gradient goes
+    Buffer<uint32_t> tile_begin;              // [tiles + 1]
+    Buffer<uint32_t> entry_splat;             // index into sorted
+    Buffer<uint16_t> entry_mask;              // which of the tile's 4×4 blocks it touches
+    Buffer<uint32_t> entry_slot;              // where its gradient goes
     Buffer<uint32_t> slot_count, slot_begin;  // per place
-    struct Segment {               // one thread's share of the sorted splats
+    struct Segment {                          // one thread's share of the sorted splats
         std::vector<uint32_t> tile_count;
-        std::vector<uint32_t> tile;  // of each entry; longer than there are entries, so that it is never cleared
+        std::vector<uint32_t>
+            tile;  // of each entry; longer than there are entries, so that it is never cleared
         std::vector<uint16_t> mask;
     };
     std::vector<Segment> segments;
 
     // blend: images in blocks [tile][channel][block][lane]; channels are rgb and then the extras
     Buffer<float> image;
-    Buffer<float> transmittance;    // [tile][block][lane]
-    Buffer<float> blocks_last;      // [tile][block] entries that had any effect; exact in float up to 2²⁴
-    Buffer<Slot> slots;             // backward
+    Buffer<float> transmittance;  // [tile][block][lane]
+    Buffer<float> blocks_last;    // [tile][block] entries that had any effect; exact in float up to 2²⁴
+    Buffer<Slot> slots;           // backward
 
     double stage_ms[8] = {};  // wall time of the stages below
 

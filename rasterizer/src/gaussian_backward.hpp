@@ -1,5 +1,6 @@
-// Backward of stages 1 to 3: each visible Gaussian's slots are summed in a fixed order and carried back through colour,
-// projection and the slice in time to the stored parameters, sixteen Gaussians at a time in order of id.
+// Backward of stages 1 to 3: each visible Gaussian's slots are summed in a fixed order and carried back
+// through colour, projection and the slice in time to the stored parameters, sixteen Gaussians at a time in
+// order of id.
 #pragma once
 
 #include "frame.hpp"
@@ -35,8 +36,9 @@ SPLAT_INLINE void sum_slots(const Frame& f, uint32_t place, int count, Float (&t
 }
 
 template <Motion motion, int order>
-inline void backward_sixteen(const Frame& f, const Parameters& p, uint32_t place, int count, uint32_t last_place, uint32_t first_row,
-                             const ParameterGradients& out, const ViewGradient& view_out) {
+inline void backward_sixteen(const Frame& f, const Parameters& p, uint32_t place, int count,
+                             uint32_t last_place, uint32_t first_row, const ParameterGradients& out,
+                             const ViewGradient& view_out) {
     const Settings& s = f.settings;
     const Splat* splats = &f.staged[place];
     uint32_t ids[kLanes], next[kLanes];
@@ -82,8 +84,8 @@ inline void backward_sixteen(const Frame& f, const Parameters& p, uint32_t place
     if (s.flow) {
         if constexpr (motion == Motion::kFull) {
             const Float d_flow[2] = {slot[extra], slot[extra + 1]};
-            flow_backward(flow_of(g, q, f.camera, s.flow_dt, s.near_plane), f.camera, s.flow_dt, d_flow, d.pixel, d_mean_flow,
-                          d_slice.velocity);
+            flow_backward(flow_of(g, q, f.camera, s.flow_dt, s.near_plane), f.camera, s.flow_dt, d_flow,
+                          d.pixel, d_mean_flow, d_slice.velocity);
         }
         extra += 2;
     }
@@ -96,7 +98,8 @@ inline void backward_sixteen(const Frame& f, const Parameters& p, uint32_t place
     d_slice.log_marginal = slot[kSlotPower];
     d_slice.dt = d_dt;
     StoredGradient<motion> d_stored = slice_in_time_backward(g, d_slice);
-    const Float d_opacity = slot[kSlotPower] / (Float(1.f) + exp(stored.opacity_logit));  // ∂ ln σ(o)/∂o = 1 - σ(o)
+    const Float d_opacity =
+        slot[kSlotPower] / (Float(1.f) + exp(stored.opacity_logit));  // ∂ ln σ(o)/∂o = 1 - σ(o)
 
     if constexpr (motion == Motion::kStatic) {
         add_to_rows3(out.mean, ids, count, d_stored.mean);
@@ -113,9 +116,22 @@ inline void backward_sixteen(const Frame& f, const Parameters& p, uint32_t place
     for (int l = 0; l < count; ++l) out.opacity_logit[ids[l]] += lane[l];
 
     Cosines<2> cosines(view.turns);
-    Float row[16] = {d_rgb[0], d_rgb[1], d_rgb[2], view.direction[0], view.direction[1], view.direction[2], cosines.value[1],
-                     cosines.value[2], d_pixel[0], d_pixel[1], motion == Motion::kStatic ? Float(0.f) : d_stored.mean[3],
-                     0.f, 0.f, 0.f, 0.f, 0.f};
+    Float row[16] = {d_rgb[0],
+                     d_rgb[1],
+                     d_rgb[2],
+                     view.direction[0],
+                     view.direction[1],
+                     view.direction[2],
+                     cosines.value[1],
+                     cosines.value[2],
+                     d_pixel[0],
+                     d_pixel[1],
+                     motion == Motion::kStatic ? Float(0.f) : d_stored.mean[3],
+                     0.f,
+                     0.f,
+                     0.f,
+                     0.f,
+                     0.f};
     transpose(row);
     for (int l = 0; l < count; ++l) {
         float value[16];
@@ -131,14 +147,16 @@ inline void backward_sixteen(const Frame& f, const Parameters& p, uint32_t place
 }
 
 template <Motion motion, int order>
-inline void gaussian_backward(Frame& f, const Parameters& p, const ParameterGradients& out, const ViewGradient& view_out) {
+inline void gaussian_backward(Frame& f, const Parameters& p, const ParameterGradients& out,
+                              const ViewGradient& view_out) {
     StageTimer timer(f, kStageGaussianBackward);
     const int chunks = static_cast<int>(f.chunk_count.size());
 #pragma omp parallel for schedule(dynamic, 1) num_threads(f.settings.threads)
     for (int c = 0; c < chunks; ++c) {
         const uint32_t place = static_cast<uint32_t>(c) * kChunk, count = f.chunk_count[c];
         for (uint32_t i = 0; i < count; i += kLanes)
-            backward_sixteen<motion, order>(f, p, place + i, static_cast<int>(std::min<uint32_t>(kLanes, count - i)),
+            backward_sixteen<motion, order>(f, p, place + i,
+                                            static_cast<int>(std::min<uint32_t>(kLanes, count - i)),
                                             place + count - 1, f.chunk_first[c] + i, out, view_out);
     }
 }

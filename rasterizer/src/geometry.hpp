@@ -1,12 +1,15 @@
-// From stored parameters to the Gaussian at time t: rotation, slice in time, and their derivatives (paper, section 3.2).
+// From stored parameters to the Gaussian at time t: rotation, slice in time, and their derivatives (paper,
+// section 3.2).
 //
 // Sixteen Gaussians at a time, one a lane. M = R diag(s), Σ = M Mᵀ. With m_t the time row of M:
 //     Σtt = |m_t|²,   h = Σ_xyz,t / Σtt,   μ(t) = μ_xyz + h (t - μt),   Σ(t) = A Aᵀ,   A = M_xyz - h m_tᵀ.
-// A = M_xyz (I - v vᵀ), v = m_t/|m_t|, in other words. The textbook Σ_xyz - Σ_xyz,t Σ_t,xyz / Σtt cancels in float32.
+// A = M_xyz (I - v vᵀ), v = m_t/|m_t|, in other words. The textbook Σ_xyz - Σ_xyz,t Σ_t,xyz / Σtt cancels in
+// float32.
 #pragma once
 
 #include "types.hpp"
 #include "vec_math.hpp"
+#include "vec_move.hpp"
 
 namespace splat {
 
@@ -19,7 +22,8 @@ struct UnitQuaternion {
     Float inverse_norm;
 };
 
-// q/|q|; zero is read as identity. Scaled by the largest component first, so that no square over- or underflows.
+// q/|q|; zero is read as identity. Scaled by the largest component first, so that no square over- or
+// underflows.
 SPLAT_INLINE UnitQuaternion normalise(const Float (&q)[4]) {
     Float largest = max(max(abs(q[0]), abs(q[1])), max(abs(q[2]), abs(q[3])));
     Mask usable = largest > Float(0.f);
@@ -48,8 +52,12 @@ inline constexpr int kQuatIndex[4][4] = {{0, 1, 2, 3}, {1, 0, 3, 2}, {2, 3, 0, 1
 inline constexpr float kLeftSign[4][4] = {{1, -1, -1, -1}, {1, 1, -1, 1}, {1, 1, 1, -1}, {1, -1, 1, 1}};
 inline constexpr float kRightSign[4][4] = {{1, -1, -1, -1}, {1, 1, 1, -1}, {1, -1, 1, 1}, {1, 1, -1, 1}};
 
-SPLAT_INLINE Float left_matrix(const UnitQuaternion& u, int i, int j) { return u.q[kQuatIndex[i][j]] * Float(kLeftSign[i][j]); }
-SPLAT_INLINE Float right_matrix(const UnitQuaternion& u, int i, int j) { return u.q[kQuatIndex[i][j]] * Float(kRightSign[i][j]); }
+SPLAT_INLINE Float left_matrix(const UnitQuaternion& u, int i, int j) {
+    return u.q[kQuatIndex[i][j]] * Float(kLeftSign[i][j]);
+}
+SPLAT_INLINE Float right_matrix(const UnitQuaternion& u, int i, int j) {
+    return u.q[kQuatIndex[i][j]] * Float(kRightSign[i][j]);
+}
 
 // The 4D rotation L(ql) R(qr).
 SPLAT_INLINE void rotation_4d(const UnitQuaternion& left, const UnitQuaternion& right, Float (&R)[4][4]) {
@@ -62,8 +70,8 @@ SPLAT_INLINE void rotation_4d(const UnitQuaternion& left, const UnitQuaternion& 
             for (int k = 1; k < 4; ++k) R[i][j] += left_matrix(left, i, k) * right_matrix(right, k, j);
         }
 }
-SPLAT_INLINE void rotation_4d_backward(const UnitQuaternion& left, const UnitQuaternion& right, const Float (&dR)[4][4],
-                                       Float (&d_left)[4], Float (&d_right)[4]) {
+SPLAT_INLINE void rotation_4d_backward(const UnitQuaternion& left, const UnitQuaternion& right,
+                                       const Float (&dR)[4][4], Float (&d_left)[4], Float (&d_right)[4]) {
     for (int i = 0; i < 4; ++i) d_left[i] = d_right[i] = 0.f;
 #pragma GCC unroll 4
     for (int i = 0; i < 4; ++i)
@@ -92,9 +100,12 @@ SPLAT_INLINE void rotation_3d_backward(const UnitQuaternion& u, const Float (&d)
     const Float &w = u.q[0], &x = u.q[1], &y = u.q[2], &z = u.q[3];
     const Float two(2.f);
     dq[0] = two * (x * (d[2][1] - d[1][2]) + y * (d[0][2] - d[2][0]) + z * (d[1][0] - d[0][1]));
-    dq[1] = two * (y * (d[0][1] + d[1][0]) + z * (d[0][2] + d[2][0]) + w * (d[2][1] - d[1][2]) - two * x * (d[1][1] + d[2][2]));
-    dq[2] = two * (x * (d[0][1] + d[1][0]) + z * (d[1][2] + d[2][1]) + w * (d[0][2] - d[2][0]) - two * y * (d[0][0] + d[2][2]));
-    dq[3] = two * (x * (d[0][2] + d[2][0]) + y * (d[1][2] + d[2][1]) + w * (d[1][0] - d[0][1]) - two * z * (d[0][0] + d[1][1]));
+    dq[1] = two * (y * (d[0][1] + d[1][0]) + z * (d[0][2] + d[2][0]) + w * (d[2][1] - d[1][2]) -
+                   two * x * (d[1][1] + d[2][2]));
+    dq[2] = two * (x * (d[0][1] + d[1][0]) + z * (d[1][2] + d[2][1]) + w * (d[0][2] - d[2][0]) -
+                   two * y * (d[0][0] + d[2][2]));
+    dq[3] = two * (x * (d[0][2] + d[2][0]) + y * (d[1][2] + d[2][1]) + w * (d[1][0] - d[0][1]) -
+                   two * z * (d[0][0] + d[1][1]));
 }
 
 // The stored parameters of sixteen Gaussians.
@@ -110,7 +121,8 @@ struct Stored {
             return Float::load(lane);
         };
         if constexpr (motion == Motion::kStatic) {
-            for (int i = 0; i < 3; ++i) s.mean[i] = gather(p.mean, 3, i), s.log_scale[i] = gather(p.log_scale, 3, i);
+            for (int i = 0; i < 3; ++i)
+                s.mean[i] = gather(p.mean, 3, i), s.log_scale[i] = gather(p.log_scale, 3, i);
         } else {
             load_rows4(p.mean, ids, s.mean);
             load_rows4(p.log_scale, ids, s.log_scale);
@@ -127,12 +139,12 @@ template <Motion motion>
 struct Slice {
     UnitQuaternion left, right;
     Float scale[4];
-    Float axes[4][4];          // M; 3×3 used unless motion is full
-    Float dt;                  // t - μt
-    Float var_t, inverse_var;  // Σtt and its inverse
-    Float log2_marginal;       // log2 p(t)
-    Float velocity[3];         // h, full motion only
-    Float mean[3];             // μ(t)
+    Float axes[4][4];                // M; 3×3 used unless motion is full
+    Float dt;                        // t - μt
+    Float var_t, inverse_var;        // Σtt and its inverse
+    Float log2_marginal;             // log2 p(t)
+    Float velocity[3];               // h, full motion only
+    Float mean[3];                   // μ(t)
     Float factor[3][kAxes<motion>];  // A
 };
 
@@ -151,7 +163,8 @@ SPLAT_INLINE Slice<motion> slice_in_time(const Stored<motion>& s, float time) {
         for (int i = 0; i < 4; ++i)
             for (int j = 0; j < 4; ++j) g.axes[i][j] *= g.scale[j];
         const Float(&m_t)[4] = g.axes[3];
-        g.var_t = max(m_t[0] * m_t[0] + m_t[1] * m_t[1] + m_t[2] * m_t[2] + m_t[3] * m_t[3], kMinTimeVariance);
+        g.var_t =
+            max(m_t[0] * m_t[0] + m_t[1] * m_t[1] + m_t[2] * m_t[2] + m_t[3] * m_t[3], kMinTimeVariance);
     } else {
         Float R[3][3];
         rotation_3d(g.left, R);
@@ -198,14 +211,16 @@ struct StoredGradient {
 };
 
 template <Motion motion>
-SPLAT_INLINE StoredGradient<motion> slice_in_time_backward(const Slice<motion>& g, const SliceGradient<motion>& d) {
+SPLAT_INLINE StoredGradient<motion> slice_in_time_backward(const Slice<motion>& g,
+                                                           const SliceGradient<motion>& d) {
     StoredGradient<motion> out;
     for (int i = 0; i < 3; ++i) out.mean[i] = d.mean[i];
     if constexpr (motion == Motion::kFull) {
         const Float(&m_t)[4] = g.axes[3];
         // A = M - h m_tᵀ,  μ(t) = μ + h dt,  h = u / Σtt,  u = M_xyz m_t,  ln p = -½ dt² / Σtt
         Float d_axes[4][4], d_dt = d.dt - d.log_marginal * g.dt * g.inverse_var;
-        Float d_var = d.var_t + d.log_marginal * Float(0.5f) * (g.dt * g.inverse_var) * (g.dt * g.inverse_var);
+        Float d_var =
+            d.var_t + d.log_marginal * Float(0.5f) * (g.dt * g.inverse_var) * (g.dt * g.inverse_var);
         for (int j = 0; j < 4; ++j) d_axes[3][j] = 0.f;
         for (int i = 0; i < 3; ++i) {
             Float d_h = d.mean[i] * g.dt + d.velocity[i];
@@ -224,8 +239,8 @@ SPLAT_INLINE StoredGradient<motion> slice_in_time_backward(const Slice<motion>& 
         for (int j = 0; j < 4; ++j) d_axes[3][j] += Float(2.f) * d_var * m_t[j];
         out.mean[3] = -d_dt;
         for (int j = 0; j < 4; ++j) {  // M = R diag(s)
-            out.log_scale[j] = d_axes[0][j] * g.axes[0][j] + d_axes[1][j] * g.axes[1][j] + d_axes[2][j] * g.axes[2][j] +
-                               d_axes[3][j] * g.axes[3][j];
+            out.log_scale[j] = d_axes[0][j] * g.axes[0][j] + d_axes[1][j] * g.axes[1][j] +
+                               d_axes[2][j] * g.axes[2][j] + d_axes[3][j] * g.axes[3][j];
             for (int i = 0; i < 4; ++i) d_axes[i][j] *= g.scale[j];
         }
         Float d_left[4], d_right[4];
@@ -245,7 +260,8 @@ SPLAT_INLINE StoredGradient<motion> slice_in_time_backward(const Slice<motion>& 
         normalise_backward(g.left, d_left, out.quat_left);
         if constexpr (motion == Motion::kSeparable) {
             out.mean[3] = d.log_marginal * g.dt * g.inverse_var - d.dt;
-            Float d_var = d.var_t + d.log_marginal * Float(0.5f) * (g.dt * g.inverse_var) * (g.dt * g.inverse_var);
+            Float d_var =
+                d.var_t + d.log_marginal * Float(0.5f) * (g.dt * g.inverse_var) * (g.dt * g.inverse_var);
             out.log_scale[3] = Float(2.f) * d_var * g.var_t;
         }
     }

@@ -1,5 +1,5 @@
-// The kernel's Python interface. Arguments are checked in Python (arguments.py), where the messages are made; here
-// arrays are views of the caller's memory, nothing is copied.
+// The kernel's Python interface. Arguments are checked in Python (arguments.py), where the messages are made;
+// here arrays are views of the caller's memory, nothing is copied.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/optional.h>
@@ -42,8 +42,15 @@ struct Model {
         return quat_right ? splat::Motion::kFull : splat::Motion::kSeparable;
     }
     splat::Parameters parameters() const {
-        return {static_cast<uint32_t>(mean.shape(0)), mean.data(), log_scale.data(), quat_left.data(), pointer(quat_right),
-                opacity_logit.data(), sh.data(), coefficients, stored_order};
+        return {static_cast<uint32_t>(mean.shape(0)),
+                mean.data(),
+                log_scale.data(),
+                quat_left.data(),
+                pointer(quat_right),
+                opacity_logit.data(),
+                sh.data(),
+                coefficients,
+                stored_order};
     }
 };
 
@@ -55,29 +62,44 @@ splat::Camera camera_from(int width, int height, const std::vector<float>& intri
         c.translation[i] = m[4 * i + 3];
     }
     for (int i = 0; i < 3; ++i)
-        c.position[i] = -(c.rotation[0][i] * c.translation[0] + c.rotation[1][i] * c.translation[1] + c.rotation[2][i] * c.translation[2]);
+        c.position[i] = -(c.rotation[0][i] * c.translation[0] + c.rotation[1][i] * c.translation[1] +
+                          c.rotation[2][i] * c.translation[2]);
     return c;
 }
 
 class Frame {
 public:
-    void set_view(const splat::Camera& camera, float time, float duration, float near_plane, const std::vector<float>& background,
-                  float flow_dt, int sh_degree, int fourier_order, std::tuple<bool, bool, bool> extras, int threads) {
+    void set_view(const splat::Camera& camera, float time, float duration, float near_plane,
+                  const std::vector<float>& background, float flow_dt, int sh_degree, int fourier_order,
+                  std::tuple<bool, bool, bool> extras, int threads) {
         frame_.camera = camera;
-        frame_.settings = {time, duration, near_plane, {background[0], background[1], background[2]}, flow_dt, sh_degree, fourier_order,
-                           std::get<0>(extras), std::get<1>(extras), std::get<2>(extras), threads};
+        frame_.settings = {time,
+                           duration,
+                           near_plane,
+                           {background[0], background[1], background[2]},
+                           flow_dt,
+                           sh_degree,
+                           fourier_order,
+                           std::get<0>(extras),
+                           std::get<1>(extras),
+                           std::get<2>(extras),
+                           threads};
     }
-    void render(const Model& model, std::optional<Out> color, std::optional<Out> alpha, std::optional<Out> depth, std::optional<Out> flow,
-                std::optional<Out> stats) {
-        const splat::OutputPlanes out{pointer(color), pointer(alpha), pointer(depth), pointer(flow), pointer(stats)};
+    void render(const Model& model, std::optional<Out> color, std::optional<Out> alpha,
+                std::optional<Out> depth, std::optional<Out> flow, std::optional<Out> stats) {
+        const splat::OutputPlanes out{pointer(color), pointer(alpha), pointer(depth), pointer(flow),
+                                      pointer(stats)};
         nb::gil_scoped_release release;
         splat::render(frame_, model.motion(), model.parameters(), out);
     }
-    void backward(const Model& model, std::optional<In> color, std::optional<In> alpha, std::optional<In> depth, std::optional<In> flow,
-                  std::optional<In> stats, Out mean, Out log_scale, Out quat_left, std::optional<Out> quat_right, Out opacity_logit,
+    void backward(const Model& model, std::optional<In> color, std::optional<In> alpha,
+                  std::optional<In> depth, std::optional<In> flow, std::optional<In> stats, Out mean,
+                  Out log_scale, Out quat_left, std::optional<Out> quat_right, Out opacity_logit,
                   Array<int32_t> id, Out mean2d, Out mean_t, Out radius, Out color_gradient) {
-        const splat::OutputGradients d{pointer(color), pointer(alpha), pointer(depth), pointer(flow), pointer(stats)};
-        const splat::ParameterGradients out{mean.data(), log_scale.data(), quat_left.data(), pointer(quat_right), opacity_logit.data()};
+        const splat::OutputGradients d{pointer(color), pointer(alpha), pointer(depth), pointer(flow),
+                                       pointer(stats)};
+        const splat::ParameterGradients out{mean.data(), log_scale.data(), quat_left.data(),
+                                            pointer(quat_right), opacity_logit.data()};
         const splat::ViewGradient view{id.data(), mean2d.data(), mean_t.data(), radius.data(),
                                        reinterpret_cast<splat::ColorGradient*>(color_gradient.data())};
         nb::gil_scoped_release release;
@@ -92,37 +114,40 @@ private:
     splat::Frame frame_;
 };
 
-using View = std::tuple<Array<const int32_t>, In, int, int>;  // id [V], color gradient [V, 8], sh_degree, fourier_order
+using View = std::tuple<Array<const int32_t>, In, int,
+                        int>;  // id [V], color gradient [V, 8], sh_degree, fourier_order
 
 std::vector<splat::ViewColors> view_colors(const std::vector<View>& views) {
     std::vector<splat::ViewColors> out;
     for (const auto& [id, gradient, degree, order] : views)
-        out.push_back({static_cast<uint32_t>(id.shape(0)), id.data(), reinterpret_cast<const splat::ColorGradient*>(gradient.data()),
-                       degree, order});
+        out.push_back({static_cast<uint32_t>(id.shape(0)), id.data(),
+                       reinterpret_cast<const splat::ColorGradient*>(gradient.data()), degree, order});
     return out;
 }
 
 void expand_sh(const std::vector<View>& views, Out dense, int coefficients, int orders, int threads) {
     const auto colors = view_colors(views);
     nb::gil_scoped_release release;
-    splat::expand_dense(colors, static_cast<uint32_t>(dense.shape(0)), coefficients, orders, dense.data(), threads);
+    splat::expand_dense(colors, static_cast<uint32_t>(dense.shape(0)), coefficients, orders, dense.data(),
+                        threads);
 }
 
-void adam(Out p, In g, Out m, Out v, const std::vector<float>& lr, std::optional<Array<const uint8_t>> keep, double beta1, double beta2,
-          double epsilon, long step, int threads) {
+void adam(Out p, In g, Out m, Out v, const std::vector<float>& lr, std::optional<Array<const uint8_t>> keep,
+          double beta1, double beta2, double epsilon, long step, int threads) {
     const size_t rows = p.shape(0);
     nb::gil_scoped_release release;
-    splat::adam_rows(p.data(), g.data(), m.data(), v.data(), rows, static_cast<int>(lr.size()), lr.data(), pointer(keep),
-                     splat::AdamStep(beta1, beta2, epsilon, step), threads);
+    splat::adam_rows(p.data(), g.data(), m.data(), v.data(), rows, static_cast<int>(lr.size()), lr.data(),
+                     pointer(keep), splat::AdamStep(beta1, beta2, epsilon, step), threads);
 }
 
-void adam_sh(Out sh, Out m, Out v, int coefficients, int orders, int active_orders, float lr_dc, float lr_rest, bool sparse,
-             const std::vector<View>& views, double beta1, double beta2, double epsilon, long step, int threads) {
+void adam_sh(Out sh, Out m, Out v, int coefficients, int orders, int active_orders, float lr_dc,
+             float lr_rest, bool sparse, const std::vector<View>& views, double beta1, double beta2,
+             double epsilon, long step, int threads) {
     const auto colors = view_colors(views);
     const uint32_t count = static_cast<uint32_t>(sh.shape(0));
     nb::gil_scoped_release release;
-    splat::adam_sh(sh.data(), m.data(), v.data(), count, coefficients, orders, active_orders, lr_dc, lr_rest, sparse, colors,
-                   splat::AdamStep(beta1, beta2, epsilon, step), threads);
+    splat::adam_sh(sh.data(), m.data(), v.data(), count, coefficients, orders, active_orders, lr_dc, lr_rest,
+                   sparse, colors, splat::AdamStep(beta1, beta2, epsilon, step), threads);
 }
 
 class L1Ssim {
@@ -130,7 +155,8 @@ public:
     std::tuple<double, double> operator()(In image, In target, Out gradient, float ssim_weight, int threads) {
         const int height = static_cast<int>(image.shape(1)), width = static_cast<int>(image.shape(2));
         nb::gil_scoped_release release;
-        const auto value = loss_(image.data(), target.data(), width, height, ssim_weight, gradient.data(), threads);
+        const auto value =
+            loss_(image.data(), target.data(), width, height, ssim_weight, gradient.data(), threads);
         return {value.l1, value.ssim};
     }
 
@@ -141,36 +167,46 @@ private:
 }  // namespace
 
 NB_MODULE(KERNEL_MODULE_NAME, m) {
-    nb::set_leak_warnings(false);  // autograd graphs still alive when the interpreter ends hold frames; that is no leak
+    nb::set_leak_warnings(
+        false);  // autograd graphs still alive when the interpreter ends hold frames; that is no leak
     nb::class_<Model>(m, "Model")
-        .def("__init__",
-             [](Model* self, In mean, In log_scale, In quat_left, std::optional<In> quat_right, In opacity_logit, In sh, int coefficients,
-                int stored_order) { new (self) Model{mean, log_scale, quat_left, quat_right, opacity_logit, sh, coefficients, stored_order}; },
-             nb::arg("mean"), nb::arg("log_scale"), nb::arg("quat_left"), nb::arg("quat_right").none(), nb::arg("opacity_logit"),
-             nb::arg("sh"), nb::arg("coefficients"), nb::arg("stored_order"));
+        .def(
+            "__init__",
+            [](Model* self, In mean, In log_scale, In quat_left, std::optional<In> quat_right,
+               In opacity_logit, In sh, int coefficients, int stored_order) {
+                new (self) Model{mean,          log_scale, quat_left,    quat_right,
+                                 opacity_logit, sh,        coefficients, stored_order};
+            },
+            nb::arg("mean"), nb::arg("log_scale"), nb::arg("quat_left"), nb::arg("quat_right").none(),
+            nb::arg("opacity_logit"), nb::arg("sh"), nb::arg("coefficients"), nb::arg("stored_order"));
     nb::class_<splat::Camera>(m, "Camera").def_static("make", &camera_from);
     nb::class_<Frame>(m, "Frame")
         .def(nb::init<>())
-        .def("set_view", &Frame::set_view, nb::arg("camera"), nb::arg("time"), nb::arg("duration"), nb::arg("near"), nb::arg("background"),
-             nb::arg("flow_dt"), nb::arg("sh_degree"), nb::arg("fourier_order"), nb::arg("extras"), nb::arg("threads"))
-        .def("render", &Frame::render, nb::arg("model"), nb::arg("color").none(), nb::arg("alpha").none(), nb::arg("depth").none(),
-             nb::arg("flow").none(), nb::arg("stats").none())
-        .def("backward", &Frame::backward, nb::arg("model"), nb::arg("d_color").none(), nb::arg("d_alpha").none(),
-             nb::arg("d_depth").none(), nb::arg("d_flow").none(), nb::arg("d_stats").none(), nb::arg("mean"), nb::arg("log_scale"),
-             nb::arg("quat_left"), nb::arg("quat_right").none(), nb::arg("opacity_logit"), nb::arg("id"), nb::arg("mean2d"),
+        .def("set_view", &Frame::set_view, nb::arg("camera"), nb::arg("time"), nb::arg("duration"),
+             nb::arg("near"), nb::arg("background"), nb::arg("flow_dt"), nb::arg("sh_degree"),
+             nb::arg("fourier_order"), nb::arg("extras"), nb::arg("threads"))
+        .def("render", &Frame::render, nb::arg("model"), nb::arg("color").none(), nb::arg("alpha").none(),
+             nb::arg("depth").none(), nb::arg("flow").none(), nb::arg("stats").none())
+        .def("backward", &Frame::backward, nb::arg("model"), nb::arg("d_color").none(),
+             nb::arg("d_alpha").none(), nb::arg("d_depth").none(), nb::arg("d_flow").none(),
+             nb::arg("d_stats").none(), nb::arg("mean"), nb::arg("log_scale"), nb::arg("quat_left"),
+             nb::arg("quat_right").none(), nb::arg("opacity_logit"), nb::arg("id"), nb::arg("mean2d"),
              nb::arg("mean_t"), nb::arg("radius"), nb::arg("color_gradient"))
         .def_prop_ro("visible", &Frame::visible)
         .def_prop_ro("alive", &Frame::alive)
         .def_prop_ro("entries", &Frame::entries)
         .def_prop_ro("stage_ms", &Frame::stage_ms);
-    m.def("expand_sh", &expand_sh, nb::arg("views"), nb::arg("dense"), nb::arg("coefficients"), nb::arg("orders"), nb::arg("threads"));
-    m.def("adam", &adam, nb::arg("p"), nb::arg("g"), nb::arg("m"), nb::arg("v"), nb::arg("lr"), nb::arg("keep").none(), nb::arg("beta1"),
-          nb::arg("beta2"), nb::arg("epsilon"), nb::arg("step"), nb::arg("threads"));
-    m.def("adam_sh", &adam_sh, nb::arg("sh"), nb::arg("m"), nb::arg("v"), nb::arg("coefficients"), nb::arg("orders"),
-          nb::arg("active_orders"), nb::arg("lr_dc"), nb::arg("lr_rest"), nb::arg("sparse"), nb::arg("views"), nb::arg("beta1"),
-          nb::arg("beta2"), nb::arg("epsilon"), nb::arg("step"), nb::arg("threads"));
+    m.def("expand_sh", &expand_sh, nb::arg("views"), nb::arg("dense"), nb::arg("coefficients"),
+          nb::arg("orders"), nb::arg("threads"));
+    m.def("adam", &adam, nb::arg("p"), nb::arg("g"), nb::arg("m"), nb::arg("v"), nb::arg("lr"),
+          nb::arg("keep").none(), nb::arg("beta1"), nb::arg("beta2"), nb::arg("epsilon"), nb::arg("step"),
+          nb::arg("threads"));
+    m.def("adam_sh", &adam_sh, nb::arg("sh"), nb::arg("m"), nb::arg("v"), nb::arg("coefficients"),
+          nb::arg("orders"), nb::arg("active_orders"), nb::arg("lr_dc"), nb::arg("lr_rest"),
+          nb::arg("sparse"), nb::arg("views"), nb::arg("beta1"), nb::arg("beta2"), nb::arg("epsilon"),
+          nb::arg("step"), nb::arg("threads"));
     nb::class_<L1Ssim>(m, "L1Ssim")
         .def(nb::init<>())
-        .def("__call__", &L1Ssim::operator(), nb::arg("image"), nb::arg("target"), nb::arg("gradient"), nb::arg("ssim_weight"),
-             nb::arg("threads"));
+        .def("__call__", &L1Ssim::operator(), nb::arg("image"), nb::arg("target"), nb::arg("gradient"),
+             nb::arg("ssim_weight"), nb::arg("threads"));
 }

@@ -55,7 +55,21 @@ inline int cull_in_time(const Parameters& p, uint32_t first, uint32_t last, floa
 // The visible Gaussians of a chunk, one array a quantity.
 struct Packed {
     static constexpr int kFields = 14 + kMaxExtra;
-    enum Field { kX, kY, kXX, kXY, kYY, kLogOpacity, kDepth, kHalfWidth, kHalfHeight, kRadius, kDt, kOffset, kExtraField = 14 };
+    enum Field {
+        kX,
+        kY,
+        kXX,
+        kXY,
+        kYY,
+        kLogOpacity,
+        kDepth,
+        kHalfWidth,
+        kHalfHeight,
+        kRadius,
+        kDt,
+        kOffset,
+        kExtraField = 14
+    };
     alignas(64) float value[kFields][kChunk + kLanes];
     uint32_t id[kChunk + kLanes];
     int count = 0;
@@ -64,7 +78,8 @@ struct Packed {
 };
 
 template <Motion motion>
-inline void project_chunk(const Parameters& p, const Camera& c, const Settings& s, uint32_t* alive, int alive_count, Packed& out) {
+inline void project_chunk(const Parameters& p, const Camera& c, const Settings& s, uint32_t* alive,
+                          int alive_count, Packed& out) {
     out.count = 0;
     for (int l = 0; l < kLanes && alive_count > 0; ++l) alive[alive_count + l] = alive[alive_count - 1];
     for (int i = 0; i < alive_count; i += kLanes) {
@@ -73,11 +88,13 @@ inline void project_chunk(const Parameters& p, const Camera& c, const Settings& 
         Projection<motion> q = project(g, c);
         // log2 of the peak alpha = sigmoid(logit) p(t)
         Float log2_opacity = g.log2_marginal - log2(Float(1.f) + exp(-stored.opacity_logit));
-        Float reach2 = max((log2_opacity - Float(kLog2MinAlpha)) * Float(2.f / kLog2E), 0.f);  // squared Mahalanobis radius of 1/255
+        Float reach2 = max((log2_opacity - Float(kLog2MinAlpha)) * Float(2.f / kLog2E),
+                           0.f);  // squared Mahalanobis radius of 1/255
         Float half_width = sqrt(reach2 * q.cov_xx), half_height = sqrt(reach2 * q.cov_yy);
-        Mask seen = (q.cam[2] > Float(s.near_plane)) & (reach2 > Float(0.f)) & (q.pixel[0] + half_width >= Float(0.f)) &
-                    (q.pixel[0] - half_width <= Float(c.width - 1.f)) & (q.pixel[1] + half_height >= Float(0.f)) &
-                    (q.pixel[1] - half_height <= Float(c.height - 1.f));
+        Mask seen =
+            (q.cam[2] > Float(s.near_plane)) & (reach2 > Float(0.f)) &
+            (q.pixel[0] + half_width >= Float(0.f)) & (q.pixel[0] - half_width <= Float(c.width - 1.f)) &
+            (q.pixel[1] + half_height >= Float(0.f)) & (q.pixel[1] - half_height <= Float(c.height - 1.f));
         unsigned keep = bits(seen);
         if (alive_count - i < kLanes) keep &= (1u << (alive_count - i)) - 1;
         if (!keep) continue;
@@ -107,12 +124,11 @@ inline void project_chunk(const Parameters& p, const Camera& c, const Settings& 
             put(extra++, flow[0]);
             put(extra++, flow[1]);
         }
-        if (s.stats) {
-            put(extra++, motion == Motion::kStatic ? Float(0.f) : stored.mean[3]);
-            if constexpr (motion == Motion::kStatic)
-                put(extra++, 0.f);
-            else
+        if constexpr (motion != Motion::kStatic) {  // a static model has no time to tell of
+            if (s.stats) {
+                put(extra++, stored.mean[3]);
                 put(extra++, g.var_t);
+            }
         }
         uint32_t* id = out.id + out.count;
         for (unsigned m = keep; m; m &= m - 1) *id++ = alive[i + __builtin_ctz(m)];
@@ -121,22 +137,36 @@ inline void project_chunk(const Parameters& p, const Camera& c, const Settings& 
 }
 
 template <int order>
-inline void color_and_stage(const Parameters& p, const Settings& s, Packed& in, uint32_t first_place, Splat* staged, float* extras) {
+inline void color_and_stage(const Parameters& p, const Settings& s, Packed& in, uint32_t first_place,
+                            Splat* staged, float* extras) {
     const int extra_channels = s.extra_channels();
     for (int l = 0; l < kLanes && in.count > 0; ++l) in.id[in.count + l] = in.id[in.count - 1];
     uint32_t next[kLanes];
     for (int i = 0; i < in.count; i += kLanes) {
         const int n = std::min(kLanes, in.count - i);
         for (int l = 0; l < n; ++l) next[l] = in.id[std::min(i + l + kShPrefetch, in.count - 1)];
-        Float offset[3] = {in.at(Packed::kOffset, i), in.at(Packed::kOffset + 1, i), in.at(Packed::kOffset + 2, i)};
+        Float offset[3] = {in.at(Packed::kOffset, i), in.at(Packed::kOffset + 1, i),
+                           in.at(Packed::kOffset + 2, i)};
         Float dt(0.f);
         if constexpr (order > 0) dt = in.at(Packed::kDt, i);
         Float rgb[3];
         color<order>(p, in.id + i, n, next, viewing(offset, dt, s.duration), s.sh_degree, rgb);
-        Float row[16] = {in.at(Packed::kX, i), in.at(Packed::kY, i), in.at(Packed::kXX, i), in.at(Packed::kXY, i),
-                         in.at(Packed::kYY, i), in.at(Packed::kLogOpacity, i), max(rgb[0], 0.f), max(rgb[1], 0.f),
-                         max(rgb[2], 0.f), in.at(Packed::kDepth, i), in.at(Packed::kHalfWidth, i),
-                         in.at(Packed::kHalfHeight, i), in.at(Packed::kRadius, i), 0.f, 0.f, 0.f};
+        Float row[16] = {in.at(Packed::kX, i),
+                         in.at(Packed::kY, i),
+                         in.at(Packed::kXX, i),
+                         in.at(Packed::kXY, i),
+                         in.at(Packed::kYY, i),
+                         in.at(Packed::kLogOpacity, i),
+                         max(rgb[0], 0.f),
+                         max(rgb[1], 0.f),
+                         max(rgb[2], 0.f),
+                         in.at(Packed::kDepth, i),
+                         in.at(Packed::kHalfWidth, i),
+                         in.at(Packed::kHalfHeight, i),
+                         in.at(Packed::kRadius, i),
+                         0.f,
+                         0.f,
+                         0.f};
         unsigned clamped[3];
         for (int k = 0; k < 3; ++k) clamped[k] = bits(rgb[k] < Float(0.f));
         transpose(row);
@@ -167,7 +197,8 @@ inline void prepare(Frame& f, const Parameters& p) {
         uint32_t alive[kChunk + kLanes];
 #pragma omp for schedule(dynamic, 1)
         for (int c = 0; c < chunks; ++c) {
-            const uint32_t first = static_cast<uint32_t>(c) * kChunk, last = std::min(p.count, first + kChunk);
+            const uint32_t first = static_cast<uint32_t>(c) * kChunk,
+                           last = std::min(p.count, first + kChunk);
             const int n = cull_in_time<motion>(p, first, last, f.settings.time, alive);
             project_chunk<motion>(p, f.camera, f.settings, alive, n, packed);
             color_and_stage<order>(p, f.settings, packed, first, f.staged.data() + first,

@@ -1,7 +1,7 @@
 // From the Gaussian at time t to an ellipse on the screen, and back (EWA splatting; SPEC 1, Projection).
 //
 // With W the camera's rotation, J the Jacobian of the pinhole at the mean and A the factor of Σ(t):
-//     B = J W A (2×k),  Σ2d = B Bᵀ + 0.3 I,  det Σ2d = Σ (2×2 minors of B)² + 0.3 |B|² + 0.09   (Cauchy–Binet).
+//     B = J W A (2×k),  Σ2d = B Bᵀ + 0.3 I,  det Σ2d = Σ (2×2 minors of B)² + 0.3 |B|² + 0.09 (Cauchy–Binet).
 // cxx cyy - cxy² would cancel for long streaks; the sum of squares cannot.
 #pragma once
 
@@ -11,12 +11,12 @@ namespace splat {
 
 template <Motion motion>
 struct Projection {
-    Float cam[3];              // μ(t) in the camera's frame
+    Float cam[3];  // μ(t) in the camera's frame
     Float inverse_z;
-    Float slope[2];            // x/z, y/z
-    Float clamped_slope[2];    // the same inside 1.3 × the field of view
-    Mask slope_free[2];        // not clamped
-    Float jw[2][3];            // J W
+    Float slope[2];          // x/z, y/z
+    Float clamped_slope[2];  // the same inside 1.3 × the field of view
+    Mask slope_free[2];      // not clamped
+    Float jw[2][3];          // J W
     Float b[2][kAxes<motion>];
     Float cov_xx, cov_xy, cov_yy;
     Float conic_xx, conic_xy, conic_yy;  // Σ2d⁻¹
@@ -38,7 +38,8 @@ SPLAT_INLINE void world_to_camera(const Camera& c, const Float (&world)[3], Floa
 }
 SPLAT_INLINE void camera_to_world_direction(const Camera& c, const Float (&cam)[3], Float (&world)[3]) {
     for (int i = 0; i < 3; ++i)
-        world[i] = Float(c.rotation[0][i]) * cam[0] + Float(c.rotation[1][i]) * cam[1] + Float(c.rotation[2][i]) * cam[2];
+        world[i] = Float(c.rotation[0][i]) * cam[0] + Float(c.rotation[1][i]) * cam[1] +
+                   Float(c.rotation[2][i]) * cam[2];
 }
 
 template <Motion motion>
@@ -55,10 +56,13 @@ SPLAT_INLINE Projection<motion> project(const Slice<motion>& g, const Camera& c)
         p.slope_free[a] = (p.slope[a] >= Float(limit.low[a])) & (p.slope[a] <= Float(limit.high[a]));
         Float focal_over_z = p.inverse_z * Float(focal[a]);
         for (int j = 0; j < 3; ++j)
-            p.jw[a][j] = focal_over_z * (Float(c.rotation[a][j]) - p.clamped_slope[a] * Float(c.rotation[2][j]));
+            p.jw[a][j] =
+                focal_over_z * (Float(c.rotation[a][j]) - p.clamped_slope[a] * Float(c.rotation[2][j]));
         for (int j = 0; j < kColumns; ++j)
-            p.b[a][j] = p.jw[a][0] * g.factor[0][j] + p.jw[a][1] * g.factor[1][j] + p.jw[a][2] * g.factor[2][j];
-        p.pixel[a] = Float(focal[a]) * p.slope[a] + Float(centre[a] - 0.5f);  // pixel centres at integers from here on
+            p.b[a][j] =
+                p.jw[a][0] * g.factor[0][j] + p.jw[a][1] * g.factor[1][j] + p.jw[a][2] * g.factor[2][j];
+        p.pixel[a] =
+            Float(focal[a]) * p.slope[a] + Float(centre[a] - 0.5f);  // pixel centres at integers from here on
     }
     Float norm_x(0.f), norm_y(0.f), minors(0.f);
     p.cov_xy = 0.f;
@@ -89,10 +93,12 @@ struct ProjectionGradient {
     Float flow[2];  // of proj(μ(t+δ)) - proj(μ(t)); read only when the frame has flow
 };
 
-// ∂L/∂μ(t) and ∂L/∂A. d_cam_flow, d_slope_flow: what flow adds to the camera-frame mean and the slopes, else zeros.
+// ∂L/∂μ(t) and ∂L/∂A. d_cam_flow, d_slope_flow: what flow adds to the camera-frame mean and the slopes, else
+// zeros.
 template <Motion motion>
 SPLAT_INLINE void project_backward(const Projection<motion>& p, const Slice<motion>& g, const Camera& c,
-                                   const ProjectionGradient& d, Float (&d_mean)[3], Float (&d_factor)[3][kAxes<motion>]) {
+                                   const ProjectionGradient& d, Float (&d_mean)[3],
+                                   Float (&d_factor)[3][kAxes<motion>]) {
     constexpr int kColumns = kAxes<motion>;
     const float focal[2] = {c.fx, c.fy};
     // K = Σ⁻¹:  dΣ = -K dK K
@@ -100,7 +106,8 @@ SPLAT_INLINE void project_backward(const Projection<motion>& p, const Slice<moti
     Float half = Float(0.5f) * d.conic_xy;
     Float t00 = d.conic_xx * a + half * b, t01 = d.conic_xx * b + half * e;
     Float t10 = half * a + d.conic_yy * b, t11 = half * b + d.conic_yy * e;
-    Float d_xx = -(a * t00 + b * t10), d_xy = -(a * t01 + b * t11) - (b * t00 + e * t10), d_yy = -(b * t01 + e * t11);
+    Float d_xx = -(a * t00 + b * t10), d_xy = -(a * t01 + b * t11) - (b * t00 + e * t10),
+          d_yy = -(b * t01 + e * t11);
     // Σ = B Bᵀ + 0.3 I
     Float d_b[2][kColumns];
     for (int j = 0; j < kColumns; ++j) {
@@ -140,8 +147,8 @@ struct Flow {
     Float later_cam[3], later_slope[2], later_inverse_z;
     Mask valid;
 };
-SPLAT_INLINE Flow flow_of(const Slice<Motion::kFull>& g, const Projection<Motion::kFull>& p, const Camera& c, float flow_dt,
-                          float near_plane) {
+SPLAT_INLINE Flow flow_of(const Slice<Motion::kFull>& g, const Projection<Motion::kFull>& p, const Camera& c,
+                          float flow_dt, float near_plane) {
     Flow f;
     Float later[3];
     for (int i = 0; i < 3; ++i) later[i] = g.mean[i] + g.velocity[i] * Float(flow_dt);
@@ -156,8 +163,8 @@ SPLAT_INLINE Flow flow_of(const Slice<Motion::kFull>& g, const Projection<Motion
     return f;
 }
 // Adds to ∂L/∂μ(t) and ∂L/∂h; the part through proj(μ(t)) goes into d_pixel.
-SPLAT_INLINE void flow_backward(const Flow& f, const Camera& c, float flow_dt, const Float (&d_flow)[2], Float (&d_pixel)[2],
-                                Float (&d_mean)[3], Float (&d_velocity)[3]) {
+SPLAT_INLINE void flow_backward(const Flow& f, const Camera& c, float flow_dt, const Float (&d_flow)[2],
+                                Float (&d_pixel)[2], Float (&d_mean)[3], Float (&d_velocity)[3]) {
     const float focal[2] = {c.fx, c.fy};
     Float d_cam[3], d_inverse_z(0.f), d_later[3];
     for (int a = 0; a < 2; ++a) {

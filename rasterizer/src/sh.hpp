@@ -1,23 +1,27 @@
-// 4D spherindrical harmonics: colour of a Gaussian from its coefficients, the viewing direction and time (paper, eq. 8).
+// 4D spherindrical harmonics: colour of a Gaussian from its coefficients, the viewing direction and time
+// (paper, eq. 8).
 //
-//     colour = max(0, ½ + Σ_n cos(2πn (t-μt)/T) Σ_lm k_nlm Y_lm(d)),   real SH with 3D Gaussian Splatting's signs.
+//     colour = max(0, ½ + Σ_n cos(2πn (t-μt)/T) Σ_lm k_nlm Y_lm(d)),   real SH with 3D Gaussian Splatting's
+//     signs.
 //
-// A coefficient row is 48 floats a Fourier order, [lm][rgb]: three Floats in which lane l of Float v is coefficient
-// (16 v + l) / 3, channel (v + l) mod 3. The basis is spread the same way, so that one multiplication does three
-// channels and memory is read in order.
+// A coefficient row is 48 floats a Fourier order, [lm][rgb]: three Floats in which lane l of Float v is
+// coefficient (16 v + l) / 3, channel (v + l) mod 3. The basis is spread the same way, so that one
+// multiplication does three channels and memory is read in order.
 #pragma once
 
 #include "types.hpp"
 #include "vec_math.hpp"
+#include "vec_move.hpp"
 
 namespace splat {
 
 inline constexpr float kShC0 = 0.28209479177387814f;
 inline constexpr float kShC1 = 0.4886025119029199f;
-inline constexpr float kShC2[5] = {1.0925484305920792f, -1.0925484305920792f, 0.31539156525252005f, -1.0925484305920792f,
-                                   0.5462742152960396f};
-inline constexpr float kShC3[7] = {-0.5900435899266435f, 2.890611442640554f, -0.4570457994644658f, 0.3731763325901154f,
-                                   -0.4570457994644658f, 1.445305721320277f, -0.5900435899266435f};
+inline constexpr float kShC2[5] = {1.0925484305920792f, -1.0925484305920792f, 0.31539156525252005f,
+                                   -1.0925484305920792f, 0.5462742152960396f};
+inline constexpr float kShC3[7] = {-0.5900435899266435f, 2.890611442640554f,   -0.4570457994644658f,
+                                   0.3731763325901154f,  -0.4570457994644658f, 1.445305721320277f,
+                                   -0.5900435899266435f};
 
 // Y_lm of the unit direction (x, y, z), zero above `degree`.
 SPLAT_INLINE void sh_basis(const Float& x, const Float& y, const Float& z, int degree, Float (&b)[16]) {
@@ -32,14 +36,15 @@ SPLAT_INLINE void sh_basis(const Float& x, const Float& y, const Float& z, int d
     b[7] = Float(kShC2[3]) * xz, b[8] = Float(kShC2[4]) * (xx - yy);
     if (degree < 3) return;
     b[9] = Float(kShC3[0]) * y * (three * xx - yy), b[10] = Float(kShC3[1]) * xy * z;
-    b[11] = Float(kShC3[2]) * y * (four * zz - xx - yy), b[12] = Float(kShC3[3]) * z * (two * zz - three * (xx + yy));
+    b[11] = Float(kShC3[2]) * y * (four * zz - xx - yy),
+    b[12] = Float(kShC3[3]) * z * (two * zz - three * (xx + yy));
     b[13] = Float(kShC3[4]) * x * (four * zz - xx - yy), b[14] = Float(kShC3[5]) * z * (xx - yy);
     b[15] = Float(kShC3[6]) * x * (xx - three * yy);
 }
 
 // ∂L/∂(x, y, z) from d = ∂L/∂Y_lm.
-SPLAT_INLINE void sh_basis_backward(const Float& x, const Float& y, const Float& z, int degree, const Float (&d)[16],
-                                    Float (&g)[3]) {
+SPLAT_INLINE void sh_basis_backward(const Float& x, const Float& y, const Float& z, int degree,
+                                    const Float (&d)[16], Float (&g)[3]) {
     for (auto& v : g) v = 0.f;
     if (degree < 1) return;
     g[0] = Float(-kShC1) * d[3], g[1] = Float(-kShC1) * d[1], g[2] = Float(kShC1) * d[2];
@@ -50,14 +55,16 @@ SPLAT_INLINE void sh_basis_backward(const Float& x, const Float& y, const Float&
     g[1] += a0 * x * d[4] + a1 * z * d[5] - two * a2 * y * d[6] - two * a4 * y * d[8];
     g[2] += a1 * y * d[5] + four * a2 * z * d[6] + a3 * x * d[7];
     if (degree < 3) return;
-    const Float c0(kShC3[0]), c1(kShC3[1]), c2(kShC3[2]), c3(kShC3[3]), c4(kShC3[4]), c5(kShC3[5]), c6(kShC3[6]);
+    const Float c0(kShC3[0]), c1(kShC3[1]), c2(kShC3[2]), c3(kShC3[3]), c4(kShC3[4]), c5(kShC3[5]),
+        c6(kShC3[6]);
     Float xx = x * x, yy = y * y, zz = z * z, xy = x * y, yz = y * z, xz = x * z;
     g[0] += six * c0 * xy * d[9] + c1 * yz * d[10] - two * c2 * xy * d[11] - six * c3 * xz * d[12] +
-            c4 * (four * zz - three * xx - yy) * d[13] + two * c5 * xz * d[14] + three * c6 * (xx - yy) * d[15];
+            c4 * (four * zz - three * xx - yy) * d[13] + two * c5 * xz * d[14] +
+            three * c6 * (xx - yy) * d[15];
     g[1] += three * c0 * (xx - yy) * d[9] + c1 * xz * d[10] + c2 * (four * zz - xx - three * yy) * d[11] -
             six * c3 * yz * d[12] - two * c4 * xy * d[13] - two * c5 * yz * d[14] - six * c6 * xy * d[15];
-    g[2] += c1 * xy * d[10] + eight * c2 * yz * d[11] + three * c3 * (two * zz - xx - yy) * d[12] + eight * c4 * xz * d[13] +
-            c5 * (xx - yy) * d[14];
+    g[2] += c1 * xy * d[10] + eight * c2 * yz * d[11] + three * c3 * (two * zz - xx - yy) * d[12] +
+            eight * c4 * xz * d[13] + c5 * (xx - yy) * d[14];
 }
 
 inline constexpr int kRowVectors = 3;  // Floats a Fourier order: 16 coefficients × 3 channels

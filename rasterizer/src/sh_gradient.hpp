@@ -1,8 +1,9 @@
 // The gradient of the SH coefficients of a batch, from the compact colour gradients its views left.
 //
-// A view's gradient of a Gaussian's 48, 96 or 144 coefficients is an outer product of eight floats (ColorGradient); it is
-// expanded here for a few hundred Gaussians at a time, summed over the batch's views in their order, and consumed while
-// it is in cache: by Adam in training, by a plain copy where the dense gradient is asked for.
+// A view's gradient of a Gaussian's 48, 96 or 144 coefficients is an outer product of eight floats
+// (ColorGradient); it is expanded here for a few hundred Gaussians at a time, summed over the batch's views
+// in their order, and consumed while it is in cache: by Adam in training, by a plain copy where the dense
+// gradient is asked for.
 #pragma once
 
 #include <algorithm>
@@ -21,7 +22,8 @@ struct ViewColors {
 
 inline constexpr uint32_t kShChunk = 128;  // × 576 bytes: the expanded rows stay in the second-level cache
 
-// Expanded gradients of Gaussians [first, last), `orders` rows of three Floats each; touched[i]: some view saw it.
+// Expanded gradients of Gaussians [first, last), `orders` rows of three Floats each; touched[i]: some view
+// saw it.
 struct ExpandedChunk {
     explicit ExpandedChunk(int orders) : orders(orders), rows(static_cast<size_t>(kShChunk) * orders) {}
     int orders;
@@ -65,7 +67,8 @@ inline void expand(const std::vector<ViewColors>& views, uint32_t first, uint32_
 }
 
 // Dense gradient [N, stored orders · coefficients, 3].
-inline void expand_dense(const std::vector<ViewColors>& views, uint32_t count, int coefficients, int orders, float* dense, int threads) {
+inline void expand_dense(const std::vector<ViewColors>& views, uint32_t count, int coefficients, int orders,
+                         float* dense, int threads) {
     const size_t order_stride = static_cast<size_t>(coefficients) * 3;
 #pragma omp parallel num_threads(threads)
     {
@@ -76,8 +79,8 @@ inline void expand_dense(const std::vector<ViewColors>& views, uint32_t count, i
             expand(views, first, last, chunk);
             for (uint32_t i = first; i < last; ++i)
                 for (int n = 0; n < orders; ++n)
-                    chunk.rows[static_cast<size_t>(i - first) * orders + n].store(dense + (static_cast<size_t>(i) * orders + n) * order_stride,
-                                                                                 coefficients);
+                    chunk.rows[static_cast<size_t>(i - first) * orders + n].store(
+                        dense + (static_cast<size_t>(i) * orders + n) * order_stride, coefficients);
         }
     }
 }

@@ -6,16 +6,17 @@
 
 namespace splat {
 
-inline constexpr float kMinMarginal = 0.05f;         // p(t) below this takes no part in the frame
-inline constexpr float kDilation = 0.3f;             // px² added to the 2D covariance's diagonal
-inline constexpr float kFrustumMargin = 1.3f;        // x/z and y/z are clamped to so many half fields of view
+inline constexpr float kMinMarginal = 0.05f;   // p(t) below this takes no part in the frame
+inline constexpr float kDilation = 0.3f;       // px² added to the 2D covariance's diagonal
+inline constexpr float kFrustumMargin = 1.3f;  // x/z and y/z are clamped to so many half fields of view
 inline constexpr float kMaxAlpha = 0.99f;
 inline constexpr float kLog2MinAlpha = -7.99435344f;  // log2(1/255): fainter contributions are skipped
-inline constexpr float kMinTransmittance = 1e-4f;    // a pixel ends before it falls below
+inline constexpr float kMinTransmittance = 1e-4f;     // a pixel ends before it falls below
 
-inline constexpr int kTile = 16;           // a tile is 16×16 pixels ...
-inline constexpr int kBlock = 4;           // ... made of sixteen 4×4 blocks, a block's pixels being the lanes of a Float
-inline constexpr int kBlocks = 16;         // 8×8 tiles have 1.7× the entries; 16×1 and 8×2 blocks lose too
+inline constexpr int kTile = 16;  // a tile is 16×16 pixels ...
+inline constexpr int kBlock =
+    4;  // ... made of sixteen 4×4 blocks, a block's pixels being the lanes of a Float
+inline constexpr int kBlocks = 16;  // 8×8 tiles have 1.7× the entries; 16×1 and 8×2 blocks lose too
 inline constexpr int kTilePixels = kTile * kTile;
 
 // What a model has; what it does not have is not compiled into its path.
@@ -64,20 +65,21 @@ inline constexpr int kMaxExtra = 5;
 
 // One Gaussian on the screen: one cache line, all that blending reads.
 struct alignas(64) Splat {
-    float x, y;              // pixel coordinates of the mean; pixel (i, j)'s centre is at (i, j) here
-    float xx, xy, yy;        // log2 of alpha at offset (dx, dy): log2_opacity + xx dx² + xy dx dy + yy dy²
-    float log2_opacity;      // of opacity · p(t)
+    float x, y;          // pixel coordinates of the mean; pixel (i, j)'s centre is at (i, j) here
+    float xx, xy, yy;    // log2 of alpha at offset (dx, dy): log2_opacity + xx dx² + xy dx dy + yy dy²
+    float log2_opacity;  // of opacity · p(t)
     float r, g, b;
-    float depth;             // z in the camera's frame
+    float depth;                    // z in the camera's frame
     float half_width, half_height;  // of the box round the alpha >= 1/255 ellipse, pixels
-    float radius;            // 3 standard deviations along the longer axis, pixels
-    uint32_t id;             // row in the parameters
-    uint32_t place;          // where it was staged (prepare.hpp)
-    uint32_t clamped;        // bit c: channel c was negative and is shown as 0
+    float radius;                   // 3 standard deviations along the longer axis, pixels
+    uint32_t id;                    // row in the parameters
+    uint32_t place;                 // where it was staged (prepare.hpp)
+    uint32_t clamped;               // bit c: channel c was negative and is shown as 0
 };
 static_assert(sizeof(Splat) == 64);
 
-// The gradient a (tile, Gaussian) entry collects; entries of one Gaussian are added in a fixed order. One cache line.
+// The gradient a (tile, Gaussian) entry collects; entries of one Gaussian are added in a fixed order. One
+// cache line.
 struct alignas(64) Slot {
     float value[16];
 };
@@ -85,8 +87,8 @@ enum SlotField { kSlotR, kSlotG, kSlotB, kSlotPower, kSlotX, kSlotY, kSlotXX, kS
 inline constexpr int kSlotFields = 9;
 static_assert(kSlotFields + kMaxExtra <= 16);
 
-// The colour gradient of one visible Gaussian in one view: all that the gradient of its up to 144 SH coefficients needs,
-// ∂L/∂k_nlm = color ⊗ Y_lm(direction) · cos(2πn dt/T). Never expanded per view.
+// The colour gradient of one visible Gaussian in one view: all that the gradient of its up to 144 SH
+// coefficients needs, ∂L/∂k_nlm = color ⊗ Y_lm(direction) · cos(2πn dt/T). Never expanded per view.
 struct ColorGradient {
     float color[3];
     float direction[3];

@@ -12,7 +12,8 @@ inline constexpr float kRoundMagic = 12582912.f;
 
 SPLAT_INLINE Float round_to_integer(const Float& x) { return (x + Float(kRoundMagic)) - Float(kRoundMagic); }
 
-// 2^x, relative error 2e-7 for -126 <= x <= 126. Below -126: 0 on AVX-512, meaningless elsewhere (callers mask it).
+// 2^x, relative error 2e-7 for -126 <= x <= 126. Below -126: 0 on AVX-512, meaningless elsewhere (callers
+// mask it).
 SPLAT_INLINE Float exp2(const Float& x) {
     Float r;
     for (int i = 0; i < kParts; ++i) {
@@ -57,7 +58,8 @@ SPLAT_INLINE Float log2(const Float& x) {
     return r;
 }
 
-// cos(2πu) of u in turns: cos(2πu) = -sin(2π(|u - round(u)| - ¼)), sine by Taylor to degree 11 on [-π/2, π/2].
+// cos(2πu) of u in turns: cos(2πu) = -sin(2π(|u - round(u)| - ¼)), sine by Taylor to degree 11 on [-π/2,
+// π/2].
 SPLAT_INLINE Float cos_turns(const Float& u) {
     Float y = (abs(u - round_to_integer(u)) - Float(0.25f)) * Float(kTwoPi);
     Float y2 = y * y;
