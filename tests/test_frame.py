@@ -225,7 +225,7 @@ def test_backward_asks_for_what_was_rendered():
     with pytest.raises(RuntimeError, match="must follow Frame.render"):
         frame.backward(gradients)
     frame.render(gaussians, Request(off_centre_camera()))
-    with pytest.raises(ValueError, match="d_depth was given"):
+    with pytest.raises(ValueError, match="d_depth: expected .depth. among the outputs"):
         frame.backward(gradients, d_depth=torch.zeros(1, 37, 45))
     with pytest.raises(ValueError, match=r"d_color must be float32 \[3, 37, 45\], got float32 \[3, 45, 37\]"):
         frame.backward(gradients, d_color=torch.zeros(3, 45, 37))

@@ -17,6 +17,9 @@ namespace splat {
 template <Motion motion>
 inline constexpr int kAxes = motion == Motion::kFull ? 4 : 3;
 
+// 1/|q| is cut off here, so that the gradient of a denormal quaternion stays finite.
+inline constexpr float kLargestInverse = 1e30f;
+
 struct UnitQuaternion {
     Float q[4];
     Float inverse_norm;
@@ -27,13 +30,15 @@ struct UnitQuaternion {
 SPLAT_INLINE UnitQuaternion normalise(const Float (&q)[4]) {
     Float largest = max(max(abs(q[0]), abs(q[1])), max(abs(q[2]), abs(q[3])));
     Mask usable = largest > Float(0.f);
-    Float inverse_largest = select(usable, Float(1.f) / largest, 0.f);
+    Float divisor =
+        select(usable, largest, 1.f);  // divided by, not multiplied with 1/divisor: it may be denormal
     Float s[4], norm2(0.f);
     for (int i = 0; i < 4; ++i) {
-        s[i] = q[i] * inverse_largest;
+        s[i] = q[i] / divisor;
         norm2 += s[i] * s[i];
     }
     Float inverse = zero_unless(usable, Float(1.f) / sqrt(norm2));
+    Float inverse_largest = min(Float(1.f) / divisor, kLargestInverse);
     UnitQuaternion u;
     for (int i = 0; i < 4; ++i) u.q[i] = s[i] * inverse;
     u.q[0] = select(usable, u.q[0], 1.f);
@@ -179,6 +184,9 @@ SPLAT_INLINE Slice<motion> slice_in_time(const Stored<motion>& s, float time) {
         g.inverse_var = Float(1.f) / g.var_t;
         g.log2_marginal = g.dt * g.dt * g.inverse_var * Float(-0.5f * kLog2E);
     }
+    Float v[4];
+    if constexpr (motion == Motion::kFull)
+        for (int j = 0; j < 4; ++j) v[j] = g.axes[3][j] * sqrt(g.inverse_var);
     for (int i = 0; i < 3; ++i) {
         const Float(&m)[4] = g.axes[i];
         g.mean[i] = s.mean[i];
@@ -186,7 +194,16 @@ SPLAT_INLINE Slice<motion> slice_in_time(const Stored<motion>& s, float time) {
             const Float(&m_t)[4] = g.axes[3];
             g.velocity[i] = (m[0] * m_t[0] + m[1] * m_t[1] + m[2] * m_t[2] + m[3] * m_t[3]) * g.inverse_var;
             g.mean[i] += g.velocity[i] * g.dt;
-            for (int j = 0; j < 4; ++j) g.factor[i][j] = m[j] - g.velocity[i] * m_t[j];
+            // (I - v vᵀ) with 1 - v_k² as the sum of the other squares: a huge st cancels nothing.
+            for (int k = 0; k < 4; ++k) {
+                Float others(0.f), along(0.f);
+                for (int j = 0; j < 4; ++j) {
+                    if (j == k) continue;
+                    others += v[j] * v[j];
+                    along += m[j] * v[j];
+                }
+                g.factor[i][k] = m[k] * others - v[k] * along;
+            }
         } else {
             for (int j = 0; j < 3; ++j) g.factor[i][j] = m[j];
         }
