@@ -15,8 +15,8 @@ from torch import Tensor
 from pipeline.config import DensifyConfig
 from pipeline.model import Model
 from pipeline.optimiser import Adam
-from pipeline.rotation import rotation_3d, rotation_4d
-from rasterizer import Camera, ViewGradient
+from rasterizer import Camera, Gaussians, ViewGradient
+from rasterizer.reference import scaled_axes
 
 
 class Statistics:
@@ -145,7 +145,7 @@ def split_rows(model: Model, mask: Tensor, cfg: DensifyConfig, time_split: bool,
     rows = {name: p[mask].repeat(cfg.split_count, *([1] * (p.dim() - 1))) for name, p in model.parameters.items()}
     dims = model.kind.dims
     noise = torch.randn(len(rows["mean"]), dims, generator=generator)
-    axes = _axes(rows)  # M = R diag(s), (n, dims, dims)
+    axes = scaled_axes(Gaussians(**{"quat_right": None, **rows}))  # M = R diag(s), (n, dims, dims)
     if dims == 3 or time_split:
         rows["mean"] = rows["mean"] + (axes @ noise[:, :, None])[:, :, 0]
         shrinking = dims
@@ -214,15 +214,3 @@ def _transparent(model: Model, cfg: DensifyConfig) -> Tensor:
 def _spatial_scale(model: Model) -> Tensor:
     """(N,) the largest of the three first scales, world units."""
     return model.parameters["log_scale"][:, :3].amax(dim=1).exp()
-
-
-def _axes(rows: dict[str, Tensor]) -> Tensor:
-    """M = R diag(s) of SPEC 1, (n, 4, 4); (n, 3, 3) when static."""
-    scale = rows["log_scale"].exp()
-    if "quat_right" in rows:
-        rotation = rotation_4d(rows["quat_left"], rows["quat_right"])
-    else:
-        dims = scale.shape[1]
-        rotation = torch.eye(dims).repeat(len(scale), 1, 1)
-        rotation[:, :3, :3] = rotation_3d(rows["quat_left"])
-    return rotation * scale[:, None, :]

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from datasets.scene import Scene, View
+from datasets.scene import Scene
 from pipeline import lpips
 from pipeline.config import Config
 from pipeline.metrics import METRICS, MS_SSIM_NOTE, mean, measure, psnr

@@ -10,8 +10,8 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from pipeline.model import Model
-from pipeline.rotation import rotation_4d
 from rasterizer import Gradients
+from rasterizer.reference import rotation_4d
 
 NEIGHBOURS = 20
 FALLOFF = 100.0  # weight exp(-100 d²), d in world units: 0.1 away counts 1/e

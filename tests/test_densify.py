@@ -13,7 +13,7 @@ from pipeline.densify import (
     Statistics, choose_growth, densify, due, opacity_reset_due, reset_opacity, split_rows, to_prune)
 from pipeline.model import Model, ModelKind
 from pipeline.optimiser import Adam
-from pipeline.rotation import rotation_4d
+from rasterizer.reference import rotation_4d
 from rasterizer import Camera, ViewGradient
 
 EXTENT = 5.0  # so that clones end and splits begin at 0.05

@@ -10,7 +10,6 @@ from plyfile import PlyData
 from pipeline.config import AblationConfig, Config
 from pipeline.model import Model, ModelKind, kind_of
 from pipeline.ply import load_ply, save_ply
-from pipeline.rotation import rotation_3d, rotation_4d
 from tiny import tiny_scene
 
 KINDS = [ModelKind("full", 2, 3), ModelKind("full", 0, 3), ModelKind("separable", 1, 2), ModelKind("static", 0, 3),
@@ -95,23 +94,3 @@ def test_unreadable_ply_is_one_line_with_its_name(tmp_path) -> None:
     with pytest.raises(ValueError, match="broken.ply: expected") as error:
         load_ply(file)
     assert "\n" not in str(error.value)
-
-
-def test_rotations_are_orthogonal_and_agree_on_pure_space() -> None:
-    generator = torch.Generator().manual_seed(0)
-    left, right = torch.randn(50, 4, generator=generator).double(), torch.randn(50, 4, generator=generator).double()
-    full = rotation_4d(left, right)
-    # float64 products of a few terms: 1e-14 is some tens of rounding errors
-    assert torch.allclose(full @ full.mT, torch.eye(4).double().expand(50, 4, 4), atol=1e-14)
-    assert torch.allclose(torch.linalg.det(full), torch.ones(50).double(), atol=1e-13)
-    # L(q) R(q*) is the spatial rotation q v q*, acting on (scalar, vector) = (first, last three) of a 4-vector
-    conjugate = left * torch.tensor([1.0, -1.0, -1.0, -1.0]).double()
-    turned = rotation_4d(left, conjugate)
-    assert torch.allclose(turned[:, 1:, 1:], rotation_3d(left), atol=1e-14)
-    assert torch.allclose(turned[:, 0, 0], torch.ones(50).double(), atol=1e-14)
-
-
-def test_zero_quaternion_is_identity() -> None:
-    zero = torch.zeros(1, 4)
-    assert torch.equal(rotation_4d(zero, zero)[0], torch.eye(4))
-    assert torch.equal(rotation_3d(zero)[0], torch.eye(3))

@@ -1,0 +1,89 @@
+"""Run folders as the pipeline leaves them, for the tests of the report."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+
+def write_run(
+    root: Path,
+    scene: str,
+    ablation: str = "full",
+    train: str = "fast",
+    seed: int = 0,
+    psnr: float = 25.0,
+    out: str | None = None,
+    iterations: int = 1000,
+    images: int = 0,
+    **changes,
+) -> Path:
+    """One run folder; `changes` replace keys of metrics.json (dotted keys reach inside)."""
+    folder = root / (out or f"{scene}/{ablation}/{train}/seed{seed}")
+    (folder / "renders").mkdir(parents=True)
+    quality = {
+        "psnr": psnr,
+        "ssim": 0.9,
+        "ms_ssim": 0.96,
+        "dssim1": 0.05,
+        "dssim2": 0.04,
+        "lpips_alex": None,
+        "lpips_vgg": None,
+        "lpips_note": "no weights: offline",
+        "fps_raster": 80.0,
+        "fps_render": 60.0,
+    }
+    metrics = {
+        "final": dict(quality),
+        "best_on_test": quality | {"psnr": psnr + 0.25, "iteration": 800},
+        "n_gaussians": 12345,
+        "n_alive_mean": 6000.5,
+        "train_seconds": 60.0 + seed,
+        "peak_rss_mb": 512.0,
+        "model_mb": 7.5,
+        "model_with_optimiser_mb": 22.5,
+        "iterations": iterations,
+        "scene": scene,
+        "ablation": ablation,
+        "train": train,
+        "seed": seed,
+    }
+    for key, value in changes.items():
+        *path, last = key.split(".")
+        part = metrics
+        for name in path:
+            part = part[name]
+        part[last] = value
+    (folder / "metrics.json").write_text(json.dumps(metrics))
+    (folder / "config.yaml").write_text(
+        f"seed: {seed}\nthreads: 2\nscene:\n  name: {scene}\n  path: null\nablation:\n  name: {ablation}\n"
+        f"train:\n  name: {train}\n  iterations: {iterations}\n"
+    )
+    rows = ["train_seconds,iteration,psnr,ssim,test_loss,n_gaussians"]
+    rows += [
+        f"{(60 + seed) * k / 4},{iterations * k // 4},{psnr - 8 / k + 2},{0.8},{0.1},{3000 * k}"
+        for k in (1, 2, 3, 4)
+    ]
+    (folder / "error_vs_time.csv").write_text("\n".join(rows) + "\n")
+    (folder / "environment.json").write_text(
+        json.dumps(
+            {
+                "machine": "Test CPU, 2 cores",
+                "date": f"2025-01-0{seed + 1}T10:00:00Z",
+                "git_commit": "abc1234",
+                "command": f"python -m pipeline scene={scene} seed={seed}",
+                "versions": {},
+            }
+        )
+    )
+    per_image = ["view,psnr"]
+    for i in range(images):
+        per_image.append(f"test/r_{i},{psnr + i}")
+        for part, shade in (("render", 90), ("truth", 120), ("difference", 30)):
+            pixels = np.full((24, 24, 3), shade + i, np.uint8)
+            Image.fromarray(pixels).save(folder / "renders" / f"test_r_{i}_{part}.png")
+    (folder / "per_image.csv").write_text("\n".join(per_image) + "\n")
+    return folder

@@ -1,0 +1,105 @@
+"""Runs the report must not trust: broken, damaged, copied, or of other settings than their name says."""
+
+from __future__ import annotations
+
+
+import pytest
+from report_runs import write_run
+
+from pipeline.report.__main__ import main
+from pipeline.report.collect import collect
+from pipeline.report.variants import name_variants
+
+
+@pytest.mark.parametrize(
+    "damage, said",
+    [
+        (lambda f: (f / "metrics.json").unlink(), "unfinished: no metrics.json"),
+        (lambda f: (f / "metrics.json").write_text('{"final": '), "expected JSON"),
+        (lambda f: (f / "metrics.json").write_text("[1]"), "expected an object, found list"),
+        (
+            lambda f: (f / "metrics.json").write_text(
+                (f / "metrics.json").read_text().replace("25.0", "NaN")
+            ),
+            "final.psnr: expected a finite number, found nan",
+        ),
+        (
+            lambda f: (f / "metrics.json").write_text(
+                (f / "metrics.json").read_text().replace("12345", '"many"')
+            ),
+            "n_gaussians: expected a finite number, found 'many'",
+        ),
+        (lambda f: (f / "config.yaml").write_text("a: [1"), "config.yaml: expected YAML"),
+    ],
+)
+def test_a_broken_run_is_named_in_one_line_and_left_out(tmp_path, capsys, damage, said):
+    write_run(tmp_path, "synthetic/wheel", seed=0)
+    damage(write_run(tmp_path, "synthetic/wheel", seed=1))
+    found = collect(tmp_path)
+    assert list(found.runs["seed"]) == [0]  # the other run still counts
+    assert len(found.left_out) == 1 and "\n" not in found.left_out[0]
+    assert found.left_out[0].startswith("synthetic/wheel/full/fast/seed1: left out: ")
+    assert said in found.left_out[0]
+
+
+def test_a_broken_run_is_named_on_stderr_and_in_the_report(tmp_path, capsys):
+    write_run(tmp_path / "runs", "synthetic/wheel", seed=0)
+    (write_run(tmp_path / "runs", "synthetic/wheel", seed=1) / "metrics.json").unlink()
+    assert main([str(tmp_path / "runs")]) == 0
+    line = "synthetic/wheel/full/fast/seed1: left out: unfinished: no metrics.json"
+    assert capsys.readouterr().err == f"warning: {line}\n"
+    assert all(line in (tmp_path / "report" / name).read_text() for name in ("report.html", "report.md"))
+
+
+def test_a_damaged_curve_costs_the_curve_not_the_run(tmp_path):
+    folder = write_run(tmp_path, "synthetic/wheel")
+    with (folder / "error_vs_time.csv").open("a") as file:
+        file.write("70.0,1100\n")
+    found = collect(tmp_path)
+    assert len(found.runs) == 1 and found.curves.empty
+    assert found.warnings == (
+        "synthetic/wheel/full/fast/seed0: error_vs_time.csv: expected numbers, found none in line 6",
+    )
+
+
+def test_a_curve_line_cut_short_by_a_kill_is_dropped(tmp_path):
+    folder = write_run(tmp_path, "synthetic/wheel")
+    with (folder / "error_vs_time.csv").open("a") as file:
+        file.write("70.0,1100,25.1,0.8,0.1,12")  # the count was to be 12345
+    found = collect(tmp_path)
+    assert list(found.curves["iteration"]) == [250, 500, 750, 1000] and not found.warnings
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda p: None,
+        lambda p: p.mkdir(),
+        lambda p: p.write_text("x"),
+        lambda p: (p / "a").mkdir(parents=True) or (p / "a/config.yaml").write_text(""),
+    ],
+)
+def test_nothing_to_report_is_one_line_and_a_failure(tmp_path, capsys, make):
+    make(tmp_path / "runs")
+    assert main([str(tmp_path / "runs")]) == 1
+    said = capsys.readouterr().err
+    assert said.startswith(f"error: {tmp_path / 'runs'}: expected") and said.count("\n") == 1
+    assert not (tmp_path / "report").exists()
+
+
+def test_runs_with_other_settings_are_not_averaged_under_one_name(tmp_path):
+    write_run(tmp_path, "synthetic/wheel", seed=0)
+    write_run(tmp_path, "synthetic/wheel", seed=1)
+    write_run(tmp_path, "synthetic/wheel", seed=2, iterations=600)
+    runs = name_variants(collect(tmp_path)).runs
+    assert sorted(runs["train"]) == ["fast", "fast", "fast (iterations=600)"]
+
+
+def test_a_copied_run_counts_once(tmp_path):
+    write_run(tmp_path, "synthetic/wheel")
+    write_run(tmp_path, "synthetic/wheel", out="copy")
+    found = name_variants(collect(tmp_path))
+    assert len(found.runs) == 1
+    assert found.left_out == (
+        "synthetic/wheel/full/fast/seed0: left out: same scene, ablation, settings and seed as copy",
+    )
