@@ -12,12 +12,17 @@ import argparse
 import json
 import math
 import os
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+
+from rasterizer import Camera, Frame, Gaussians, Gradients, Request
+from rasterizer.frame import STAGES
+from rasterizer.kernel import kernel
 
 WORKLOADS = ("W1", "W2h", "W2")
 
@@ -60,16 +65,14 @@ class Columns:
 
 @dataclass(frozen=True)
 class Workload:
-    gaussians: "Gaussians"  # noqa: F821 (imported once the instruction set is chosen)
-    camera: "Camera"  # noqa: F821
+    gaussians: Gaussians
+    camera: Camera
     time: float
     duration: float
 
 
 def make_workload(name: str) -> Workload:
     """One of WORKLOADS (the distributions are in the project's performance notes)."""
-    from rasterizer import Camera, Gaussians
-
     small = name == "W1"
     count = 100_000 if small else 300_000
     blocks, rng = [], SplitMix64(1234567 if small else 7654321)
@@ -119,9 +122,6 @@ def clock_for(threads: int) -> Callable[[], float]:
 
 def measure(workload: Workload, threads: int, repeats: int, outputs: tuple[str, ...] = ("color",), **request) -> dict:
     """Minimum milliseconds of forward and backward (gradients of every parameter, SH dense), and of their stages."""
-    from rasterizer import Frame, Gradients, Request
-    from rasterizer.frame import STAGES
-
     frame, gradients, clock = Frame(threads), Gradients.zeros_like(workload.gaussians), clock_for(threads)
     camera = workload.camera
     generator = torch.Generator().manual_seed(99)
@@ -151,8 +151,6 @@ def measure(workload: Workload, threads: int, repeats: int, outputs: tuple[str, 
 
 def measure_parts(workload: Workload, threads: int, repeats: int) -> list[tuple[str, dict]]:
     """The same workload with parts of the model left out, and with outputs asked for."""
-    from rasterizer import Gaussians
-
     g = workload.gaussians
     orders = {n: g.sh[:, :16 * (n + 1)].contiguous() for n in range(3)}
     xyz, scale = g.mean[:, :3].contiguous(), g.log_scale[:, :3].contiguous()
@@ -181,11 +179,11 @@ def main() -> None:
     parser.add_argument("--parts", action="store_true", help="what each part costs when on")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     options = parser.parse_args()
-    if options.isa:
-        os.environ["RASTERIZER_ISA"] = options.isa  # read when the kernel is imported, below
+    if options.isa and os.environ.get("RASTERIZER_ISA") != options.isa:
+        # The kernel is chosen when the package is imported, which has happened by now: start again.
+        environment = os.environ | {"RASTERIZER_ISA": options.isa}
+        os.execve(sys.executable, [sys.executable, "-m", "rasterizer.bench", *sys.argv[1:]], environment)
     torch.set_num_threads(1)
-    from rasterizer.kernel import kernel
-
     workload, isa = make_workload(options.workload), kernel.__name__.rsplit("_", 1)[1]
     head = {"workload": options.workload, "isa": isa, "threads": options.threads}
     if options.parts:
