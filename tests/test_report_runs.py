@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 
 import pytest
 from report_runs import write_run
@@ -93,6 +94,14 @@ def test_runs_with_other_settings_are_not_averaged_under_one_name(tmp_path):
     write_run(tmp_path, "synthetic/wheel", seed=2, iterations=600)
     runs = name_variants(collect(tmp_path)).runs
     assert sorted(runs["train"]) == ["fast", "fast", "fast (iterations=600)"]
+
+
+def test_what_a_command_changed_is_part_of_the_name(tmp_path):
+    folder = write_run(tmp_path, "synthetic/wheel")
+    environment = json.loads((folder / "environment.json").read_text())
+    environment["command"] += " train=paper train.densify.max_gaussians=50000 train.checkpoint_every=10"
+    (folder / "environment.json").write_text(json.dumps(environment))
+    assert list(name_variants(collect(tmp_path)).runs["train"]) == ["fast (densify.max_gaussians=50000)"]
 
 
 def test_a_copied_run_counts_once(tmp_path):

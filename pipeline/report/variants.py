@@ -1,14 +1,15 @@
 """Tells runs apart that carry one name but not one set of settings.
 
-`train=fast train.iterations=600` is still called `fast`. Averaged with true `fast` runs it would be a number
-that no command prints, so inside a scene all runs with one `train` name (and one `ablation` name) are
-compared key by key; those that differ from most get the differing keys in
-their name, as `fast (iterations=600)`.
+`train=fast train.iterations=600` is still called `fast` in its run folder. Here it is `fast (iterations=600)`: the
+report takes what the command changed into the name, so that no schedule passes for another. Settings can differ
+without the command saying so (an edited file), so inside a scene all runs with one `train` name (and one `ablation`
+name) are compared key by key too; those that differ from most get the differing keys in their name.
 """
 
 from __future__ import annotations
 
 import json
+import shlex
 from collections import Counter
 from dataclasses import replace
 from pathlib import PurePath
@@ -38,6 +39,7 @@ _SHOWN = 3  # differing keys spelled out in a name
 def name_variants(collection: Collection) -> Collection:
     """The same runs under names equal only where the settings are; repeated runs are left out, and named."""
     runs, settings = collection.runs, collection.settings
+    runs = runs.assign(train=[_as_typed(name, command) for name, command in zip(runs["train"], runs["command"])])
     runs = runs.assign(
         train=_distinct_names(runs, "train", {run: _of_schedule(settings[run]) for run in runs["run"]}),
         ablation=_distinct_names(runs, "ablation", {run: _of_ablation(settings[run]) for run in runs["run"]}),
@@ -58,6 +60,16 @@ def name_variants(collection: Collection) -> Collection:
     return replace(
         collection, runs=runs, curves=curves.reset_index(drop=True), left_out=collection.left_out + left_out
     )
+
+
+def _as_typed(name: str, command: str) -> str:
+    """`name`, plus the train.* settings that the run's command line changed."""
+    try:
+        words = shlex.split(command)
+    except ValueError:
+        words = []  # not a command line
+    changed = [w.removeprefix("train.") for w in words if w.startswith("train.") and w.split("=")[0] not in _FREE]
+    return f"{name} ({', '.join(changed)})" if changed else name
 
 
 def _distinct_names(runs: pd.DataFrame, column: str, settings: dict[str, dict[str, Any]]) -> pd.Series:
