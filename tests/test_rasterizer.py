@@ -200,3 +200,33 @@ def test_every_instruction_set_of_this_machine(isa: str):
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-k", "core", __file__]
     done = subprocess.run(command, env={**os.environ, "RASTERIZER_ISA": isa}, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-1000:]
+
+
+def test_a_huge_temporal_scale_with_a_tilted_time_axis():
+    """M_xyz - h m_t cancels here: entries of 1e5 whose difference is 0.1. Away from jumps the factor must not.
+
+    1e-4: the images agree to a few 1e-6; the form that cancels is off by more than 1e-2.
+    """
+    gaussians = random_gaussians(40, "full", generator(12))
+    gaussians.log_scale[:, 3] = math.log(1e6)
+    gaussians = gaussians.to(torch.float32).to(torch.float64)
+    request = make_request()
+    gaussians = away_from_jumps(gaussians, request)
+    smooth = smooth_pixels(gaussians, request)
+    expected = render(reference.rasterize, gaussians, request).color
+    found = render(rasterize, gaussians.to(torch.float32), request).color
+    assert len(gaussians) > 0 and smooth.float().mean() > 0.5
+    assert ((found.double() - expected).abs() * smooth).max() < 1e-4
+
+
+def test_a_denormal_quaternion_keeps_its_direction():
+    """Its inverse overflows float32; 1e-3 because a denormal of 1e-40 itself has only some 16 bits."""
+    gaussians = random_gaussians(30, "full", generator(13))
+    request = make_request()
+    gaussians = away_from_jumps(gaussians, request)
+    smooth = smooth_pixels(gaussians, request, margin=1e-2)
+    expected = render(reference.rasterize, gaussians, request).color
+    single = gaussians.to(torch.float32)
+    single.quat_left.mul_(1e-40)
+    found = render(rasterize, single, request).color
+    assert ((found.double() - expected).abs() * smooth).max() < 1e-3
