@@ -113,7 +113,7 @@ class Frame:
         self._frame = kernel.Frame()
         self._model = self._request = None
 
-    def render(self, gaussians: Gaussians, request: Request) -> RenderOutput:
+    def render(self, gaussians: Gaussians, request: Request, differentiable: bool = True) -> RenderOutput:
         """Render one view of float32, contiguous Gaussians. Raises ValueError when they are not."""
         check_float32(gaussians)
         request.check_against(gaussians)
@@ -130,7 +130,8 @@ class Frame:
             camera=kernel.Camera.make(camera.width, camera.height, intrinsics, camera.world_to_cam.astype(np.float32)),
             time=request.time, duration=request.duration, near=request.near, background=list(request.background),
             flow_dt=request.flow_dt or 0.0, sh_degree=self.sh_degree, fourier_order=self.fourier_order,
-            extras=tuple(name in request.outputs for name in _EXTRAS), threads=self.threads)
+            extras=tuple(name in request.outputs for name in _EXTRAS), differentiable=differentiable,
+            threads=self.threads)
         images = {name: torch.empty(_CHANNELS[name], camera.height, camera.width) for name in request.outputs}
         self._frame.render(self._model, **{name: images.get(name) for name in _CHANNELS})
         return RenderOutput(**{name: images.get(name) for name in _CHANNELS})

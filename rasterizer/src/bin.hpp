@@ -42,6 +42,8 @@ inline TileRange tiles_under(const Frame& f, const Splat& s) {
             tile(s.y - s.half_height, f.tiles_y), tile(s.y + s.half_height, f.tiles_y)};
 }
 
+inline constexpr size_t kAhead = 16;  // splats fetched ahead: depth order is no order in memory
+
 inline void bin(Frame& f) {
     StageTimer timer(f, kStageBin);
     f.tiles_x = (f.camera.width + kTile - 1) / kTile;
@@ -49,8 +51,7 @@ inline void bin(Frame& f) {
     const int tiles = f.tiles(), segments = f.settings.threads;
     const size_t n = f.visible, places = f.chunk_count.size() * kChunk;
     f.segments.resize(segments);
-    f.slot_count.resize(places);
-    f.slot_begin.resize(places);
+    f.slot_range.resize(places);
     auto segment_begin = [&](int s) { return n * s / segments; };
 
     // List (tile, mask) splat by splat. How the splats are divided among threads does not show in the result.
@@ -60,7 +61,9 @@ inline void bin(Frame& f) {
         list.tile_count.assign(tiles, 0);
         size_t n_entries = 0;
         for (size_t i = segment_begin(s); i < segment_begin(s + 1); ++i) {
-            const Splat& splat = f.sorted[i];
+            const uint32_t place = f.front_to_back[i].place;
+            if (i + kAhead < n) __builtin_prefetch(&f.staged[f.front_to_back[i + kAhead].place]);
+            const Splat& splat = f.staged[place];
             const TileRange range = tiles_under(f, splat);
             const size_t most =
                 n_entries + static_cast<size_t>(range.x1 - range.x0 + 1) * (range.y1 - range.y0 + 1);
@@ -79,8 +82,7 @@ inline void bin(Frame& f) {
                     list.tile_count[tile] += touched;
                     n_entries += touched;
                 }
-            const uint32_t count = static_cast<uint32_t>(n_entries - before);
-            f.slot_count[splat.place] = count;
+            f.slot_range[place].count = static_cast<uint32_t>(n_entries - before);
         }
     }
 
@@ -97,9 +99,9 @@ inline void bin(Frame& f) {
     uint32_t slot = 0;
     for (size_t c = 0; c < f.chunk_count.size(); ++c)
         for (uint32_t i = 0; i < f.chunk_count[c]; ++i) {
-            const size_t place = c * kChunk + i;
-            f.slot_begin[place] = slot;
-            slot += f.slot_count[place];
+            Frame::SlotRange& range = f.slot_range[c * kChunk + i];
+            range.begin = slot;
+            slot += range.count;
         }
 
     f.entry_splat.resize(total + kLanes);  // blend reads masks and indices sixteen at a time
@@ -110,13 +112,13 @@ inline void bin(Frame& f) {
         Frame::Segment& list = f.segments[s];
         size_t e = 0;
         for (size_t i = segment_begin(s); i < segment_begin(s + 1); ++i) {
-            const uint32_t place = f.sorted[i].place, count = f.slot_count[place],
-                           first_slot = f.slot_begin[place];
-            for (uint32_t k = 0; k < count; ++k, ++e) {
+            const uint32_t place = f.front_to_back[i].place;
+            const Frame::SlotRange slots = f.slot_range[place];
+            for (uint32_t k = 0; k < slots.count; ++k, ++e) {
                 const uint32_t to = list.tile_count[list.tile[e]]++;
-                f.entry_splat[to] = static_cast<uint32_t>(i);
+                f.entry_splat[to] = place;
                 f.entry_mask[to] = list.mask[e];
-                f.entry_slot[to] = first_slot + k;
+                f.entry_slot[to] = slots.begin + k;
             }
         }
     }

@@ -43,14 +43,14 @@ struct Blended {
 
 // Blends `count` splats into one block; returns how many it took until every pixel had ended, else -1.
 template <int extra>
-SPLAT_INLINE int blend_block(const Splat* splats, const float* extras, const uint32_t* index, int count,
+SPLAT_INLINE int blend_block(const Splat* splats, const float* extras, const uint32_t* places, int count,
                              const Float& px, const Float& py, Blended<extra>& state) {
     Float T = state.transmittance, C[3 + extra];
     for (int k = 0; k < 3 + extra; ++k) C[k] = state.channel[k];
     Mask live = state.live;
     int used = -1;
     for (int j = 0; j < count; ++j) {
-        const Splat& s = splats[index[j]];
+        const Splat& s = splats[places[j]];
         Float power = log2_alpha(s, px - Float(s.x), py - Float(s.y));
         Float alpha = zero_unless((power >= Float(kLog2MinAlpha)) & live, min(exp2(power), kMaxAlpha));
         Float w = alpha * T, next = T - w;
@@ -59,7 +59,7 @@ SPLAT_INLINE int blend_block(const Splat* splats, const float* extras, const uin
         T = select(live, next, T);
         C[0] += w * Float(s.r), C[1] += w * Float(s.g), C[2] += w * Float(s.b);
         if constexpr (extra > 0) {
-            const float* value = extras + static_cast<size_t>(s.place) * kExtraStride;
+            const float* value = extras + static_cast<size_t>(places[j]) * kExtraStride;
             for (int e = 0; e < extra; ++e) C[3 + e] += w * Float(value[e]);
         }
         if (!bits(live)) [[unlikely]] {
@@ -97,12 +97,12 @@ inline void blend_tile(Frame& f, int tile) {
         for (unsigned blocks = open; blocks; blocks &= blocks - 1) {
             const int b = __builtin_ctz(blocks);
             for (int k = 0; k < kPrefetchPerBlock && ahead < ahead_end; ++k, ++ahead)
-                __builtin_prefetch(&f.sorted[f.entry_splat[ahead]]);
+                __builtin_prefetch(&f.staged[f.entry_splat[ahead]]);
             const int count = pack_matching(&f.entry_splat[first], &f.entry_mask[first], n, b, packed);
             const Float px = lane_x + Float(static_cast<float>(span.x + b % 4 * kBlock));
             const Float py = lane_y + Float(static_cast<float>(span.y + b / 4 * kBlock));
             const int used =
-                blend_block<extra>(f.sorted.data(), f.extras.data(), packed, count, px, py, state[b]);
+                blend_block<extra>(f.staged.data(), f.extras.data(), packed, count, px, py, state[b]);
             if (used < 0) continue;
             open &= ~(1u << b);
             uint32_t last = first;

@@ -71,10 +71,11 @@ inline void blend_backward_tile(Frame& f, int tile, const OutputGradients& d) {
     constexpr int kFields = kSlotFields + extra, kGroups = (kFields + 3) / 4;
     for (uint32_t e = span.begin; e < span.end; ++e) {
         const uint32_t ahead = std::min(e + kEntryPrefetch, span.end - 1);
-        __builtin_prefetch(&f.sorted[f.entry_splat[ahead]]);
+        __builtin_prefetch(&f.staged[f.entry_splat[ahead]]);
         __builtin_prefetch(&f.slots[f.entry_slot[ahead]], 1);
-        const Splat& s = f.sorted[f.entry_splat[e]];
-        const float* value = f.extras.data() + static_cast<size_t>(s.place) * kExtraStride;
+        const uint32_t place = f.entry_splat[e];
+        const Splat& s = f.staged[place];
+        const float* value = f.extras.data() + static_cast<size_t>(place) * kExtraStride;
         Float sum[4 * kGroups];
         for (auto& v : sum) v = 0.f;
         const Float dx0 = lane_x + Float(span.x - s.x), dy0 = lane_y + Float(span.y - s.y);

@@ -1,6 +1,8 @@
-// Colour of sixteen visible Gaussians from their SH coefficients, and its backward pass.
+// Colour of sixteen visible Gaussians from their SH coefficients, and its derivatives.
 // `order` is the highest Fourier order used: a model constant in time has no cosine in its path.
 #pragma once
+
+#include <algorithm>
 
 #include "sh.hpp"
 
@@ -32,110 +34,104 @@ struct Cosines {
     }
 };
 
+// cos(2πn turns) and its derivative by dt = T · turns, per Gaussian.
+template <int order>
+struct TimeFactors {
+    alignas(64) float cosine[order + 1][kLanes], slope[order + 1][kLanes];
+    SPLAT_INLINE TimeFactors(const Float& turns, float duration) {
+        const Cosines<order> c(turns);
+        if constexpr (order >= 1) {
+            const Float sine = sin_turns(turns), rate(-kTwoPi / duration);
+            c.value[1].store(cosine[1]);
+            (rate * sine).store(slope[1]);
+            if constexpr (order >= 2) {
+                c.value[2].store(cosine[2]);
+                (Float(4.f) * rate * sine * c.value[1]).store(slope[2]);  // sin 2a = 2 sin a cos a
+            }
+        }
+    }
+};
+
 // How far ahead coefficient rows are fetched, in Gaussians: the rows are the largest read of a frame and are
 // not in order.
 inline constexpr int kShPrefetch = 8;
 
-SPLAT_INLINE void prefetch_sh(const Parameters& p, uint32_t id, int order) {
-    const size_t row = static_cast<size_t>(p.stored_order + 1) * p.coefficients * 3;
-    const char* at = reinterpret_cast<const char*>(p.sh + row * id);
-    const int bytes = 4 * (order + 1) * p.coefficients * 3;
-    for (int b = 0; b < bytes; b += 64) __builtin_prefetch(at + b);
+SPLAT_INLINE void prefetch_sh(const Parameters& p, uint32_t id, int order, int coefficients) {
+    const size_t order_stride = static_cast<size_t>(p.coefficients) * 3;
+    const float* row = p.sh + order_stride * (p.stored_order + 1) * id;
+    for (int n = 0; n <= order; ++n)
+        for (int i = 0; i < 3 * coefficients; i += kLanes) __builtin_prefetch(row + order_stride * n + i);
 }
 
-// rgb before the clamp at zero: ½ + Σ k cos Y. ids[0..count-1] are the rows; next_ids what comes kShPrefetch
-// later.
-template <int order>
+// A Gaussian's colour before the clamp at zero, and what it depends on besides the coefficients.
+struct Color {
+    Float rgb[3];
+    Float by_offset[3][3];  // ∂rgb_c / ∂(camera centre to μ(t))_i
+    Float by_dt[3];         // ∂rgb_c / ∂(t - μt)
+};
+
+// rgb = ½ + Σ k cos Y. ids[0..count-1] are the rows; next_ids what comes kShPrefetch later. With
+// `differentiable` the derivatives are taken while the coefficients are at hand, 48 bytes a Gaussian kept
+// instead of 576 read again by the backward pass.
+template <int order, bool differentiable>
 SPLAT_INLINE void color(const Parameters& p, const uint32_t* ids, int count, const uint32_t* next_ids,
-                        const Viewing& view, int sh_degree, Float (&rgb)[3]) {
+                        const Viewing& view, float duration, int sh_degree, Color& out) {
     const size_t order_stride = static_cast<size_t>(p.coefficients) * 3,
                  row_stride = order_stride * (p.stored_order + 1);
-    Float basis[16], spread[kRowVectors][16];
-    sh_basis(view.direction[0], view.direction[1], view.direction[2], sh_degree, basis);
-    spread_basis(basis, spread);
-    alignas(64) float cosine[order + 1][kLanes];
-    Cosines<order> cosines(view.turns);
-    for (int n = 1; n <= order; ++n) cosines.value[n].store(cosine[n]);
+    const int used = std::min(p.coefficients, (sh_degree + 1) * (sh_degree + 1));
+    const TimeFactors<order> time(view.turns, duration);
+    // Σ_n k_n cos, and its derivative by dt; first a row a Gaussian, after the transposes a Float a
+    // coefficient and channel: entry 3 lm + c
+    Float sum[kRowVectors][kLanes], by_dt[kRowVectors][kLanes];
     for (int g = 0; g < count; ++g) {
-        prefetch_sh(p, next_ids[g], order);
+        prefetch_sh(p, next_ids[g], order, used);
         const float* row = p.sh + row_stride * ids[g];
-        ShRow sum = ShRow::load(row, p.coefficients);
+        ShRow total = ShRow::load(row, used), slope;
         for (int n = 1; n <= order; ++n) {
-            ShRow k = ShRow::load(row + order_stride * n, p.coefficients);
-            for (int v = 0; v < kRowVectors; ++v) sum.v[v] += k.v[v] * Float(cosine[n][g]);
-        }
-        for (int v = 0; v < kRowVectors; ++v) spread[v][g] *= sum.v[v];
-    }
-    for (auto& c : rgb) c = 0.5f;
-    for (int v = 0; v < kRowVectors; ++v) {
-        transpose(spread[v]);
-        for (int l = 0; l < kLanes; ++l) rgb[(v + l) % 3] += spread[v][l];
-    }
-}
-
-// From ∂L/∂rgb (zero where the colour was clamped): ∂L/∂(camera to μ(t)) and ∂L/∂dt. The coefficients' own
-// gradient is left as a ColorGradient (sh_gradient.hpp expands it).
-template <int order>
-SPLAT_INLINE void color_backward(const Parameters& p, const uint32_t* ids, int count,
-                                 const uint32_t* next_ids, const Viewing& view, float duration, int sh_degree,
-                                 const Float (&d_rgb)[3], Float (&d_offset)[3], Float& d_dt) {
-    const size_t order_stride = static_cast<size_t>(p.coefficients) * 3,
-                 row_stride = order_stride * (p.stored_order + 1);
-    Float channels[kRowVectors][16];
-    spread_channels(d_rgb, channels);
-    alignas(64) float cosine[order + 1][kLanes];
-    Cosines<order> cosines(view.turns);
-    for (int n = 1; n <= order; ++n) cosines.value[n].store(cosine[n]);
-    Float d_cosine[order + 1][16];  // per Gaussian, before the sum over lanes
-    Float basis[16], spread[kRowVectors][16];
-    if constexpr (order > 0) {
-        sh_basis(view.direction[0], view.direction[1], view.direction[2], sh_degree, basis);
-        spread_basis(basis, spread);
-    }
-    for (int g = 0; g < kLanes; ++g) {
-        if (g >= count) {
-            for (int v = 0; v < kRowVectors; ++v) channels[v][g] = 0.f;
-            for (int n = 1; n <= order; ++n) d_cosine[n][g] = 0.f;
-            continue;
-        }
-        prefetch_sh(p, next_ids[g], order);
-        const float* row = p.sh + row_stride * ids[g];
-        ShRow sum = ShRow::load(row, p.coefficients);
-        for (int n = 1; n <= order; ++n) {
-            ShRow k = ShRow::load(row + order_stride * n, p.coefficients);
-            Float d(0.f);
+            const ShRow k = ShRow::load(row + order_stride * n, used);
             for (int v = 0; v < kRowVectors; ++v) {
-                sum.v[v] += k.v[v] * Float(cosine[n][g]);
-                d += k.v[v] * channels[v][g] * spread[v][g];
+                total.v[v] += k.v[v] * Float(time.cosine[n][g]);
+                if constexpr (differentiable)
+                    slope.v[v] = n == 1 ? k.v[v] * Float(time.slope[n][g])
+                                        : slope.v[v] + k.v[v] * Float(time.slope[n][g]);
             }
-            d_cosine[n][g] = d;
         }
-        for (int v = 0; v < kRowVectors; ++v) channels[v][g] *= sum.v[v];
+        for (int v = 0; v < kRowVectors; ++v) {
+            sum[v][g] = total.v[v];
+            if constexpr (differentiable && order > 0) by_dt[v][g] = slope.v[v];
+        }
     }
-    Float d_basis[16];
-    for (auto& d : d_basis) d = 0.f;
+    const Float(&d)[3] = view.direction;
+    Float basis[16];
+    sh_basis(d[0], d[1], d[2], sh_degree, basis);
     for (int v = 0; v < kRowVectors; ++v) {
-        transpose(channels[v]);
-        for (int l = 0; l < kLanes; ++l) d_basis[(kLanes * v + l) / 3] += channels[v][l];
+        for (int g = count; g < kLanes; ++g) sum[v][g] = 0.f;
+        transpose(sum[v]);
     }
-    Float d_direction[3];
-    sh_basis_backward(view.direction[0], view.direction[1], view.direction[2], sh_degree, d_basis,
-                      d_direction);
-    Float along = d_direction[0] * view.direction[0] + d_direction[1] * view.direction[1] +
-                  d_direction[2] * view.direction[2];
-    for (int i = 0; i < 3; ++i)
-        d_offset[i] = (d_direction[i] - along * view.direction[i]) * view.inverse_distance;
-    d_dt = 0.f;
-    if constexpr (order > 0) {
-        Float d_turns(0.f), sine = sin_turns(view.turns);
-        for (int n = 1; n <= order; ++n) {
-            transpose(d_cosine[n]);
-            Float total(0.f);
-            for (int l = 0; l < kLanes; ++l) total += d_cosine[n][l];
-            Float sine_n = n == 1 ? sine : Float(2.f) * sine * cosines.value[1];
-            d_turns -= Float(kTwoPi * n) * sine_n * total;
+    auto entry = [](Float(&m)[kRowVectors][kLanes], int lm, int c) -> Float& {
+        return m[(3 * lm + c) / kLanes][(3 * lm + c) % kLanes];
+    };
+    for (int c = 0; c < 3; ++c) {
+        out.rgb[c] = 0.5f;
+        for (int lm = 0; lm < 16; ++lm) out.rgb[c] += basis[lm] * entry(sum, lm, c);
+    }
+    if constexpr (differentiable) {
+        for (int c = 0; c < 3; ++c) {
+            Float weight[16], g[3];
+            for (int lm = 0; lm < 16; ++lm) weight[lm] = entry(sum, lm, c);
+            sh_basis_backward(d[0], d[1], d[2], sh_degree, weight, g);
+            const Float along = g[0] * d[0] + g[1] * d[1] + g[2] * d[2];  // the direction stays a unit vector
+            for (int i = 0; i < 3; ++i) out.by_offset[c][i] = (g[i] - along * d[i]) * view.inverse_distance;
+            out.by_dt[c] = 0.f;
         }
-        d_dt = d_turns * Float(1.f / duration);
+        if constexpr (order > 0) {
+            for (int v = 0; v < kRowVectors; ++v) {
+                for (int g = count; g < kLanes; ++g) by_dt[v][g] = 0.f;
+                transpose(by_dt[v]);
+            }
+            for (int c = 0; c < 3; ++c)
+                for (int lm = 0; lm < 16; ++lm) out.by_dt[c] += basis[lm] * entry(by_dt, lm, c);
+        }
     }
 }
 

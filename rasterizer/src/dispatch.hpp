@@ -46,7 +46,9 @@ inline void with_extra(int extra, Run&& run) {
 }
 
 inline void render(Frame& f, Motion motion, const Parameters& p, const OutputPlanes& out) {
-    with_model(motion, f.settings.fourier_order, [&]<Motion m, int order>() { prepare<m, order>(f, p); });
+    with_model(motion, f.settings.fourier_order, [&]<Motion m, int order>() {
+        f.settings.differentiable ? prepare<m, order, true>(f, p) : prepare<m, order, false>(f, p);
+    });
     sort_by_depth(f);
     bin(f);
     with_extra(f.settings.extra_channels(), [&]<int extra>() { blend<extra>(f); });

@@ -23,23 +23,30 @@ struct Frame {
     // prepare: chunk c stages its visible Gaussians at places [c·kChunk, c·kChunk + chunk_count[c]), in order
     // of id
     Buffer<Splat> staged;
+    Buffer<ColorSlope> color_slope;  // per place, if a backward pass will follow
     Buffer<float> extras;  // per place kExtraStride floats: depth, flow, statistics, as far as asked for
     std::vector<uint32_t> chunk_count, chunk_first;  // chunk_first: visible Gaussians before the chunk
     std::vector<uint32_t> chunk_alive;
     uint32_t visible = 0, alive = 0;
 
-    // sort: front to back
-    Buffer<Splat> sorted;
-    Buffer<uint32_t> key[2], order[2];
+    // sort: places front to back
+    struct DepthKey {
+        uint32_t bits, place;
+    };
+    Buffer<DepthKey> keys[2];
+    const DepthKey* front_to_back = nullptr;  // [visible], in one of the two
 
     // bin: entry lists of the tiles, each front to back
     int tiles_x = 0, tiles_y = 0;
     Buffer<uint32_t> tile_begin;              // [tiles + 1]
-    Buffer<uint32_t> entry_splat;             // index into sorted
+    Buffer<uint32_t> entry_splat;             // its place
     Buffer<uint16_t> entry_mask;              // which of the tile's 4×4 blocks it touches
     Buffer<uint32_t> entry_slot;              // where its gradient goes
-    Buffer<uint32_t> slot_count, slot_begin;  // per place
-    struct Segment {                          // one thread's share of the sorted splats
+    struct SlotRange {
+        uint32_t begin, count;
+    };
+    Buffer<SlotRange> slot_range;  // per place
+    struct Segment {               // one thread's share of the sorted splats
         std::vector<uint32_t> tile_count;
         std::vector<uint32_t>
             tile;  // of each entry; longer than there are entries, so that it is never cleared

@@ -29,24 +29,23 @@ SPLAT_INLINE void sum_slots(const Frame& f, uint32_t place, int count, Float (&t
     for (int l = 0; l < kLanes; ++l) {
         total[l] = 0.f;
         if (l >= count) continue;
-        const Slot* slot = &f.slots[f.slot_begin[place + l]];
-        for (uint32_t k = 0; k < f.slot_count[place + l]; ++k) total[l] += Float::load(slot[k].value);
+        const Frame::SlotRange range = f.slot_range[place + l];
+        for (uint32_t k = 0; k < range.count; ++k) total[l] += Float::load(f.slots[range.begin + k].value);
     }
     transpose(total);
 }
 
 template <Motion motion, int order>
 inline void backward_sixteen(const Frame& f, const Parameters& p, uint32_t place, int count,
-                             uint32_t last_place, uint32_t first_row, const ParameterGradients& out,
+                             uint32_t first_row, const ParameterGradients& out,
                              const ViewGradient& view_out) {
     const Settings& s = f.settings;
     const Splat* splats = &f.staged[place];
-    uint32_t ids[kLanes], next[kLanes];
+    uint32_t ids[kLanes];
     alignas(64) float keep_rgb[3][16] = {};
     for (int l = 0; l < kLanes; ++l) {
         const Splat& splat = splats[std::min(l, count - 1)];
         ids[l] = splat.id;
-        next[l] = f.staged[std::min(place + l + kShPrefetch, last_place)].id;
         for (int k = 0; k < 3; ++k) keep_rgb[k][l] = splat.clamped >> k & 1 ? 0.f : 1.f;
     }
     Float slot[16];
@@ -65,15 +64,20 @@ inline void backward_sixteen(const Frame& f, const Parameters& p, uint32_t place
     d.conic_yy = Float(-0.5f) * slot[kSlotYY];
     const Float d_pixel[2] = {d.pixel[0], d.pixel[1]};
 
-    // colour
-    Float offset[3], d_rgb[3], d_offset[3], d_dt(0.f), dt(0.f);
+    // colour: through its slopes; the coefficients' own gradient is left as a ColorGradient
+    Float offset[3], d_rgb[3], d_offset[3], d_dt(0.f), dt(0.f), slope[16];
+    for (int l = 0; l < kLanes; ++l)
+        slope[l] = Float::load(&f.color_slope[place + std::min(l, count - 1)].by_offset[0][0]);
+    transpose(slope);
     for (int k = 0; k < 3; ++k) {
         offset[k] = g.mean[k] - Float(f.camera.position[k]);
         d_rgb[k] = slot[kSlotR + k] * Float::load(keep_rgb[k]);
     }
+    for (int i = 0; i < 3; ++i)
+        d_offset[i] = d_rgb[0] * slope[i] + d_rgb[1] * slope[3 + i] + d_rgb[2] * slope[6 + i];
+    if constexpr (order > 0) d_dt = d_rgb[0] * slope[9] + d_rgb[1] * slope[10] + d_rgb[2] * slope[11];
     if constexpr (motion != Motion::kStatic) dt = g.dt;
     const Viewing view = viewing(offset, dt, s.duration);
-    color_backward<order>(p, ids, count, next, view, s.duration, s.sh_degree, d_rgb, d_offset, d_dt);
 
     // extras
     int extra = kSlotExtra;
@@ -157,7 +161,7 @@ inline void gaussian_backward(Frame& f, const Parameters& p, const ParameterGrad
         for (uint32_t i = 0; i < count; i += kLanes)
             backward_sixteen<motion, order>(f, p, place + i,
                                             static_cast<int>(std::min<uint32_t>(kLanes, count - i)),
-                                            place + count - 1, f.chunk_first[c] + i, out, view_out);
+                                            f.chunk_first[c] + i, out, view_out);
     }
 }
 

@@ -71,7 +71,7 @@ class Frame {
 public:
     void set_view(const splat::Camera& camera, float time, float duration, float near_plane,
                   const std::vector<float>& background, float flow_dt, int sh_degree, int fourier_order,
-                  std::tuple<bool, bool, bool> extras, int threads) {
+                  std::tuple<bool, bool, bool> extras, bool differentiable, int threads) {
         frame_.camera = camera;
         frame_.settings = {time,
                            duration,
@@ -83,6 +83,7 @@ public:
                            std::get<0>(extras),
                            std::get<1>(extras),
                            std::get<2>(extras),
+                           differentiable,
                            threads};
     }
     void render(const Model& model, std::optional<Out> color, std::optional<Out> alpha,
@@ -184,7 +185,7 @@ NB_MODULE(KERNEL_MODULE_NAME, m) {
         .def(nb::init<>())
         .def("set_view", &Frame::set_view, nb::arg("camera"), nb::arg("time"), nb::arg("duration"),
              nb::arg("near"), nb::arg("background"), nb::arg("flow_dt"), nb::arg("sh_degree"),
-             nb::arg("fourier_order"), nb::arg("extras"), nb::arg("threads"))
+             nb::arg("fourier_order"), nb::arg("extras"), nb::arg("differentiable"), nb::arg("threads"))
         .def("render", &Frame::render, nb::arg("model"), nb::arg("color").none(), nb::arg("alpha").none(),
              nb::arg("depth").none(), nb::arg("flow").none(), nb::arg("stats").none())
         .def("backward", &Frame::backward, nb::arg("model"), nb::arg("d_color").none(),

@@ -136,9 +136,9 @@ inline void project_chunk(const Parameters& p, const Camera& c, const Settings& 
     }
 }
 
-template <int order>
-inline void color_and_stage(const Parameters& p, const Settings& s, Packed& in, uint32_t first_place,
-                            Splat* staged, float* extras) {
+template <int order, bool differentiable>
+inline void color_and_stage(const Parameters& p, const Settings& s, Packed& in, Splat* staged,
+                            ColorSlope* slopes, float* extras) {
     const int extra_channels = s.extra_channels();
     for (int l = 0; l < kLanes && in.count > 0; ++l) in.id[in.count + l] = in.id[in.count - 1];
     uint32_t next[kLanes];
@@ -149,17 +149,18 @@ inline void color_and_stage(const Parameters& p, const Settings& s, Packed& in, 
                            in.at(Packed::kOffset + 2, i)};
         Float dt(0.f);
         if constexpr (order > 0) dt = in.at(Packed::kDt, i);
-        Float rgb[3];
-        color<order>(p, in.id + i, n, next, viewing(offset, dt, s.duration), s.sh_degree, rgb);
+        Color c;
+        color<order, differentiable>(p, in.id + i, n, next, viewing(offset, dt, s.duration), s.duration,
+                                     s.sh_degree, c);
         Float row[16] = {in.at(Packed::kX, i),
                          in.at(Packed::kY, i),
                          in.at(Packed::kXX, i),
                          in.at(Packed::kXY, i),
                          in.at(Packed::kYY, i),
                          in.at(Packed::kLogOpacity, i),
-                         max(rgb[0], 0.f),
-                         max(rgb[1], 0.f),
-                         max(rgb[2], 0.f),
+                         max(c.rgb[0], 0.f),
+                         max(c.rgb[1], 0.f),
+                         max(c.rgb[2], 0.f),
                          in.at(Packed::kDepth, i),
                          in.at(Packed::kHalfWidth, i),
                          in.at(Packed::kHalfHeight, i),
@@ -168,25 +169,33 @@ inline void color_and_stage(const Parameters& p, const Settings& s, Packed& in, 
                          0.f,
                          0.f};
         unsigned clamped[3];
-        for (int k = 0; k < 3; ++k) clamped[k] = bits(rgb[k] < Float(0.f));
+        for (int k = 0; k < 3; ++k) clamped[k] = bits(c.rgb[k] < Float(0.f));
         transpose(row);
         for (int l = 0; l < n; ++l) {
             Splat& splat = staged[i + l];
             row[l].store(&splat.x);
             splat.id = in.id[i + l];
-            splat.place = first_place + i + l;
             splat.clamped = (clamped[0] >> l & 1) | (clamped[1] >> l & 1) << 1 | (clamped[2] >> l & 1) << 2;
             for (int e = 0; e < extra_channels; ++e)
                 extras[kExtraStride * (i + l) + e] = in.value[Packed::kExtraField + e][i + l];
         }
+        if constexpr (differentiable) {
+            Float slope[16];
+            for (int k = 0; k < 9; ++k) slope[k] = c.by_offset[k / 3][k % 3];
+            for (int k = 0; k < 3; ++k) slope[9 + k] = c.by_dt[k];
+            for (int k = 12; k < 16; ++k) slope[k] = 0.f;
+            transpose(slope);
+            for (int l = 0; l < n; ++l) slope[l].store(&slopes[i + l].by_offset[0][0]);
+        }
     }
 }
 
-template <Motion motion, int order>
+template <Motion motion, int order, bool differentiable>
 inline void prepare(Frame& f, const Parameters& p) {
     StageTimer timer(f, kStagePrepare);
     const int chunks = static_cast<int>((p.count + kChunk - 1) / kChunk);
     f.staged.resize(static_cast<size_t>(chunks) * kChunk);
+    if (differentiable) f.color_slope.resize(static_cast<size_t>(chunks) * kChunk);
     if (f.settings.extra_channels()) f.extras.resize(static_cast<size_t>(chunks) * kChunk * kExtraStride);
     f.chunk_count.assign(chunks, 0);
     f.chunk_alive.assign(chunks, 0);
@@ -201,8 +210,9 @@ inline void prepare(Frame& f, const Parameters& p) {
                            last = std::min(p.count, first + kChunk);
             const int n = cull_in_time<motion>(p, first, last, f.settings.time, alive);
             project_chunk<motion>(p, f.camera, f.settings, alive, n, packed);
-            color_and_stage<order>(p, f.settings, packed, first, f.staged.data() + first,
-                                   f.extras.data() + static_cast<size_t>(first) * kExtraStride);
+            color_and_stage<order, differentiable>(
+                p, f.settings, packed, f.staged.data() + first, f.color_slope.data() + first,
+                f.extras.data() + static_cast<size_t>(first) * kExtraStride);
             f.chunk_alive[c] = n;
             f.chunk_count[c] = packed.count;
         }

@@ -69,7 +69,7 @@ SPLAT_INLINE void sh_basis_backward(const Float& x, const Float& y, const Float&
 
 inline constexpr int kRowVectors = 3;  // Floats a Fourier order: 16 coefficients × 3 channels
 
-// Coefficient row of one Fourier order; absent coefficients read as zero.
+// Coefficient row of one Fourier order; coefficients from `coefficients` on read as zero.
 struct ShRow {
     Float v[kRowVectors];
 

@@ -56,6 +56,7 @@ struct Settings {
     int sh_degree;      // degrees above it are left out
     int fourier_order;  // orders above it are left out
     bool depth, flow, stats;
+    bool differentiable;  // a backward pass will follow
     int threads;
 
     int extra_channels() const { return depth + 2 * flow + 2 * stats; }
@@ -73,10 +74,19 @@ struct alignas(64) Splat {
     float half_width, half_height;  // of the box round the alpha >= 1/255 ellipse, pixels
     float radius;                   // 3 standard deviations along the longer axis, pixels
     uint32_t id;                    // row in the parameters
-    uint32_t place;                 // where it was staged (prepare.hpp)
     uint32_t clamped;               // bit c: channel c was negative and is shown as 0
+    uint32_t unused;
 };
 static_assert(sizeof(Splat) == 64);
+
+// How a visible Gaussian's colour changes with what it is seen from and when, kept from forward to backward
+// pass. One cache line.
+struct alignas(64) ColorSlope {
+    float by_offset[3][3];  // ∂rgb_c / ∂(camera centre to μ(t))_i
+    float by_dt[3];         // ∂rgb_c / ∂(t - μt)
+    float unused[4];
+};
+static_assert(sizeof(ColorSlope) == 64);
 
 // The gradient a (tile, Gaussian) entry collects; entries of one Gaussian are added in a fixed order. One
 // cache line.
