@@ -75,6 +75,8 @@ inline void adam_rows(float* p, const float* g, float* m, float* v, size_t rows,
     }
 }
 
+inline constexpr uint32_t kRowsAhead = 3;
+
 // Adam on SH coefficients [N, orders · coefficients, 3], their gradient expanded chunk by chunk and never
 // stored. Orders from `active_orders` on are left alone: they have had no gradient yet, so their moments are
 // zero. sparse: rows no view of the batch saw are left alone too.
@@ -95,6 +97,11 @@ inline void adam_sh(float* sh, float* m, float* v, uint32_t count, int coefficie
             const uint32_t last = std::min(count, first + kShChunk);
             expand(views, first, last, chunk);
             for (uint32_t i = first; i < last; ++i) {
+                if (i + kRowsAhead < last && (!sparse || chunk.touched[i + kRowsAhead - first]))
+                    for (size_t k = 0; k < row_stride; k += kLanes) {
+                        const size_t at = row_stride * (i + kRowsAhead) + k;
+                        __builtin_prefetch(sh + at, 1), __builtin_prefetch(m + at, 1), __builtin_prefetch(v + at, 1);
+                    }
                 if (sparse && !chunk.touched[i - first]) continue;
                 for (int n = 0; n < active_orders; ++n) {
                     const size_t at = row_stride * i + order_stride * n;

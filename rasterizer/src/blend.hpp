@@ -36,27 +36,29 @@ inline size_t block_at(const Frame& f, int tile, int channel, int block) {
 
 template <int extra>
 struct Blended {
-    Float transmittance;
+    Float transmittance;  // 0 once a pixel has ended: nothing more is blended there
+    Float left;           // the transmittance that stays in the end
     Float channel[3 + extra];
-    Mask live;  // pixels that have not ended
 };
 
 // Blends `count` splats into one block; returns how many it took until every pixel had ended, else -1.
 template <int extra>
 SPLAT_INLINE int blend_block(const Splat* splats, const float* extras, const uint32_t* places, int count,
                              const Float& px, const Float& py, Blended<extra>& state) {
-    Float T = state.transmittance, C[3 + extra];
+    Float T = state.transmittance, left = state.left, C[3 + extra];
     for (int k = 0; k < 3 + extra; ++k) C[k] = state.channel[k];
-    Mask live = state.live;
     int used = -1;
     for (int j = 0; j < count; ++j) {
         const Splat& s = splats[places[j]];
         Float power = log2_alpha(s, px - Float(s.x), py - Float(s.y));
-        Float alpha = zero_unless((power >= Float(kLog2MinAlpha)) & live, min(exp2(power), kMaxAlpha));
-        Float w = alpha * T, next = T - w;
-        live = live & (next >= Float(kMinTransmittance));
-        w = zero_unless(live, w);
-        T = select(live, next, T);
+        Float alpha = zero_unless(power >= Float(kLog2MinAlpha), min(exp2(power), kMaxAlpha));
+        // What one splat waits for of the one before it is T alone, so its path is kept short: multiply, compare,
+        // mask (a third of the time of carrying a mask of live pixels along).
+        Float next = T * (Float(1.f) - alpha);
+        Mask live = next >= Float(kMinTransmittance);
+        Float w = zero_unless(live, alpha * T);
+        T = zero_unless(live, next);
+        left = select(live, next, left);
         C[0] += w * Float(s.r), C[1] += w * Float(s.g), C[2] += w * Float(s.b);
         if constexpr (extra > 0) {
             const float* value = extras + static_cast<size_t>(places[j]) * kExtraStride;
@@ -68,8 +70,8 @@ SPLAT_INLINE int blend_block(const Splat* splats, const float* extras, const uin
         }
     }
     state.transmittance = T;
+    state.left = left;
     for (int k = 0; k < 3 + extra; ++k) state.channel[k] = C[k];
-    state.live = live;
     return used;
 }
 
@@ -81,9 +83,8 @@ inline void blend_tile(Frame& f, int tile) {
     const TileSpan span = tile_span(f, tile);
     Blended<extra> state[kBlocks];
     for (int b = 0; b < kBlocks; ++b) {
-        state[b].transmittance = 1.f;
+        state[b].transmittance = state[b].left = 1.f;
         for (auto& c : state[b].channel) c = 0.f;
-        state[b].live = all_lanes();
         f.blocks_last[tile * kBlocks + b] = static_cast<float>(span.end - span.begin);
     }
     const Float lane_x = Float::load(kBlockPixel.x), lane_y = Float::load(kBlockPixel.y);
@@ -92,11 +93,12 @@ inline void blend_tile(Frame& f, int tile) {
     for (uint32_t first = span.begin; first < span.end && open; first += kBatch) {
         const int n = static_cast<int>(std::min<uint32_t>(kBatch, span.end - first));
         uint32_t ahead = first + n;
-        const uint32_t ahead_end =
-            std::min<uint32_t>(ahead + kBatch, static_cast<uint32_t>(f.entry_slot.size()));
+        const uint32_t next_end = ahead < span.end ? span.end : f.tile_begin[std::min(tile + 2, f.tiles())];
+        const uint32_t ahead_end = std::min<uint32_t>(ahead + kBatch, next_end);
+        const int share = static_cast<int>(ahead_end - ahead + 15) / 16;
         for (unsigned blocks = open; blocks; blocks &= blocks - 1) {
             const int b = __builtin_ctz(blocks);
-            for (int k = 0; k < kPrefetchPerBlock && ahead < ahead_end; ++k, ++ahead)
+            for (int k = 0; k < share && ahead < ahead_end; ++k, ++ahead)
                 __builtin_prefetch(&f.staged[f.entry_splat[ahead]]);
             const int count = pack_matching(&f.entry_splat[first], &f.entry_mask[first], n, b, packed);
             const Float px = lane_x + Float(static_cast<float>(span.x + b % 4 * kBlock));
@@ -112,7 +114,7 @@ inline void blend_tile(Frame& f, int tile) {
     }
     for (int b = 0; b < kBlocks; ++b) {
         for (int k = 0; k < 3 + extra; ++k) state[b].channel[k].store(&f.image[block_at(f, tile, k, b)]);
-        state[b].transmittance.store(&f.transmittance[(static_cast<size_t>(tile) * kBlocks + b) * kLanes]);
+        state[b].left.store(&f.transmittance[(static_cast<size_t>(tile) * kBlocks + b) * kLanes]);
     }
 }
 

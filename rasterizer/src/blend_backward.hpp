@@ -72,7 +72,6 @@ inline void blend_backward_tile(Frame& f, int tile, const OutputGradients& d) {
     for (uint32_t e = span.begin; e < span.end; ++e) {
         const uint32_t ahead = std::min(e + kEntryPrefetch, span.end - 1);
         __builtin_prefetch(&f.staged[f.entry_splat[ahead]]);
-        __builtin_prefetch(&f.slots[f.entry_slot[ahead]], 1);
         const uint32_t place = f.entry_splat[e];
         const Splat& s = f.staged[place];
         const float* value = f.extras.data() + static_cast<size_t>(place) * kExtraStride;
@@ -85,17 +84,16 @@ inline void blend_backward_tile(Frame& f, int tile, const OutputGradients& d) {
             const Float dx = dx0 + Float(kBlockCorner.x[b]), dy = dy0 + Float(kBlockCorner.y[b]);
             const Float power = log2_alpha(s, dx, dy), T = u.transmittance[b], peak = exp2(power);
             Float alpha = zero_unless(power >= Float(kLog2MinAlpha), min(peak, kMaxAlpha));
-            Float w = alpha * T;
-            const Float next = T - w;
+            const Float through = Float(1.f) - alpha, next = T * through;
             const Mask live = next >= Float(kMinTransmittance);
-            w = zero_unless(live, w);
+            const Float w = zero_unless(live, alpha * T);
             u.transmittance[b] = zero_unless(live, next);
             Float along =
                 u.gradient[0][b] * Float(s.r) + u.gradient[1][b] * Float(s.g) + u.gradient[2][b] * Float(s.b);
             for (int k = 0; k < extra; ++k) along += u.gradient[3 + k][b] * Float(value[k]);
             const Float rest = u.rest[b] - w * along;
             u.rest[b] = rest;
-            const Float d_alpha = T * along - rest * fast_inverse(Float(1.f) - alpha);
+            const Float d_alpha = T * along - rest * fast_inverse(through);
             const Float d_power =
                 zero_unless(live & (Float(kMaxAlpha) >= peak), alpha * d_alpha);  // of ln alpha
             const Float mx = d_power * dx, my = d_power * dy;
@@ -110,11 +108,7 @@ inline void blend_backward_tile(Frame& f, int tile, const OutputGradients& d) {
             sum[kSlotYY] += my * dy;
             for (int k = 0; k < extra; ++k) sum[kSlotExtra + k] += w * u.gradient[3 + k][b];
         }
-        float* slot = f.slots[f.entry_slot[e]].value;
-        for (int g = 0; g < kGroups; ++g) {
-            const Quad total = sum_lanes(sum[4 * g], sum[4 * g + 1], sum[4 * g + 2], sum[4 * g + 3]);
-            std::memcpy(slot + 4 * g, &total, sizeof total);
-        }
+        sum_lanes<kGroups>(sum).stream(f.slots[f.entry_slot[e]].value);
     }
 }
 
@@ -122,8 +116,12 @@ template <int extra>
 inline void blend_backward(Frame& f, const OutputGradients& d) {
     StageTimer timer(f, kStageBlendBackward);
     f.slots.resize(f.entry_slot.size());
-#pragma omp parallel for schedule(dynamic, 2) num_threads(f.settings.threads)
-    for (int tile = 0; tile < f.tiles(); ++tile) blend_backward_tile<extra>(f, tile, d);
+#pragma omp parallel num_threads(f.settings.threads)
+    {
+#pragma omp for schedule(dynamic, 2)
+        for (int tile = 0; tile < f.tiles(); ++tile) blend_backward_tile<extra>(f, tile, d);
+        end_of_streaming();
+    }
 }
 
 }  // namespace splat

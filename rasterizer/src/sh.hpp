@@ -73,6 +73,11 @@ inline constexpr int kRowVectors = 3;  // Floats a Fourier order: 16 coefficient
 struct ShRow {
     Float v[kRowVectors];
 
+    SPLAT_INLINE static ShRow zero() {
+        ShRow r;
+        for (auto& x : r.v) x = 0.f;
+        return r;
+    }
     SPLAT_INLINE static ShRow load(const float* row, int coefficients) {
         ShRow r;
         if (coefficients == 16) [[likely]] {
@@ -85,6 +90,14 @@ struct ShRow {
         }
         return r;
     }
+    SPLAT_INLINE ShRow& operator+=(const ShRow& other) {
+        for (int i = 0; i < kRowVectors; ++i) v[i] += other.v[i];
+        return *this;
+    }
+    SPLAT_INLINE friend ShRow operator*(ShRow a, const Float& b) {
+        for (auto& x : a.v) x *= b;
+        return a;
+    }
     SPLAT_INLINE void store(float* row, int coefficients) const {
         for (int i = 0; i < kRowVectors; ++i) {
             const int left = 3 * coefficients - kLanes * i;
@@ -96,19 +109,14 @@ struct ShRow {
     }
 };
 
-// Sixteen Gaussians' bases [lm] in lanes → per Gaussian g the spread basis: spread[v][g].
-SPLAT_INLINE void spread_basis(const Float (&basis)[16], Float (&spread)[kRowVectors][16]) {
-    for (int v = 0; v < kRowVectors; ++v) {
-        for (int l = 0; l < kLanes; ++l) spread[v][l] = basis[(kLanes * v + l) / 3];
-        transpose(spread[v]);
+// Which coefficient, and which channel, lane l of a row's Float v holds.
+inline constexpr struct RowLanes {
+    alignas(64) int32_t coefficient[kRowVectors][kLanes], channel[kRowVectors][kLanes];
+    constexpr RowLanes() : coefficient{}, channel{} {
+        for (int v = 0; v < kRowVectors; ++v)
+            for (int l = 0; l < kLanes; ++l)
+                coefficient[v][l] = (kLanes * v + l) / 3, channel[v][l] = (kLanes * v + l) % 3;
     }
-}
-// Sixteen Gaussians' rgb in lanes → per Gaussian the channels spread over a row.
-SPLAT_INLINE void spread_channels(const Float (&rgb)[3], Float (&spread)[kRowVectors][16]) {
-    for (int v = 0; v < kRowVectors; ++v) {
-        for (int l = 0; l < kLanes; ++l) spread[v][l] = rgb[(v + l) % 3];
-        transpose(spread[v]);
-    }
-}
+} kRowLanes;
 
 }  // namespace splat

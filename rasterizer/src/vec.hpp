@@ -45,6 +45,18 @@ struct Float {
         return r;
     }
     SPLAT_INLINE void store(float* p) const { std::memcpy(p, this, sizeof *this); }
+    // To 64-byte aligned p, past the caches: for results nobody reads soon. `end_of_streaming` before anyone does.
+    SPLAT_INLINE void stream(float* p) const {
+#if SPLAT_AVX512
+        _mm512_stream_ps(p, (__m512)part[0]);
+#elif SPLAT_AVX2
+        for (int i = 0; i < kParts; ++i) _mm256_stream_ps(p + i * kNativeLanes, (__m256)part[i]);
+#elif defined(__SSE2__)
+        for (int i = 0; i < kParts; ++i) _mm_stream_ps(p + i * kNativeLanes, (__m128)part[i]);
+#else
+        store(p);
+#endif
+    }
     // The first `count` <= 16 floats at p, zeros behind them.
     SPLAT_INLINE static Float load_first(const float* p, int count) {
 #if SPLAT_AVX512
@@ -67,6 +79,12 @@ struct Float {
 #endif
     }
 };
+
+SPLAT_INLINE void end_of_streaming() {
+#if defined(__SSE2__)
+    _mm_sfence();
+#endif
+}
 
 struct Mask {
 #if SPLAT_AVX512
@@ -107,7 +125,6 @@ SPLAT_INLINE Mask operator>(const Float& a, const Float& b) {
 SPLAT_INLINE Mask operator&(Mask a, Mask b) { return {static_cast<__mmask16>(a.bits & b.bits)}; }
 SPLAT_INLINE Mask operator|(Mask a, Mask b) { return {static_cast<__mmask16>(a.bits | b.bits)}; }
 SPLAT_INLINE unsigned bits(Mask m) { return m.bits; }
-SPLAT_INLINE Mask all_lanes() { return {0xffff}; }
 SPLAT_INLINE Float select(Mask m, const Float& yes, const Float& no) {
     Float r;
     r.part[0] = (NativeFloat)_mm512_mask_blend_ps(m.bits, (__m512)no.part[0], (__m512)yes.part[0]);
@@ -151,11 +168,6 @@ SPLAT_INLINE unsigned bits(const Mask& m) {
     for (int i = 0; i < kParts; ++i) r |= native_bits(m.part[i]) << (i * kNativeLanes);
     return r;
 }
-SPLAT_INLINE Mask all_lanes() {
-    Mask m;
-    for (auto& p : m.part) p = NativeInt{} - 1;
-    return m;
-}
 SPLAT_INLINE Float select(const Mask& m, const Float& yes, const Float& no) {
     Float r;
     for (int i = 0; i < kParts; ++i)
@@ -194,9 +206,12 @@ SPLAT_INLINE NativeFloat unpack_low_pairs(NativeFloat a, NativeFloat b) {
 SPLAT_INLINE NativeFloat unpack_high_pairs(NativeFloat a, NativeFloat b) {
     return (NativeFloat)_mm512_unpackhi_pd((__m512d)a, (__m512d)b);
 }
-SPLAT_INLINE Quad fold_to_quad(NativeFloat a) {
-    __m256 half = _mm256_add_ps(_mm512_castps512_ps256((__m512)a), _mm512_extractf32x8_ps((__m512)a, 1));
-    return (Quad)_mm_add_ps(_mm256_castps256_ps128(half), _mm256_extractf128_ps(half, 1));
+// 128-bit lanes 0 and 2 of a, then of b; 1 and 3 of a, then of b.
+SPLAT_INLINE NativeFloat even_quads(NativeFloat a, NativeFloat b) {
+    return (NativeFloat)_mm512_shuffle_f32x4((__m512)a, (__m512)b, 0x88);
+}
+SPLAT_INLINE NativeFloat odd_quads(NativeFloat a, NativeFloat b) {
+    return (NativeFloat)_mm512_shuffle_f32x4((__m512)a, (__m512)b, 0xdd);
 }
 #elif SPLAT_AVX2
 SPLAT_INLINE NativeFloat native_min(NativeFloat a, NativeFloat b) {

@@ -7,17 +7,32 @@ namespace splat {
 
 // ---- horizontal sums
 
-// Four sums over the lanes of a, b, c and d: one quad.
-SPLAT_INLINE Quad sum_lanes(const Float& a, const Float& b, const Float& c, const Float& d) {
-    auto fold_parts = [](const Float& v) {
-        NativeFloat s = v.part[0];
-        for (int i = 1; i < kParts; ++i) s += v.part[i];
+// Lane f of the result is the sum over the lanes of v[f]; 4 · groups sums, zeros behind them.
+template <int groups>
+SPLAT_INLINE Float sum_lanes(const Float (&v)[4 * groups]) {
+    auto fold_parts = [](const Float& a) {
+        NativeFloat s = a.part[0];
+        for (int i = 1; i < kParts; ++i) s += a.part[i];
         return s;
     };
-    NativeFloat na = fold_parts(a), nb = fold_parts(b), nc = fold_parts(c), nd = fold_parts(d);
-    NativeFloat ab = unpack_low(na, nb) + unpack_high(na, nb);
-    NativeFloat cd = unpack_low(nc, nd) + unpack_high(nc, nd);
-    return fold_to_quad(unpack_low_pairs(ab, cd) + unpack_high_pairs(ab, cd));
+    NativeFloat group[4] = {};  // in each 128-bit lane part of four sums
+    for (int g = 0; g < groups; ++g) {
+        const NativeFloat a = fold_parts(v[4 * g]), b = fold_parts(v[4 * g + 1]), c = fold_parts(v[4 * g + 2]),
+                          d = fold_parts(v[4 * g + 3]);
+        const NativeFloat ab = unpack_low(a, b) + unpack_high(a, b), cd = unpack_low(c, d) + unpack_high(c, d);
+        group[g] = unpack_low_pairs(ab, cd) + unpack_high_pairs(ab, cd);
+    }
+    Float r;
+#if SPLAT_AVX512
+    const NativeFloat first = even_quads(group[0], group[1]) + odd_quads(group[0], group[1]);
+    const NativeFloat second = even_quads(group[2], group[3]) + odd_quads(group[2], group[3]);
+    r.part[0] = even_quads(first, second) + odd_quads(first, second);
+#else
+    alignas(64) Quad quad[4];
+    for (int g = 0; g < 4; ++g) quad[g] = fold_to_quad(group[g]);
+    std::memcpy(&r, quad, sizeof r);
+#endif
+    return r;
 }
 
 // ---- moving rows to lanes
@@ -43,19 +58,13 @@ SPLAT_INLINE void transpose(Float (&m)[16]) {
         t[i] = unpack_low_pairs(a, c), t[i + 1] = unpack_high_pairs(a, c);
         t[i + 2] = unpack_low_pairs(b, d), t[i + 3] = unpack_high_pairs(b, d);
     }
-    auto even = [](NativeFloat a, NativeFloat b) {
-        return (NativeFloat)_mm512_shuffle_f32x4((__m512)a, (__m512)b, 0x88);
-    };
-    auto odd = [](NativeFloat a, NativeFloat b) {
-        return (NativeFloat)_mm512_shuffle_f32x4((__m512)a, (__m512)b, 0xdd);
-    };
     for (int j = 0; j < 4; ++j) {  // then the 4×4 matrix of lanes
-        u[j] = even(t[j], t[4 + j]), u[4 + j] = odd(t[j], t[4 + j]);
-        u[8 + j] = even(t[8 + j], t[12 + j]), u[12 + j] = odd(t[8 + j], t[12 + j]);
+        u[j] = even_quads(t[j], t[4 + j]), u[4 + j] = odd_quads(t[j], t[4 + j]);
+        u[8 + j] = even_quads(t[8 + j], t[12 + j]), u[12 + j] = odd_quads(t[8 + j], t[12 + j]);
     }
     for (int j = 0; j < 4; ++j) {
-        m[j].part[0] = even(u[j], u[8 + j]), m[8 + j].part[0] = odd(u[j], u[8 + j]);
-        m[4 + j].part[0] = even(u[4 + j], u[12 + j]), m[12 + j].part[0] = odd(u[4 + j], u[12 + j]);
+        m[j].part[0] = even_quads(u[j], u[8 + j]), m[8 + j].part[0] = odd_quads(u[j], u[8 + j]);
+        m[4 + j].part[0] = even_quads(u[4 + j], u[12 + j]), m[12 + j].part[0] = odd_quads(u[4 + j], u[12 + j]);
     }
 }
 #else
@@ -102,6 +111,27 @@ SPLAT_INLINE void add_to_rows4(float* rows, const uint32_t* ids, int count, cons
             std::memcpy(row, &sum, 16);
         }
     }
+}
+
+// Lane l of the result is lane index[l] of a. The eight indices of each half must lie in one half of a: then one
+// instruction does it on AVX2 too.
+SPLAT_INLINE Float permute(const Float& a, const int32_t (&index)[kLanes]) {
+    Float r;
+#if SPLAT_AVX512
+    r.part[0] = (NativeFloat)_mm512_permutexvar_ps(_mm512_load_si512(index), (__m512)a.part[0]);
+#elif SPLAT_AVX2
+    for (int i = 0; i < kParts; ++i) {
+        const __m256i at = _mm256_load_si256((const __m256i*)&index[kNativeLanes * i]);  // its low three bits count
+        const __m256 from = (__m256)a.part[index[kNativeLanes * i] / kNativeLanes];
+        r.part[i] = (NativeFloat)_mm256_permutevar8x32_ps(from, at);
+    }
+#else
+    alignas(64) float from[kLanes], to[kLanes];
+    a.store(from);
+    for (int l = 0; l < kLanes; ++l) to[l] = from[index[l]];
+    r = Float::load(to);
+#endif
+    return r;
 }
 
 // Writes the lanes whose bit is set in `keep` to p, packed; up to 16 floats from p on may be overwritten.
