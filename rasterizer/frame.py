@@ -112,14 +112,18 @@ class Frame:
         self.threads = threads or default_threads()
         self._frame = kernel.Frame()
         self._model = self._request = None
+        self._differentiable = False
 
     def render(self, gaussians: Gaussians, request: Request, differentiable: bool = True) -> RenderOutput:
-        """Render one view of float32, contiguous Gaussians. Raises ValueError when they are not."""
+        """Render one view of float32, contiguous Gaussians. Raises ValueError when they are not.
+
+        differentiable: False leaves out what only `backward` needs.
+        """
         check_float32(gaussians)
         request.check_against(gaussians)
         camera = request.camera
         intrinsics = [camera.fx, camera.fy, camera.cx, camera.cy]
-        self._gaussians, self._request = gaussians, request
+        self._gaussians, self._request, self._differentiable = gaussians, request, differentiable
         self.sh_degree = gaussians.sh_degree if request.sh_degree is None else request.sh_degree
         self.fourier_order = gaussians.fourier_order if request.fourier_order is None else request.fourier_order
         coefficients, orders = split_coefficients(gaussians.sh.shape[1])
@@ -149,8 +153,8 @@ class Frame:
 
         Follows the last `render`; the Gaussians must not have changed since.
         """
-        if self._model is None:
-            raise RuntimeError("Frame.backward must follow Frame.render, got no rendered view")
+        if self._model is None or not self._differentiable:
+            raise RuntimeError("Frame.backward must follow Frame.render with differentiable=True, got no such view")
         images = {"color": d_color, "alpha": d_alpha, "depth": d_depth, "flow": d_flow, "stats": d_stats}
         size = [self._request.camera.height, self._request.camera.width]
         for name, image in images.items():
@@ -181,6 +185,15 @@ class Frame:
     def alive(self) -> int:
         """How many have p(t) >= 0.05 in the last view."""
         return self._frame.alive
+
+    @property
+    def entries(self) -> int:
+        """How many (tile, Gaussian) entries the last view made."""
+        return self._frame.entries
+
+    def count_pairs(self) -> tuple[int, int]:
+        """(pixel, Gaussian) pairs the last view evaluated, and those of them that count; for the benchmark."""
+        return self._frame.count_pairs()
 
     @property
     def stage_ms(self) -> dict[str, float]:

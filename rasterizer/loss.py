@@ -27,7 +27,6 @@ class L1Ssim:
     def __init__(self, ssim_weight: float = 0.2, threads: int = 0) -> None:
         self.ssim_weight = ssim_weight
         self.threads = threads or default_threads()
-        self._kernel = kernel.L1Ssim()
 
     def __call__(self, image: Tensor, target: Tensor) -> LossValue:
         """image, target: (3, H, W) float32 in [0, 1]. Raises ValueError when shapes or types differ from it."""
@@ -37,8 +36,8 @@ class L1Ssim:
                 kind = str(tensor.dtype).removeprefix("torch.")
                 raise ValueError(f"{name} must be float32 {expected}, got {kind} {list(tensor.shape)}")
         d_image = torch.empty_like(image)
-        l1, ssim = self._kernel(image=image.contiguous(), target=target.contiguous(), gradient=d_image,
-                                ssim_weight=self.ssim_weight, threads=self.threads)
+        l1, ssim = kernel.l1_ssim(image=image.contiguous(), target=target.contiguous(), gradient=d_image,
+                                  ssim_weight=self.ssim_weight, threads=self.threads)
         return LossValue((1 - self.ssim_weight) * l1 + self.ssim_weight * (1 - ssim), l1, ssim, d_image)
 
 

@@ -76,7 +76,7 @@ SPLAT_INLINE int blend_block(const Splat* splats, const float* extras, const uin
 }
 
 // Entries whose splats are fetched while a block is blended: the next batch's.
-inline constexpr int kBatch = 256, kPrefetchPerBlock = 20;
+inline constexpr int kBatch = 256;
 
 template <int extra>
 inline void blend_tile(Frame& f, int tile) {
@@ -118,17 +118,6 @@ inline void blend_tile(Frame& f, int tile) {
     }
 }
 
-template <int extra>
-inline void blend(Frame& f) {
-    StageTimer timer(f, kStageBlend);
-    const int tiles = f.tiles();
-    f.image.resize(static_cast<size_t>(tiles) * f.channels() * kTilePixels);
-    f.transmittance.resize(static_cast<size_t>(tiles) * kTilePixels);
-    f.blocks_last.resize(static_cast<size_t>(tiles) * kBlocks);
-#pragma omp parallel for schedule(dynamic, 2) num_threads(f.settings.threads)
-    for (int tile = 0; tile < tiles; ++tile) blend_tile<extra>(f, tile);
-}
-
 // Images as planes [height, width]. color [3] over the background; alpha = 1 - T; extras as blended. Null:
 // not wanted.
 struct OutputPlanes {
@@ -139,7 +128,7 @@ struct OutputPlanes {
     float* stats;
 };
 
-inline void write_outputs(const Frame& f, const OutputPlanes& out) {
+inline void write_tile(const Frame& f, int tile, const OutputPlanes& out) {
     const int width = f.camera.width, height = f.camera.height;
     const size_t plane = static_cast<size_t>(width) * height;
     float* extra_plane[kMaxExtra] = {};
@@ -147,19 +136,30 @@ inline void write_outputs(const Frame& f, const OutputPlanes& out) {
     if (f.settings.depth) extra_plane[extra++] = out.depth;
     if (f.settings.flow) extra_plane[extra++] = out.flow, extra_plane[extra++] = out.flow + plane;
     if (f.settings.stats) extra_plane[extra++] = out.stats, extra_plane[extra++] = out.stats + plane;
-#pragma omp parallel for schedule(static) num_threads(f.settings.threads)
-    for (int tile = 0; tile < f.tiles(); ++tile) {
-        const TileSpan span = tile_span(f, tile);
-        for (int b = 0; b < kBlocks; ++b) {
-            const int x = span.x + b % 4 * kBlock, y = span.y + b / 4 * kBlock;
-            const Float T = Float::load(&f.transmittance[(static_cast<size_t>(tile) * kBlocks + b) * kLanes]);
-            auto blended = [&](int channel) { return Float::load(&f.image[block_at(f, tile, channel, b)]); };
-            for (int k = 0; k < 3 && out.color; ++k)
-                store_block(out.color + k * plane, width, height, x, y,
-                            blended(k) + T * Float(f.settings.background[k]));
-            if (out.alpha) store_block(out.alpha, width, height, x, y, Float(1.f) - T);
-            for (int e = 0; e < extra; ++e) store_block(extra_plane[e], width, height, x, y, blended(3 + e));
-        }
+    const TileSpan span = tile_span(f, tile);
+    for (int b = 0; b < kBlocks; ++b) {
+        const int x = span.x + b % 4 * kBlock, y = span.y + b / 4 * kBlock;
+        const Float T = Float::load(&f.transmittance[(static_cast<size_t>(tile) * kBlocks + b) * kLanes]);
+        auto blended = [&](int channel) { return Float::load(&f.image[block_at(f, tile, channel, b)]); };
+        for (int k = 0; k < 3 && out.color; ++k)
+            store_block(out.color + k * plane, width, height, x, y,
+                        blended(k) + T * Float(f.settings.background[k]));
+        if (out.alpha) store_block(out.alpha, width, height, x, y, Float(1.f) - T);
+        for (int e = 0; e < extra; ++e) store_block(extra_plane[e], width, height, x, y, blended(3 + e));
+    }
+}
+
+template <int extra>
+inline void blend(Frame& f, const OutputPlanes& out) {
+    StageTimer timer(f, kStageBlend);
+    const int tiles = f.tiles();
+    f.image.resize(static_cast<size_t>(tiles) * f.channels() * kTilePixels);
+    f.transmittance.resize(static_cast<size_t>(tiles) * kTilePixels);
+    f.blocks_last.resize(static_cast<size_t>(tiles) * kBlocks);
+#pragma omp parallel for schedule(dynamic, 2) num_threads(f.settings.threads)
+    for (int tile = 0; tile < tiles; ++tile) {
+        blend_tile<extra>(f, tile);
+        write_tile(f, tile, out);
     }
 }
 

@@ -51,8 +51,7 @@ inline void render(Frame& f, Motion motion, const Parameters& p, const OutputPla
     });
     sort_by_depth(f);
     bin(f);
-    with_extra(f.settings.extra_channels(), [&]<int extra>() { blend<extra>(f); });
-    write_outputs(f, out);
+    with_extra(f.settings.extra_channels(), [&]<int extra>() { blend<extra>(f, out); });
 }
 
 inline void render_backward(Frame& f, Motion motion, const Parameters& p, const OutputGradients& d,

@@ -1,11 +1,14 @@
 // (1-λ) L1 + λ (1-SSIM) of two images, and its gradient: 11×11 Gaussian window, σ = 1.5, zero padding, C1 =
 // 0.01², C2 = 0.03² (Wang et al. 2004, as in 3D Gaussian Splatting).
 //
-// The window is separable: rows, then columns. With m, n the windowed means of x and y, and s, r those of
+// The window is separable: columns, then rows. With m, n the windowed means of x and y, and s, r those of
 // x²+y² and xy,
-//     SSIM = A1 A2 / (B1 B2),  A1 = 2mn + C1,  A2 = 2(r - mn) + C2,  B1 = m² + n² + C1,  B2 = s - m² - n² +
-//     C2,
+//     SSIM = A1 A2 / (B1 B2),  A1 = 2mn + C1,  A2 = 2(r - mn) + C2,  B1 = m² + n² + C1,
+//     B2 = s - m² - n² + C2,
 // and the window being symmetric, ∂ΣSSIM/∂x = window(∂/∂m) + 2x window(∂/∂s) + y window(∂/∂r).
+//
+// A band of rows goes through in one sweep, four rows at a time, with the last few rows of everything in the second-
+// level cache: no map of the whole image is ever written.
 #pragma once
 
 #include <algorithm>
@@ -13,150 +16,225 @@
 #include <cmath>
 #include <vector>
 
-#include "buffer.hpp"
+#include "vec.hpp"
 
 namespace splat {
 
-inline constexpr int kWindowReach = 5;
+inline constexpr int kWindowReach = 5, kWindow = 2 * kWindowReach + 1;
+inline constexpr int kRows = 4;  // filtered together: each row above and below is then loaded 14 times instead of 44
+inline constexpr int kMeans = 4, kPartials = 3;
 
-inline std::array<float, kWindowReach + 1> window_weights() {  // [k]: at distance k
-    std::array<float, kWindowReach + 1> w{};
+inline std::array<float, kWindow> window_weights() {
+    std::array<float, kWindow> w{};
     double total = 0;
     for (int k = -kWindowReach; k <= kWindowReach; ++k) total += std::exp(-k * k / 4.5);
-    for (int k = 0; k <= kWindowReach; ++k) w[k] = static_cast<float>(std::exp(-k * k / 4.5) / total);
+    for (int k = -kWindowReach; k <= kWindowReach; ++k)
+        w[k + kWindowReach] = static_cast<float>(std::exp(-k * k / 4.5) / total);
     return w;
 }
 
-// out[i] = Σ_k w[|k|] in[i + k·step]; the caller pads.
-inline void convolve(const float* __restrict in, float* __restrict out, long count, long step,
-                     const float* w) {
-    const float w0 = w[0], w1 = w[1], w2 = w[2], w3 = w[3], w4 = w[4], w5 = w[5];
-#pragma omp simd
-    for (long i = 0; i < count; ++i)
-        out[i] = w0 * in[i] + w1 * (in[i - step] + in[i + step]) +
-                 w2 * (in[i - 2 * step] + in[i + 2 * step]) + w3 * (in[i - 3 * step] + in[i + 3 * step]) +
-                 w4 * (in[i - 4 * step] + in[i + 4 * step]) + w5 * (in[i - 5 * step] + in[i + 5 * step]);
+// Columns of `maps` maps filtered for kRows rows: at(k, value) gives the maps' values k - kWindowReach rows below the
+// first.
+template <int maps, class At>
+SPLAT_INLINE void filter_columns(const float* w, At&& at, Float (&out)[maps][kRows]) {
+    for (auto& map : out)
+        for (auto& row : map) row = 0.f;
+#pragma GCC unroll 14
+    for (int k = 0; k < kWindow + kRows - 1; ++k) {
+        Float value[maps];
+        at(k, value);
+#pragma GCC unroll 4
+        for (int j = 0; j < kRows; ++j)
+            if (k >= j && k - j < kWindow)
+#pragma GCC unroll 4
+                for (int m = 0; m < maps; ++m) out[m][j] += Float(w[k - j]) * value[m];
+    }
+}
+
+SPLAT_INLINE Float filter_row(const float* w, const float* centre) {
+    Float sum(0.f);
+#pragma GCC unroll 11
+    for (int k = 0; k < kWindow; ++k) sum += Float(w[k]) * Float::load(centre + k - kWindowReach);
+    return sum;
 }
 
 struct LossValue {
     double l1, ssim;  // means over pixels and channels
 };
 
-class L1Ssim {
+// A band of rows of one channel, and where its results go.
+struct LossBand {
+    const float *image, *target;  // of the channel
+    float* gradient;
+    double *row_l1, *row_ssim;  // sums of each row
+    int width, height, first, last;
+    float l1_scale, ssim_scale;  // of the gradient
+};
+
+// Scratch of one thread: rows with zeros before and behind them, so that filtering along a row needs no border case.
+class LossRows {
 public:
-    // image, target, gradient: planes [3, height, width]. gradient = ∂ ((1-λ) L1 + λ (1-SSIM)) / ∂ image.
-    LossValue operator()(const float* image, const float* target, int width, int height, float ssim_weight,
-                         float* gradient, int threads) {
-        // Row-filtered maps keep kWindowReach zero rows above and below: the column filter needs no border
-        // case.
-        const long padded_rows = height + 2 * kWindowReach, map = padded_rows * width;
-        filtered_.resize(4 * map);
-        partial_.resize(3 * map);
-        row_l1_.assign(3 * height, 0.0);
-        row_ssim_.assign(3 * height, 0.0);
-        const auto w = window_weights();
-        const size_t plane = static_cast<size_t>(width) * height;
-        const float scale = 1.f / (3.f * plane);
-        for (int m = 0; m < 4; ++m) clear_padding(&filtered_[m * map], width, height);
-        for (int m = 0; m < 3; ++m) clear_padding(&partial_[m * map], width, height);
-        for (int c = 0; c < 3; ++c) {
-            const float *x = image + c * plane, *y = target + c * plane;
-#pragma omp parallel num_threads(threads)
-            {
-                std::vector<float> row(4 * (width + 2 * kWindowReach), 0.f), column(4 * width);
-#pragma omp for schedule(static)
-                for (int r = 0; r < height; ++r) filter_rows(x, y, r, width, map, w.data(), row.data());
-                std::fill(row.begin(), row.end(), 0.f);
-#pragma omp for schedule(static)
-                for (int r = 0; r < height; ++r)
-                    row_ssim_[c * height + r] = ssim_row(r, width, map, w.data(), row.data(), column.data());
-#pragma omp for schedule(static)
-                for (int r = 0; r < height; ++r)
-                    row_l1_[c * height + r] = gradient_row(x, y, gradient + c * plane, r, width, map,
-                                                           w.data(), column.data(), ssim_weight, scale);
-            }
-        }
-        LossValue value{0, 0};  // summed row by row: the same bits for any number of threads
-        for (double v : row_l1_) value.l1 += v;
-        for (double v : row_ssim_) value.ssim += v;
-        value.l1 /= 3.0 * plane;
-        value.ssim /= 3.0 * plane;
-        return value;
-    }
+    explicit LossRows(int width)
+        : padded_((width + kLanes - 1) / kLanes * kLanes),
+          stride_(padded_ + 2 * kLanes),
+          data_(static_cast<size_t>(stride_) * (kMeans * kRows + kPartials * kRing + 1), 0.f) {}
+    float* column_filtered(int map, int row) { return at(map * kRows + row); }
+    float* partial(int map, int row) { return at(kMeans * kRows + map * kRing + (row & (kRing - 1))); }
+    const float* zeros() { return at(kMeans * kRows + kPartials * kRing); }
+    int padded() const { return padded_; }
 
 private:
-    static void clear_padding(float* map, int width, int height) {
-        const size_t border = static_cast<size_t>(kWindowReach) * width;
-        std::fill(map, map + border, 0.f);
-        std::fill(map + border + static_cast<size_t>(height) * width,
-                  map + 2 * border + static_cast<size_t>(height) * width, 0.f);
-    }
-    float* map_row(Buffer<float>& maps, int m, long map, int r, int width) {
-        return &maps[m * map + static_cast<long>(r + kWindowReach) * width];
-    }
-
-    // x, y, x²+y² and xy of row r, filtered along the row.
-    void filter_rows(const float* x, const float* y, int r, int width, long map, const float* w, float* row) {
-        const int stride = width + 2 * kWindowReach;
-        float* at[4];
-        for (int m = 0; m < 4; ++m) at[m] = row + m * stride + kWindowReach;
-        for (int i = 0; i < width; ++i) {
-            const float a = x[static_cast<size_t>(r) * width + i], b = y[static_cast<size_t>(r) * width + i];
-            at[0][i] = a, at[1][i] = b, at[2][i] = a * a + b * b, at[3][i] = a * b;
-        }
-        for (int m = 0; m < 4; ++m) convolve(at[m], map_row(filtered_, m, map, r, width), width, 1, w);
-    }
-
-    // Σ SSIM of row r; its partial derivatives, filtered along the row, into partial_.
-    double ssim_row(int r, int width, long map, const float* w, float* row, float* column) {
-        constexpr float c1 = 1e-4f, c2 = 9e-4f;
-        const int stride = width + 2 * kWindowReach;
-        for (int m = 0; m < 4; ++m)
-            convolve(map_row(filtered_, m, map, r, width), column + m * width, width, width, w);
-        const float *mean_x = column, *mean_y = column + width, *squares = column + 2 * width,
-                    *product = column + 3 * width;
-        float* __restrict by_mean = row + kWindowReach;
-        float* __restrict by_squares = row + stride + kWindowReach;
-        float* __restrict by_product = row + 2 * stride + kWindowReach;
-        float sum = 0;
-#pragma omp simd reduction(+ : sum)
-        for (int i = 0; i < width; ++i) {
-            const float a = mean_x[i], b = mean_y[i], q = a * a + b * b;
-            const float a1 = 2 * a * b + c1, a2 = 2 * (product[i] - a * b) + c2, b1 = q + c1,
-                        b2 = squares[i] - q + c2;
-            const float inverse1 = 1 / b1, inverse2 = 1 / b2, inverse = inverse1 * inverse2,
-                        ssim = a1 * a2 * inverse;
-            sum += ssim;
-            by_mean[i] = 2 * b * (a2 - a1) * inverse - 2 * a * ssim * (inverse1 - inverse2);
-            by_squares[i] = -ssim * inverse2;
-            by_product[i] = 2 * a1 * inverse;
-        }
-        for (int m = 0; m < 3; ++m)
-            convolve(row + m * stride + kWindowReach, map_row(partial_, m, map, r, width), width, 1, w);
-        return sum;
-    }
-
-    // Gradient of row r; returns Σ |x - y|.
-    double gradient_row(const float* x, const float* y, float* gradient, int r, int width, long map,
-                        const float* w, float* column, float ssim_weight, float scale) {
-        for (int m = 0; m < 3; ++m)
-            convolve(map_row(partial_, m, map, r, width), column + m * width, width, width, w);
-        const float *xr = x + static_cast<size_t>(r) * width, *yr = y + static_cast<size_t>(r) * width;
-        float* __restrict out = gradient + static_cast<size_t>(r) * width;
-        float sum = 0;
-#pragma omp simd reduction(+ : sum)
-        for (int i = 0; i < width; ++i) {
-            const float difference = xr[i] - yr[i];
-            sum += std::fabs(difference);
-            const float sign = static_cast<float>(difference > 0) - static_cast<float>(difference < 0);
-            const float d_ssim = column[i] + 2 * xr[i] * column[width + i] + yr[i] * column[2 * width + i];
-            out[i] = scale * ((1 - ssim_weight) * sign - ssim_weight * d_ssim);
-        }
-        return sum;
-    }
-
-    Buffer<float> filtered_, partial_;
-    std::vector<double> row_l1_, row_ssim_;
+    static constexpr int kRing = 32;  // at least 14 rows being read and 4 being written
+    float* at(int row) { return data_.data() + static_cast<size_t>(stride_) * row + kLanes; }
+    int padded_, stride_;
+    std::vector<float> data_;
 };
+
+SPLAT_INLINE Float first_lanes(const Float& v, int count) {
+    if (count >= kLanes) return v;
+    alignas(64) float lane[kLanes];
+    v.store(lane);
+    return Float::load_first(lane, count);
+}
+SPLAT_INLINE float sum_of_lanes(const Float& v) {
+    alignas(64) float lane[kLanes];
+    v.store(lane);
+    float sum = 0;
+    for (float x : lane) sum += x;
+    return sum;
+}
+
+// Rows [row, row + kRows) of the three partial derivatives of ΣSSIM, and the sums of SSIM over them.
+inline void ssim_rows(const LossBand& p, const float* w, int row, LossRows& rows) {
+    const float *x[kWindow + kRows - 1], *y[kWindow + kRows - 1];
+    for (int k = 0; k < kWindow + kRows - 1; ++k) {
+        const int r = row + k - kWindowReach;
+        const bool inside = r >= 0 && r < p.height;
+        x[k] = inside ? p.image + static_cast<size_t>(r) * p.width : rows.zeros();
+        y[k] = inside ? p.target + static_cast<size_t>(r) * p.width : rows.zeros();
+    }
+    auto sweep = [&](int i, auto&& load) {
+        Float mean[kMeans][kRows];
+        filter_columns<kMeans>(
+            w,
+            [&](int k, Float(&value)[kMeans]) {
+                value[0] = load(x[k] + i), value[1] = load(y[k] + i);
+                value[2] = value[0] * value[0] + value[1] * value[1], value[3] = value[0] * value[1];
+            },
+            mean);
+        for (int m = 0; m < kMeans; ++m)
+            for (int j = 0; j < kRows; ++j) mean[m][j].store(rows.column_filtered(m, j) + i);
+    };
+    const int whole = p.width / kLanes * kLanes, rest = p.width - whole;
+    for (int i = 0; i < whole; i += kLanes) sweep(i, [](const float* from) { return Float::load(from); });
+    if (rest) sweep(whole, [&](const float* from) { return Float::load_first(from, rest); });
+
+    const Float c1(1e-4f), c2(9e-4f), one(1.f), two(2.f);
+    for (int j = 0; j < std::min(kRows, p.height - row); ++j) {
+        Float total(0.f);
+        for (int i = 0; i < p.width; i += kLanes) {
+            Float mean[kMeans];
+            for (int m = 0; m < kMeans; ++m) mean[m] = filter_row(w, rows.column_filtered(m, j) + i);
+            const Float &a = mean[0], &b = mean[1], ab = a * b, q = a * a + b * b;
+            const Float a1 = two * ab + c1, a2 = two * (mean[3] - ab) + c2, b1 = q + c1, b2 = mean[2] - q + c2;
+            const Float inverse = one / (b1 * b2), inverse1 = inverse * b2, inverse2 = inverse * b1;
+            const Float ssim = a1 * a2 * inverse;
+            const int count = p.width - i;
+            total += first_lanes(ssim, count);
+            const Float by_mean = two * b * (a2 - a1) * inverse - two * a * ssim * (inverse1 - inverse2);
+            first_lanes(by_mean, count).store(rows.partial(0, row + j) + i);
+            first_lanes(-ssim * inverse2, count).store(rows.partial(1, row + j) + i);
+            first_lanes(two * a1 * inverse, count).store(rows.partial(2, row + j) + i);
+        }
+        if (row + j >= p.first && row + j < p.last) p.row_ssim[row + j] = sum_of_lanes(total);
+    }
+}
+
+// Rows [row, row + kRows) of the gradient, as far as they are the band's, and the sums of |x - y| over them.
+inline void gradient_rows(const LossBand& p, const float* w, int row, LossRows& rows) {
+    const float* partial[kPartials][kWindow + kRows - 1];
+    for (int k = 0; k < kWindow + kRows - 1; ++k) {
+        const int r = row + k - kWindowReach;
+        for (int m = 0; m < kPartials; ++m)
+            partial[m][k] = r >= 0 && r < p.height ? rows.partial(m, r) : rows.zeros();
+    }
+    for (int i = 0; i < p.width; i += kLanes) {
+        Float filtered[kPartials][kRows];
+        filter_columns<kPartials>(
+            w,
+            [&](int k, Float(&value)[kPartials]) {
+                for (int m = 0; m < kPartials; ++m) value[m] = Float::load(partial[m][k] + i);
+            },
+            filtered);
+        for (int m = 0; m < kPartials; ++m)
+            for (int j = 0; j < kRows; ++j) filtered[m][j].store(rows.column_filtered(m, j) + i);
+    }
+    const Float l1_scale(p.l1_scale), ssim_scale(-p.ssim_scale), two(2.f), zero(0.f);
+    for (int j = 0; j < std::min(kRows, p.last - row); ++j) {
+        const size_t at = static_cast<size_t>(row + j) * p.width;
+        Float total(0.f);
+        for (int i = 0; i < p.width; i += kLanes) {
+            const int count = std::min(kLanes, p.width - i);
+            const Float x = Float::load_first(p.image + at + i, count), y = Float::load_first(p.target + at + i, count);
+            const Float d_ssim = filter_row(w, rows.column_filtered(0, j) + i) +
+                                 two * x * filter_row(w, rows.column_filtered(1, j) + i) +
+                                 y * filter_row(w, rows.column_filtered(2, j) + i);
+            const Float difference = x - y;
+            total += abs(difference);
+            const Float sign = zero_unless(difference > zero, l1_scale) - zero_unless(difference < zero, l1_scale);
+            (sign + ssim_scale * d_ssim).store_first(p.gradient + at + i, count);
+        }
+        p.row_l1[row + j] = sum_of_lanes(total);
+    }
+}
+
+// One band. The partial derivatives five rows around it are computed here too, so bands do not wait for each other.
+inline void loss_band(const LossBand& p, const float* w, LossRows& rows) {
+    const int end = std::min(p.height, p.last + kWindowReach);
+    int next = p.first;
+    for (int row = std::max(0, p.first - kWindowReach); row < end; row += kRows) {
+        ssim_rows(p, w, row, rows);
+        const int done = std::min(p.height, row + kRows);
+        for (; next < p.last && std::min({next + kRows + kWindowReach, p.last + kWindowReach, p.height}) <= done;
+             next += kRows)
+            gradient_rows(p, w, next, rows);
+    }
+}
+
+// image, target: planes [3, height, width]. gradient = ∂ ((1-λ) L1 + λ (1-SSIM)) / ∂ image.
+inline LossValue l1_ssim(const float* image, const float* target, int width, int height, float ssim_weight,
+                         float* gradient, int threads) {
+    const auto w = window_weights();
+    const size_t plane = static_cast<size_t>(width) * height;
+    const float scale = 1.f / (3.f * plane);
+    std::vector<double> row_l1(3 * height), row_ssim(3 * height);
+    const int bands = std::clamp(height / 32, 1, threads);  // a band of a channel
+#pragma omp parallel num_threads(threads)
+    {
+        LossRows rows(width);
+#pragma omp for schedule(dynamic, 1)
+        for (int task = 0; task < 3 * bands; ++task) {
+            const int c = task / bands, band = task % bands;
+            const LossBand p{image + c * plane,
+                              target + c * plane,
+                              gradient + c * plane,
+                              &row_l1[c * height],
+                              &row_ssim[c * height],
+                              width,
+                              height,
+                              height * band / bands,
+                              height * (band + 1) / bands,
+                              (1 - ssim_weight) * scale,
+                              ssim_weight * scale};
+            loss_band(p, w.data(), rows);
+        }
+    }
+    LossValue value{0, 0};  // summed row by row: the same bits for any number of threads
+    for (double v : row_l1) value.l1 += v;
+    for (double v : row_ssim) value.ssim += v;
+    value.l1 /= 3.0 * plane;
+    value.ssim /= 3.0 * plane;
+    return value;
+}
 
 }  // namespace splat

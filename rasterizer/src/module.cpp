@@ -15,6 +15,8 @@
 #include "adam.hpp"
 #include "dispatch.hpp"
 #include "loss.hpp"
+#include "pairs.hpp"
+#include "rates.hpp"
 
 namespace nb = nanobind;
 
@@ -109,6 +111,10 @@ public:
     uint32_t visible() const { return frame_.visible; }
     uint32_t alive() const { return frame_.alive; }
     size_t entries() const { return frame_.entry_slot.size(); }
+    std::tuple<uint64_t, uint64_t> count_pairs() const {
+        const splat::Pairs pairs = splat::count_pairs(frame_);
+        return {pairs.evaluated, pairs.contributing};
+    }
     std::vector<double> stage_ms() const { return {frame_.stage_ms, frame_.stage_ms + 6}; }
 
 private:
@@ -151,19 +157,13 @@ void adam_sh(Out sh, Out m, Out v, int coefficients, int orders, int active_orde
                    sparse, colors, splat::AdamStep(beta1, beta2, epsilon, step), threads);
 }
 
-class L1Ssim {
-public:
-    std::tuple<double, double> operator()(In image, In target, Out gradient, float ssim_weight, int threads) {
-        const int height = static_cast<int>(image.shape(1)), width = static_cast<int>(image.shape(2));
-        nb::gil_scoped_release release;
-        const auto value =
-            loss_(image.data(), target.data(), width, height, ssim_weight, gradient.data(), threads);
-        return {value.l1, value.ssim};
-    }
-
-private:
-    splat::L1Ssim loss_;
-};
+std::tuple<double, double> l1_ssim(In image, In target, Out gradient, float ssim_weight, int threads) {
+    const int height = static_cast<int>(image.shape(1)), width = static_cast<int>(image.shape(2));
+    nb::gil_scoped_release release;
+    const auto value =
+        splat::l1_ssim(image.data(), target.data(), width, height, ssim_weight, gradient.data(), threads);
+    return {value.l1, value.ssim};
+}
 
 }  // namespace
 
@@ -196,6 +196,7 @@ NB_MODULE(KERNEL_MODULE_NAME, m) {
         .def_prop_ro("visible", &Frame::visible)
         .def_prop_ro("alive", &Frame::alive)
         .def_prop_ro("entries", &Frame::entries)
+        .def("count_pairs", &Frame::count_pairs)
         .def_prop_ro("stage_ms", &Frame::stage_ms);
     m.def("expand_sh", &expand_sh, nb::arg("views"), nb::arg("dense"), nb::arg("coefficients"),
           nb::arg("orders"), nb::arg("threads"));
@@ -206,8 +207,10 @@ NB_MODULE(KERNEL_MODULE_NAME, m) {
           nb::arg("orders"), nb::arg("active_orders"), nb::arg("lr_dc"), nb::arg("lr_rest"),
           nb::arg("sparse"), nb::arg("views"), nb::arg("beta1"), nb::arg("beta2"), nb::arg("epsilon"),
           nb::arg("step"), nb::arg("threads"));
-    nb::class_<L1Ssim>(m, "L1Ssim")
-        .def(nb::init<>())
-        .def("__call__", &L1Ssim::operator(), nb::arg("image"), nb::arg("target"), nb::arg("gradient"),
-             nb::arg("ssim_weight"), nb::arg("threads"));
+    m.def("measure_rates", [] {
+        const splat::Rates rates = splat::measure_rates();
+        return std::tuple{rates.fma_per_second, rates.copy_bytes_per_second};
+    });
+    m.def("l1_ssim", &l1_ssim, nb::arg("image"), nb::arg("target"), nb::arg("gradient"), nb::arg("ssim_weight"),
+          nb::arg("threads"));
 }
