@@ -27,8 +27,8 @@ reproduce: $(BUILT) ## set up, train the synthetic suite and its ablations, writ
 	$(RUN) pipeline experiment=synthetic_ablation
 	$(RUN) pipeline.report $(RUNS)
 
-bench: $(BUILT) ## time the kernel on workload W1, one thread
-	$(RUN) rasterizer.bench W1 --threads 1
+bench: $(BUILT) ## time kernel, loss, optimiser and readable twin in one run; a roofline plot in results/bench
+	$(RUN) rasterizer.bench W1 W2h W2 --all
 
 report: $(BUILT) ## tables, plots and the HTML page from the run folders under RUNS=results/runs
 	$(RUN) pipeline.report $(RUNS)

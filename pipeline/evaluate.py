@@ -94,7 +94,7 @@ def quick_evaluate(model: Model, scene: Scene, cfg: Config, frame: Frame) -> dic
     gaussians, rows = model.gaussians(), []
     for view in scene.test:
         target = target_of(view, cfg.train.resolution_scale)
-        image = frame.render(gaussians, _request(target, scene, cfg)).color.clamp_(0.0, 1.0)
+        image = frame.render(gaussians, _request(target, scene, cfg), differentiable=False).color.clamp_(0.0, 1.0)
         loss, _, ssim, _ = l1_ssim(image, target.image, cfg.train.ssim_weight, frame.threads)
         rows.append({"psnr": psnr(image.numpy(), target.image.numpy()), "ssim": ssim, "test_loss": loss})
     return {name: mean(rows, name) for name in ("psnr", "ssim", "test_loss")}
@@ -113,7 +113,7 @@ def frames_per_second(model: Model, scene: Scene, cfg: Config, threads: int) -> 
         spent = 0.0
         started = time.perf_counter()
         for request in requests:
-            frame.render(gaussians, request)
+            frame.render(gaussians, request, differentiable=False)
             spent += frame.stage_ms["blend"] / 1000.0
         whole.append(time.perf_counter() - started)
         blend.append(spent)
@@ -138,7 +138,7 @@ def png_saver(folder: Path) -> SaveImages:
 
 def _rendered(frame: Frame, gaussians: Gaussians, target: Target, scene: Scene, cfg: Config) -> np.ndarray:
     """(H, W, 3) float32 in [0, 1]."""
-    image = frame.render(gaussians, _request(target, scene, cfg)).color
+    image = frame.render(gaussians, _request(target, scene, cfg), differentiable=False).color
     return np.clip(image.numpy().transpose(1, 2, 0), 0.0, 1.0)
 
 

@@ -31,13 +31,14 @@ def sh_adam_step(sh: Tensor, gradients: Gradients, m: Tensor, v: Tensor, lr_dc: 
                  threads: int = 0) -> None:
     """Update SH coefficients (N, K, 3) and moments in place from the batch's compact colour gradients.
 
-    Fourier orders that no view of the batch used are left alone: exact as long as they have had no gradient before.
+    Degrees and Fourier orders that no view of the batch used are left alone: exact as long as they have had no gradient
+    before.
     sparse: Gaussians that no view of the batch saw are left alone too.
     """
     coefficients, orders = split_coefficients(sh.shape[1])
-    active = 1 + max((view.fourier_order for view in gradients.views), default=-1)
-    if active == 0:
-        active = 1
-    kernel.adam_sh(sh=sh, m=m, v=v, coefficients=coefficients, orders=orders, active_orders=min(active, orders),
+    used_orders = 1 + max((view.fourier_order for view in gradients.views), default=0)
+    used_coefficients = (1 + max((view.sh_degree for view in gradients.views), default=0)) ** 2
+    kernel.adam_sh(sh=sh, m=m, v=v, coefficients=coefficients, orders=orders,
+                   active_coefficients=min(used_coefficients, coefficients), active_orders=min(used_orders, orders),
                    lr_dc=lr_dc, lr_rest=lr_rest, sparse=sparse, views=[view.as_tuple() for view in gradients.views],
                    beta1=beta1, beta2=beta2, epsilon=eps, step=step, threads=threads or default_threads())

@@ -21,7 +21,7 @@ class _Rasterize(torch.autograd.Function):
     def forward(ctx, request: Request, threads: int, *tensors: Tensor | None) -> tuple[Tensor, ...]:
         gaussians = Gaussians(*(None if t is None else t.detach() for t in tensors))
         frame = Frame(threads)
-        out = frame.render(gaussians, request)
+        out = frame.render(gaussians, request, differentiable=any(ctx.needs_input_grad))
         ctx.frame, ctx.gaussians, ctx.names = frame, gaussians, tuple(request.outputs)
         ctx.set_materialize_grads(False)
         return tuple(getattr(out, name) for name in ctx.names)

@@ -137,3 +137,19 @@ def test_sparse_sh_leaves_alone_what_no_view_saw():
             stepped[~seen], untouched[~seen]
         )
         assert torch.equal(found[seen], stepped[seen])
+
+
+def test_degrees_and_orders_no_view_used_are_left_alone_and_the_others_stepped_as_ever():
+    gaussians = random_gaussians(83, "full", generator(8)).to(torch.float32)
+    low = Frame(threads=1), Gradients.zeros_like(gaussians)
+    request = Request(off_centre_camera(), time=0.5, sh_degree=1, fourier_order=1)
+    low[0].render(gaussians, request)
+    low[0].backward(low[1], d_color=torch.ones(3, 37, 45))
+    sh, m, v = gaussians.sh.clone(), torch.zeros_like(gaussians.sh), torch.zeros_like(gaussians.sh)
+    sh_adam_step(sh, low[1], m, v, 0.01, 0.01, 1)
+    used = torch.zeros(48, dtype=torch.bool)
+    used[[0, 1, 2, 3, 16, 17, 18, 19]] = True  # degrees 0 and 1 of Fourier orders 0 and 1
+    seen = low[1].views[0].visible.long()
+    assert torch.equal(sh[:, ~used], gaussians.sh[:, ~used]) and not m[:, ~used].any() and not v[:, ~used].any()
+    torch.testing.assert_close(m[:, used], 0.1 * low[1].sh()[:, used])  # the first step's: (1 - β1) g
+    assert (m[seen][:, used] != 0).float().mean() > 0.5

@@ -78,10 +78,11 @@ inline void adam_rows(float* p, const float* g, float* m, float* v, size_t rows,
 inline constexpr uint32_t kRowsAhead = 3;
 
 // Adam on SH coefficients [N, orders · coefficients, 3], their gradient expanded chunk by chunk and never
-// stored. Orders from `active_orders` on are left alone: they have had no gradient yet, so their moments are
-// zero. sparse: rows no view of the batch saw are left alone too.
+// stored. Orders from `active_orders` on, and in each order coefficients from `active_coefficients` on, are
+// left alone: they have had no gradient yet, so their moments are zero. sparse: rows no view of the batch saw
+// are left alone too.
 inline void adam_sh(float* sh, float* m, float* v, uint32_t count, int coefficients, int orders,
-                    int active_orders, float lr_dc, float lr_rest, bool sparse,
+                    int active_coefficients, int active_orders, float lr_dc, float lr_rest, bool sparse,
                     const std::vector<ViewColors>& views, const AdamStep& a, int threads) {
     const size_t order_stride = static_cast<size_t>(coefficients) * 3, row_stride = order_stride * orders;
     const Float rest(lr_rest * a.inverse_correction1);
@@ -98,20 +99,23 @@ inline void adam_sh(float* sh, float* m, float* v, uint32_t count, int coefficie
             expand(views, first, last, chunk);
             for (uint32_t i = first; i < last; ++i) {
                 if (i + kRowsAhead < last && (!sparse || chunk.touched[i + kRowsAhead - first]))
-                    for (size_t k = 0; k < row_stride; k += kLanes) {
-                        const size_t at = row_stride * (i + kRowsAhead) + k;
-                        __builtin_prefetch(sh + at, 1), __builtin_prefetch(m + at, 1), __builtin_prefetch(v + at, 1);
-                    }
+                    for (int n = 0; n < active_orders; ++n)
+                        for (int k = 0; k < 3 * active_coefficients; k += kLanes) {
+                            const size_t at = row_stride * (i + kRowsAhead) + order_stride * n + k;
+                            __builtin_prefetch(sh + at, 1), __builtin_prefetch(m + at, 1),
+                                __builtin_prefetch(v + at, 1);
+                        }
                 if (sparse && !chunk.touched[i - first]) continue;
                 for (int n = 0; n < active_orders; ++n) {
                     const size_t at = row_stride * i + order_stride * n;
                     const ShRow& g = chunk.rows[static_cast<size_t>(i - first) * active_orders + n];
-                    ShRow pr = ShRow::load(sh + at, coefficients), mr = ShRow::load(m + at, coefficients);
-                    ShRow vr = ShRow::load(v + at, coefficients);
+                    ShRow pr = ShRow::load(sh + at, active_coefficients);
+                    ShRow mr = ShRow::load(m + at, active_coefficients),
+                          vr = ShRow::load(v + at, active_coefficients);
                     for (int k = 0; k < kRowVectors; ++k)
                         adam_vector(pr.v[k], g.v[k], mr.v[k], vr.v[k], n == 0 && k == 0 ? with_dc : rest, a);
-                    pr.store(sh + at, coefficients), mr.store(m + at, coefficients),
-                        vr.store(v + at, coefficients);
+                    pr.store(sh + at, active_coefficients), mr.store(m + at, active_coefficients);
+                    vr.store(v + at, active_coefficients);
                 }
             }
         }

@@ -38,10 +38,10 @@ struct Frame {
 
     // bin: entry lists of the tiles, each front to back
     int tiles_x = 0, tiles_y = 0;
-    Buffer<uint32_t> tile_begin;              // [tiles + 1]
-    Buffer<uint32_t> entry_splat;             // its place
-    Buffer<uint16_t> entry_mask;              // which of the tile's 4×4 blocks it touches
-    Buffer<uint32_t> entry_slot;              // where its gradient goes
+    Buffer<uint32_t> tile_begin;   // [tiles + 1]
+    Buffer<uint32_t> entry_splat;  // its place
+    Buffer<uint16_t> entry_mask;   // which of the tile's 4×4 blocks it touches
+    Buffer<uint32_t> entry_slot;   // where its gradient goes
     struct SlotRange {
         uint32_t begin, count;
     };

@@ -7,8 +7,8 @@
 //     B2 = s - m² - n² + C2,
 // and the window being symmetric, ∂ΣSSIM/∂x = window(∂/∂m) + 2x window(∂/∂s) + y window(∂/∂r).
 //
-// A band of rows goes through in one sweep, four rows at a time, with the last few rows of everything in the second-
-// level cache: no map of the whole image is ever written.
+// A band of rows goes through in one sweep, four rows at a time, with the last few rows of everything in the
+// second- level cache: no map of the whole image is ever written.
 #pragma once
 
 #include <algorithm>
@@ -21,7 +21,8 @@
 namespace splat {
 
 inline constexpr int kWindowReach = 5, kWindow = 2 * kWindowReach + 1;
-inline constexpr int kRows = 4;  // filtered together: each row above and below is then loaded 14 times instead of 44
+inline constexpr int kRows =
+    4;  // filtered together: each row above and below is then loaded 14 times instead of 44
 inline constexpr int kMeans = 4, kPartials = 3;
 
 inline std::array<float, kWindow> window_weights() {
@@ -33,8 +34,8 @@ inline std::array<float, kWindow> window_weights() {
     return w;
 }
 
-// Columns of `maps` maps filtered for kRows rows: at(k, value) gives the maps' values k - kWindowReach rows below the
-// first.
+// Columns of `maps` maps filtered for kRows rows: at(k, value) gives the maps' values k - kWindowReach rows
+// below the first.
 template <int maps, class At>
 SPLAT_INLINE void filter_columns(const float* w, At&& at, Float (&out)[maps][kRows]) {
     for (auto& map : out)
@@ -71,7 +72,8 @@ struct LossBand {
     float l1_scale, ssim_scale;  // of the gradient
 };
 
-// Scratch of one thread: rows with zeros before and behind them, so that filtering along a row needs no border case.
+// Scratch of one thread: rows with zeros before and behind them, so that filtering along a row needs no
+// border case.
 class LossRows {
 public:
     explicit LossRows(int width)
@@ -136,7 +138,8 @@ inline void ssim_rows(const LossBand& p, const float* w, int row, LossRows& rows
             Float mean[kMeans];
             for (int m = 0; m < kMeans; ++m) mean[m] = filter_row(w, rows.column_filtered(m, j) + i);
             const Float &a = mean[0], &b = mean[1], ab = a * b, q = a * a + b * b;
-            const Float a1 = two * ab + c1, a2 = two * (mean[3] - ab) + c2, b1 = q + c1, b2 = mean[2] - q + c2;
+            const Float a1 = two * ab + c1, a2 = two * (mean[3] - ab) + c2, b1 = q + c1,
+                        b2 = mean[2] - q + c2;
             const Float inverse = one / (b1 * b2), inverse1 = inverse * b2, inverse2 = inverse * b1;
             const Float ssim = a1 * a2 * inverse;
             const int count = p.width - i;
@@ -175,27 +178,31 @@ inline void gradient_rows(const LossBand& p, const float* w, int row, LossRows& 
         Float total(0.f);
         for (int i = 0; i < p.width; i += kLanes) {
             const int count = std::min(kLanes, p.width - i);
-            const Float x = Float::load_first(p.image + at + i, count), y = Float::load_first(p.target + at + i, count);
+            const Float x = Float::load_first(p.image + at + i, count),
+                        y = Float::load_first(p.target + at + i, count);
             const Float d_ssim = filter_row(w, rows.column_filtered(0, j) + i) +
                                  two * x * filter_row(w, rows.column_filtered(1, j) + i) +
                                  y * filter_row(w, rows.column_filtered(2, j) + i);
             const Float difference = x - y;
             total += abs(difference);
-            const Float sign = zero_unless(difference > zero, l1_scale) - zero_unless(difference < zero, l1_scale);
+            const Float sign =
+                zero_unless(difference > zero, l1_scale) - zero_unless(difference < zero, l1_scale);
             (sign + ssim_scale * d_ssim).store_first(p.gradient + at + i, count);
         }
         p.row_l1[row + j] = sum_of_lanes(total);
     }
 }
 
-// One band. The partial derivatives five rows around it are computed here too, so bands do not wait for each other.
+// One band. The partial derivatives five rows around it are computed here too, so bands do not wait for each
+// other.
 inline void loss_band(const LossBand& p, const float* w, LossRows& rows) {
     const int end = std::min(p.height, p.last + kWindowReach);
     int next = p.first;
     for (int row = std::max(0, p.first - kWindowReach); row < end; row += kRows) {
         ssim_rows(p, w, row, rows);
         const int done = std::min(p.height, row + kRows);
-        for (; next < p.last && std::min({next + kRows + kWindowReach, p.last + kWindowReach, p.height}) <= done;
+        for (; next < p.last &&
+               std::min({next + kRows + kWindowReach, p.last + kWindowReach, p.height}) <= done;
              next += kRows)
             gradient_rows(p, w, next, rows);
     }
@@ -216,16 +223,16 @@ inline LossValue l1_ssim(const float* image, const float* target, int width, int
         for (int task = 0; task < 3 * bands; ++task) {
             const int c = task / bands, band = task % bands;
             const LossBand p{image + c * plane,
-                              target + c * plane,
-                              gradient + c * plane,
-                              &row_l1[c * height],
-                              &row_ssim[c * height],
-                              width,
-                              height,
-                              height * band / bands,
-                              height * (band + 1) / bands,
-                              (1 - ssim_weight) * scale,
-                              ssim_weight * scale};
+                             target + c * plane,
+                             gradient + c * plane,
+                             &row_l1[c * height],
+                             &row_ssim[c * height],
+                             width,
+                             height,
+                             height * band / bands,
+                             height * (band + 1) / bands,
+                             (1 - ssim_weight) * scale,
+                             ssim_weight * scale};
             loss_band(p, w.data(), rows);
         }
     }

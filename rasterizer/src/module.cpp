@@ -147,14 +147,15 @@ void adam(Out p, In g, Out m, Out v, const std::vector<float>& lr, std::optional
                      pointer(keep), splat::AdamStep(beta1, beta2, epsilon, step), threads);
 }
 
-void adam_sh(Out sh, Out m, Out v, int coefficients, int orders, int active_orders, float lr_dc,
-             float lr_rest, bool sparse, const std::vector<View>& views, double beta1, double beta2,
-             double epsilon, long step, int threads) {
+void adam_sh(Out sh, Out m, Out v, int coefficients, int orders, int active_coefficients, int active_orders,
+             float lr_dc, float lr_rest, bool sparse, const std::vector<View>& views, double beta1,
+             double beta2, double epsilon, long step, int threads) {
     const auto colors = view_colors(views);
     const uint32_t count = static_cast<uint32_t>(sh.shape(0));
     nb::gil_scoped_release release;
-    splat::adam_sh(sh.data(), m.data(), v.data(), count, coefficients, orders, active_orders, lr_dc, lr_rest,
-                   sparse, colors, splat::AdamStep(beta1, beta2, epsilon, step), threads);
+    splat::adam_sh(sh.data(), m.data(), v.data(), count, coefficients, orders, active_coefficients,
+                   active_orders, lr_dc, lr_rest, sparse, colors,
+                   splat::AdamStep(beta1, beta2, epsilon, step), threads);
 }
 
 std::tuple<double, double> l1_ssim(In image, In target, Out gradient, float ssim_weight, int threads) {
@@ -204,13 +205,13 @@ NB_MODULE(KERNEL_MODULE_NAME, m) {
           nb::arg("keep").none(), nb::arg("beta1"), nb::arg("beta2"), nb::arg("epsilon"), nb::arg("step"),
           nb::arg("threads"));
     m.def("adam_sh", &adam_sh, nb::arg("sh"), nb::arg("m"), nb::arg("v"), nb::arg("coefficients"),
-          nb::arg("orders"), nb::arg("active_orders"), nb::arg("lr_dc"), nb::arg("lr_rest"),
-          nb::arg("sparse"), nb::arg("views"), nb::arg("beta1"), nb::arg("beta2"), nb::arg("epsilon"),
-          nb::arg("step"), nb::arg("threads"));
+          nb::arg("orders"), nb::arg("active_coefficients"), nb::arg("active_orders"), nb::arg("lr_dc"),
+          nb::arg("lr_rest"), nb::arg("sparse"), nb::arg("views"), nb::arg("beta1"), nb::arg("beta2"),
+          nb::arg("epsilon"), nb::arg("step"), nb::arg("threads"));
     m.def("measure_rates", [] {
         const splat::Rates rates = splat::measure_rates();
         return std::tuple{rates.fma_per_second, rates.copy_bytes_per_second};
     });
-    m.def("l1_ssim", &l1_ssim, nb::arg("image"), nb::arg("target"), nb::arg("gradient"), nb::arg("ssim_weight"),
-          nb::arg("threads"));
+    m.def("l1_ssim", &l1_ssim, nb::arg("image"), nb::arg("target"), nb::arg("gradient"),
+          nb::arg("ssim_weight"), nb::arg("threads"));
 }

@@ -1,5 +1,5 @@
-// How many (pixel, Gaussian) pairs blending looks at, and how many of them count. For the benchmark: not on any
-// frame's path.
+// How many (pixel, Gaussian) pairs blending looks at, and how many of them count. For the benchmark: not on
+// any frame's path.
 #pragma once
 
 #include "blend.hpp"
@@ -22,7 +22,9 @@ inline Pairs count_pairs(const Frame& f) {
             const Splat& s = f.staged[f.entry_splat[e]];
             for (unsigned blocks = f.entry_mask[e]; blocks; blocks &= blocks - 1) {
                 const int b = __builtin_ctz(blocks);
-                if (f.blocks_last[static_cast<size_t>(tile) * kBlocks + b] <= static_cast<float>(e - span.begin)) continue;
+                if (f.blocks_last[static_cast<size_t>(tile) * kBlocks + b] <=
+                    static_cast<float>(e - span.begin))
+                    continue;
                 const Float px = lane_x + Float(static_cast<float>(span.x + b % 4 * kBlock));
                 const Float py = lane_y + Float(static_cast<float>(span.y + b / 4 * kBlock));
                 const Float power = log2_alpha(s, px - Float(s.x), py - Float(s.y));

@@ -28,7 +28,8 @@ inline double fastest_seconds(Run&& run) {
 
 inline Rates measure_rates() {
     constexpr int kRounds = 1'000'000;
-    constexpr int kChains = 12 / kParts > 2 ? 12 / kParts : 2;  // independent, to hide the latency in native registers
+    constexpr int kChains =
+        12 / kParts > 2 ? 12 / kParts : 2;  // independent, to hide the latency in native registers
     Float chain[kChains];
     for (auto& v : chain) v = 0.f;
     const double fma = fastest_seconds([&] {

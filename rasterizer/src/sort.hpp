@@ -12,10 +12,10 @@ namespace splat {
 
 inline constexpr int kMaxDigitBits = 12;  // 4096 counters stay in the first-level cache
 
-// One stable counting pass over a digit. Each thread counts and scatters its own share of the keys, the shares in
-// order: the same result for any number of threads.
-inline void counting_pass(const Frame::DepthKey* from, Frame::DepthKey* to, uint32_t n, int shift, int digit_bits,
-                          int threads) {
+// One stable counting pass over a digit. Each thread counts and scatters its own share of the keys, the
+// shares in order: the same result for any number of threads.
+inline void counting_pass(const Frame::DepthKey* from, Frame::DepthKey* to, uint32_t n, int shift,
+                          int digit_bits, int threads) {
     const uint32_t digits = 1u << digit_bits;
     std::vector<uint32_t> first(static_cast<size_t>(threads) * digits, 0);
     auto share = [&](int t) { return static_cast<uint32_t>(static_cast<uint64_t>(n) * t / threads); };
@@ -31,14 +31,16 @@ inline void counting_pass(const Frame::DepthKey* from, Frame::DepthKey* to, uint
         for (uint32_t i = share(t); i < share(t + 1); ++i) to[first[t * digits + digit(i)]++] = from[i];
 }
 
-// The bits of a positive float sort as it does. Depths of one view differ in 20 to 26 bits: two or three passes.
+// The bits of a positive float sort as it does. Depths of one view differ in 20 to 26 bits: two or three
+// passes.
 inline void sort_by_depth(Frame& f) {
     StageTimer timer(f, kStageSort);
     const uint32_t n = f.visible;
     for (auto& keys : f.keys) keys.resize(n);
     const int chunks = static_cast<int>(f.chunk_count.size()), threads = f.settings.threads;
     uint32_t nearest = ~0u, farthest = 0;
-#pragma omp parallel for schedule(static) num_threads(threads) reduction(min : nearest) reduction(max : farthest)
+#pragma omp parallel for schedule(static) num_threads(threads) reduction(min : nearest) \
+    reduction(max : farthest)
     for (int c = 0; c < chunks; ++c) {
         const uint32_t place = static_cast<uint32_t>(c) * kChunk;
         for (uint32_t i = 0; i < f.chunk_count[c]; ++i) {
@@ -50,10 +52,12 @@ inline void sort_by_depth(Frame& f) {
     f.front_to_back = f.keys[0].data();
     if (n == 0 || nearest == farthest) return;
     for (uint32_t i = 0; i < n; ++i) f.keys[0][i].bits -= nearest;
-    const int key_bits = std::bit_width(farthest - nearest), passes = (key_bits + kMaxDigitBits - 1) / kMaxDigitBits;
+    const int key_bits = std::bit_width(farthest - nearest),
+              passes = (key_bits + kMaxDigitBits - 1) / kMaxDigitBits;
     const int digit_bits = (key_bits + passes - 1) / passes;
     for (int pass = 0; pass < passes; ++pass)
-        counting_pass(f.keys[pass & 1].data(), f.keys[~pass & 1].data(), n, pass * digit_bits, digit_bits, threads);
+        counting_pass(f.keys[pass & 1].data(), f.keys[~pass & 1].data(), n, pass * digit_bits, digit_bits,
+                      threads);
     f.front_to_back = f.keys[passes & 1].data();
 }
 

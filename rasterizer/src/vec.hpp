@@ -45,7 +45,8 @@ struct Float {
         return r;
     }
     SPLAT_INLINE void store(float* p) const { std::memcpy(p, this, sizeof *this); }
-    // To 64-byte aligned p, past the caches: for results nobody reads soon. `end_of_streaming` before anyone does.
+    // To 64-byte aligned p, past the caches: for results nobody reads soon. `end_of_streaming` before anyone
+    // does.
     SPLAT_INLINE void stream(float* p) const {
 #if SPLAT_AVX512
         _mm512_stream_ps(p, (__m512)part[0]);
@@ -100,7 +101,7 @@ struct Mask {
         for (int i = 0; i < kParts; ++i) r.part[i] = a.part[i] op b.part[i]; \
         return r;                                                            \
     }                                                                        \
-    SPLAT_INLINE Float& operator op##=(Float & a, const Float & b) { return a = a op b; }
+    SPLAT_INLINE Float& operator op## = (Float & a, const Float& b) { return a = a op b; }
 SPLAT_ELEMENTWISE(+)
 SPLAT_ELEMENTWISE(-)
 SPLAT_ELEMENTWISE(*)
@@ -281,24 +282,5 @@ SPLAT_INLINE Float clamp(const Float& a, const Float& low, const Float& high) {
     return min(max(a, low), high);
 }
 SPLAT_INLINE Float abs(const Float& a) { return max(a, -a); }
-
-// 1/a to about 1e-7 relative: an estimate and one Newton step, a third of a division's time in the backward
-// pass.
-SPLAT_INLINE Float fast_inverse(const Float& a) {
-    Float r;
-    for (int i = 0; i < kParts; ++i) {
-#if SPLAT_AVX512
-        NativeFloat guess = (NativeFloat)_mm512_rcp14_ps((__m512)a.part[i]);
-#elif SPLAT_AVX2
-        NativeFloat guess = (NativeFloat)_mm256_rcp_ps((__m256)a.part[i]);
-#elif defined(__SSE2__)
-        NativeFloat guess = (NativeFloat)_mm_rcp_ps((__m128)a.part[i]);
-#else
-        NativeFloat guess = 1.f / a.part[i];
-#endif
-        r.part[i] = guess * (2.f - a.part[i] * guess);
-    }
-    return r;
-}
 
 }  // namespace splat

@@ -17,9 +17,10 @@ SPLAT_INLINE Float sum_lanes(const Float (&v)[4 * groups]) {
     };
     NativeFloat group[4] = {};  // in each 128-bit lane part of four sums
     for (int g = 0; g < groups; ++g) {
-        const NativeFloat a = fold_parts(v[4 * g]), b = fold_parts(v[4 * g + 1]), c = fold_parts(v[4 * g + 2]),
-                          d = fold_parts(v[4 * g + 3]);
-        const NativeFloat ab = unpack_low(a, b) + unpack_high(a, b), cd = unpack_low(c, d) + unpack_high(c, d);
+        const NativeFloat a = fold_parts(v[4 * g]), b = fold_parts(v[4 * g + 1]),
+                          c = fold_parts(v[4 * g + 2]), d = fold_parts(v[4 * g + 3]);
+        const NativeFloat ab = unpack_low(a, b) + unpack_high(a, b),
+                          cd = unpack_low(c, d) + unpack_high(c, d);
         group[g] = unpack_low_pairs(ab, cd) + unpack_high_pairs(ab, cd);
     }
     Float r;
@@ -64,7 +65,8 @@ SPLAT_INLINE void transpose(Float (&m)[16]) {
     }
     for (int j = 0; j < 4; ++j) {
         m[j].part[0] = even_quads(u[j], u[8 + j]), m[8 + j].part[0] = odd_quads(u[j], u[8 + j]);
-        m[4 + j].part[0] = even_quads(u[4 + j], u[12 + j]), m[12 + j].part[0] = odd_quads(u[4 + j], u[12 + j]);
+        m[4 + j].part[0] = even_quads(u[4 + j], u[12 + j]),
+              m[12 + j].part[0] = odd_quads(u[4 + j], u[12 + j]);
     }
 }
 #else
@@ -113,15 +115,16 @@ SPLAT_INLINE void add_to_rows4(float* rows, const uint32_t* ids, int count, cons
     }
 }
 
-// Lane l of the result is lane index[l] of a. The eight indices of each half must lie in one half of a: then one
-// instruction does it on AVX2 too.
+// Lane l of the result is lane index[l] of a. The eight indices of each half must lie in one half of a: then
+// one instruction does it on AVX2 too.
 SPLAT_INLINE Float permute(const Float& a, const int32_t (&index)[kLanes]) {
     Float r;
 #if SPLAT_AVX512
     r.part[0] = (NativeFloat)_mm512_permutexvar_ps(_mm512_load_si512(index), (__m512)a.part[0]);
 #elif SPLAT_AVX2
     for (int i = 0; i < kParts; ++i) {
-        const __m256i at = _mm256_load_si256((const __m256i*)&index[kNativeLanes * i]);  // its low three bits count
+        const __m256i at =
+            _mm256_load_si256((const __m256i*)&index[kNativeLanes * i]);  // its low three bits count
         const __m256 from = (__m256)a.part[index[kNativeLanes * i] / kNativeLanes];
         r.part[i] = (NativeFloat)_mm256_permutevar8x32_ps(from, at);
     }
