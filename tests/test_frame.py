@@ -243,11 +243,12 @@ def test_rows_that_are_not_in_view_get_no_gradient():
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
-def test_a_view_for_looking_at_only_is_the_same_image_and_has_no_backward(motion: str):
+def test_a_view_for_looking_at_only_is_that_image_and_has_no_backward(motion: str):
     gaussians, request = random_gaussians(80, motion, generator(9)).to(torch.float32), request_for(motion)
     frame = Frame(threads=1)
     images = [frame.render(gaussians, request, differentiable=wanted) for wanted in (True, False)]
     for name in request.outputs:
-        assert torch.equal(getattr(images[0], name), getattr(images[1], name))
+        # compiled apart, so a colour's sum may be rounded elsewhere: a few units in the last place
+        torch.testing.assert_close(getattr(images[0], name), getattr(images[1], name), rtol=0, atol=5e-7)
     with pytest.raises(RuntimeError, match="differentiable=True"):
         frame.backward(Gradients.zeros_like(gaussians), **image_gradients(request))
