@@ -7,6 +7,7 @@ import pandas as pd
 from . import scenes
 from .aggregate import FORMULA, Verdict, over_seeds, select, trains, verdict
 from .collect import PROTOCOLS, Collection
+from .equal_time import equal_time
 from .table import Cell, Column, Row, Table, measured, number, text
 from .tables import PROTOCOL_NOTE
 
@@ -26,7 +27,8 @@ def run_tables(collection: Collection) -> list[Table]:
         for family in _FAMILY_TITLE
         if family == "dnerf" or (runs["scene"].map(scenes.family) == family).any()
     ]
-    return [verdicts(runs), *families, all_runs(runs), provenance(runs)]
+    compared = equal_time(collection)
+    return [verdicts(runs), *families, *([compared] if compared else []), all_runs(runs), provenance(runs)]
 
 
 def verdicts(runs: pd.DataFrame) -> Table:
