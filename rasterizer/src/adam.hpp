@@ -33,6 +33,18 @@ SPLAT_INLINE void adam_vector(Float& p, const Float& g, Float& m, Float& v, cons
     p -= rate * m / (sqrt(v) * Float(a.inverse_sqrt_correction2) + Float(a.epsilon));
 }
 
+// keep[row] of each of the n floats from `at` on, zeros behind them.
+SPLAT_INLINE Float row_lanes(const uint8_t* keep, size_t at, int n, int columns) {
+    alignas(64) float lane[kLanes] = {};
+    size_t row = at / columns;
+    int column = static_cast<int>(at % columns);
+    for (int l = 0; l < n; ++l) {
+        lane[l] = keep[row];
+        if (++column == columns) column = 0, ++row;
+    }
+    return Float::load(lane);
+}
+
 // Rows of `columns` floats, a learning rate a column. keep: one byte a row, 0 leaves the row and its moments
 // alone; or null.
 inline void adam_rows(float* p, const float* g, float* m, float* v, size_t rows, int columns, const float* lr,
@@ -44,18 +56,6 @@ inline void adam_rows(float* p, const float* g, float* m, float* v, size_t rows,
     for (int k = 0; k < columns; ++k) {
         for (int l = 0; l < kLanes; ++l) lane[l] = lr[(kLanes * k + l) % columns] * a.inverse_correction1;
         rate[k] = Float::load(lane);
-    }
-    if (keep) {
-#pragma omp parallel for schedule(static) num_threads(threads)
-        for (size_t r = 0; r < rows; ++r) {
-            if (!keep[r]) continue;
-            const size_t at = r * columns;
-            Float pr = Float::load_first(p + at, columns), mr = Float::load_first(m + at, columns),
-                  vr = Float::load_first(v + at, columns);
-            adam_vector(pr, Float::load_first(g + at, columns), mr, vr, rate[0], a);
-            pr.store_first(p + at, columns), mr.store_first(m + at, columns), vr.store_first(v + at, columns);
-        }
-        return;
     }
     const size_t floats = rows * columns, vectors = (floats + kLanes - 1) / kLanes;
 #pragma omp parallel for schedule(static) num_threads(threads)
@@ -69,8 +69,13 @@ inline void adam_rows(float* p, const float* g, float* m, float* v, size_t rows,
         auto store = [&](const Float& value, float* to) {
             whole ? value.store(to + at) : value.store_first(to + at, n);
         };
-        Float pk = load(p), mk = load(m), vk = load(v);
+        const Float p0 = load(p), m0 = load(m), v0 = load(v);
+        Float pk = p0, mk = m0, vk = v0;
         adam_vector(pk, load(g), mk, vk, rate[k % columns], a);
+        if (keep) {
+            const Mask moves = row_lanes(keep, at, n, columns) > Float(0.f);
+            pk = select(moves, pk, p0), mk = select(moves, mk, m0), vk = select(moves, vk, v0);
+        }
         store(pk, p), store(mk, m), store(vk, v);
     }
 }

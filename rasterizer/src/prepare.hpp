@@ -185,7 +185,8 @@ inline void color_and_stage(const Parameters& p, const Settings& s, Packed& in, 
             for (int k = 0; k < 3; ++k) slope[9 + k] = c.by_dt[k];
             for (int k = 12; k < 16; ++k) slope[k] = 0.f;
             transpose(slope);
-            for (int l = 0; l < n; ++l) slope[l].store(&slopes[i + l].by_offset[0][0]);
+            for (int l = 0; l < n; ++l)
+                slope[l].stream(&slopes[i + l].by_offset[0][0]);  // not read before the backward pass
         }
     }
 }
@@ -216,6 +217,7 @@ inline void prepare(Frame& f, const Parameters& p) {
             f.chunk_alive[c] = n;
             f.chunk_count[c] = packed.count;
         }
+        end_of_streaming();
     }
     f.alive = 0;
     for (int c = 0; c < chunks; ++c) {
