@@ -153,3 +153,16 @@ def test_degrees_and_orders_no_view_used_are_left_alone_and_the_others_stepped_a
     assert torch.equal(sh[:, ~used], gaussians.sh[:, ~used]) and not m[:, ~used].any() and not v[:, ~used].any()
     torch.testing.assert_close(m[:, used], 0.1 * low[1].sh()[:, used])  # the first step's: (1 - β1) g
     assert (m[seen][:, used] != 0).float().mean() > 0.5
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_moment_too_small_to_matter_ends_at_zero_and_other_arithmetic_keeps_its_denormals(threads: int):
+    """m shrinks by β1 a step for a Gaussian nobody sees; as a denormal it would stay, and slow every step after."""
+    parameter, m, v = torch.ones(40, 4), torch.full((40, 4), 1e-39), torch.full((40, 4), 1e-12)
+    adam_step(parameter, torch.zeros(40, 4), m, v, 0.01, 1000, threads=threads)
+    assert not m.any() and torch.equal(parameter, torch.ones(40, 4))
+    gaussians = random_gaussians(40, "full", generator(1)).to(torch.float32)
+    sh, m, v = gaussians.sh.clone(), torch.full_like(gaussians.sh, 1e-39), torch.full_like(gaussians.sh, 1e-12)
+    sh_adam_step(sh, batch(gaussians, [], 0), m, v, 0.01, 0.01, 1000, threads=threads)
+    assert not m[:, 0].any() and torch.equal(sh, gaussians.sh)
+    assert (torch.full((5,), 1e-39) * 0.5).all()  # the processor's mode is put back

@@ -6,6 +6,7 @@
 
 #include <cmath>
 
+#include "denormals.hpp"
 #include "sh_gradient.hpp"
 
 namespace splat {
@@ -58,25 +59,29 @@ inline void adam_rows(float* p, const float* g, float* m, float* v, size_t rows,
         rate[k] = Float::load(lane);
     }
     const size_t floats = rows * columns, vectors = (floats + kLanes - 1) / kLanes;
-#pragma omp parallel for schedule(static) num_threads(threads)
-    for (size_t k = 0; k < vectors; ++k) {
-        const size_t at = k * kLanes;
-        const int n = static_cast<int>(std::min<size_t>(kLanes, floats - at));
-        const bool whole = n == kLanes;
-        auto load = [&](const float* from) {
-            return whole ? Float::load(from + at) : Float::load_first(from + at, n);
-        };
-        auto store = [&](const Float& value, float* to) {
-            whole ? value.store(to + at) : value.store_first(to + at, n);
-        };
-        const Float p0 = load(p), m0 = load(m), v0 = load(v);
-        Float pk = p0, mk = m0, vk = v0;
-        adam_vector(pk, load(g), mk, vk, rate[k % columns], a);
-        if (keep) {
-            const Mask moves = row_lanes(keep, at, n, columns) > Float(0.f);
-            pk = select(moves, pk, p0), mk = select(moves, mk, m0), vk = select(moves, vk, v0);
+#pragma omp parallel num_threads(threads)
+    {
+        const FlushDenormals flushed;
+#pragma omp for schedule(static)
+        for (size_t k = 0; k < vectors; ++k) {
+            const size_t at = k * kLanes;
+            const int n = static_cast<int>(std::min<size_t>(kLanes, floats - at));
+            const bool whole = n == kLanes;
+            auto load = [&](const float* from) {
+                return whole ? Float::load(from + at) : Float::load_first(from + at, n);
+            };
+            auto store = [&](const Float& value, float* to) {
+                whole ? value.store(to + at) : value.store_first(to + at, n);
+            };
+            const Float p0 = load(p), m0 = load(m), v0 = load(v);
+            Float pk = p0, mk = m0, vk = v0;
+            adam_vector(pk, load(g), mk, vk, rate[k % columns], a);
+            if (keep) {
+                const Mask moves = row_lanes(keep, at, n, columns) > Float(0.f);
+                pk = select(moves, pk, p0), mk = select(moves, mk, m0), vk = select(moves, vk, v0);
+            }
+            store(pk, p), store(mk, m), store(vk, v);
         }
-        store(pk, p), store(mk, m), store(vk, v);
     }
 }
 
@@ -97,6 +102,7 @@ inline void adam_sh(float* sh, float* m, float* v, uint32_t count, int coefficie
     const Float with_dc = Float::load(first_lanes);
 #pragma omp parallel num_threads(threads)
     {
+        const FlushDenormals flushed;
         ExpandedChunk chunk(active_orders);
 #pragma omp for schedule(dynamic, 4)
         for (uint32_t first = 0; first < count; first += kShChunk) {
