@@ -22,7 +22,7 @@ class LossValue:
 
 
 class L1Ssim:
-    """The loss with its scratch memory, reused from call to call."""
+    """The loss of one weight and number of threads, to be called on pair after pair."""
 
     def __init__(self, ssim_weight: float = 0.2, threads: int = 0) -> None:
         self.ssim_weight = ssim_weight

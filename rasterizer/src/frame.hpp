@@ -39,7 +39,7 @@ struct Frame {
     // bin: entry lists of the tiles, each front to back
     int tiles_x = 0, tiles_y = 0;
     Buffer<uint32_t> tile_begin;   // [tiles + 1]
-    Buffer<uint32_t> entry_splat;  // its place
+    Buffer<uint32_t> entry_splat;  // the splat's place
     Buffer<uint16_t> entry_mask;   // which of the tile's 4×4 blocks it touches
     Buffer<uint32_t> entry_slot;   // where its gradient goes
     struct SlotRange {
@@ -48,8 +48,8 @@ struct Frame {
     Buffer<SlotRange> slot_range;  // per place
     struct Segment {               // one thread's share of the sorted splats
         std::vector<uint32_t> tile_count;
-        std::vector<uint32_t>
-            tile;  // of each entry; longer than there are entries, so that it is never cleared
+        // of each entry; both longer than there are entries, so that they are never cleared
+        std::vector<uint32_t> tile;
         std::vector<uint16_t> mask;
     };
     std::vector<Segment> segments;

@@ -7,8 +7,8 @@
 //     B2 = s - m² - n² + C2,
 // and the window being symmetric, ∂ΣSSIM/∂x = window(∂/∂m) + 2x window(∂/∂s) + y window(∂/∂r).
 //
-// A band of rows goes through in one sweep, four rows at a time, with the last few rows of everything in the
-// second- level cache: no map of the whole image is ever written.
+// A band of rows goes through in one sweep, four rows at a time, with the last few rows of everything
+// in the second-level cache: no map of the whole image is ever written.
 #pragma once
 
 #include <algorithm>
@@ -21,8 +21,8 @@
 namespace splat {
 
 inline constexpr int kWindowReach = 5, kWindow = 2 * kWindowReach + 1;
-inline constexpr int kRows =
-    4;  // filtered together: each row above and below is then loaded 14 times instead of 44
+// Rows filtered together: what they need of their neighbours is then loaded 14 times instead of 44.
+inline constexpr int kRows = 4;
 inline constexpr int kMeans = 4, kPartials = 3;
 
 inline std::array<float, kWindow> window_weights() {

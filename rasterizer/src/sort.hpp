@@ -51,6 +51,7 @@ inline void sort_by_depth(Frame& f) {
     }
     f.front_to_back = f.keys[0].data();
     if (n == 0 || nearest == farthest) return;
+#pragma omp parallel for schedule(static) num_threads(threads)
     for (uint32_t i = 0; i < n; ++i) f.keys[0][i].bits -= nearest;
     const int key_bits = std::bit_width(farthest - nearest),
               passes = (key_bits + kMaxDigitBits - 1) / kMaxDigitBits;
