@@ -2,8 +2,8 @@
 
 Operations are counted in the kernel's source: one for each addition, multiplication, multiply-add, comparison or minimum
 a lane does; moves, masks, shuffles, addresses and branches are free. Bytes are what a stage must read and write if it
-finds nothing in the caches and keeps everything it needs twice. The bound is the sum of the two times, because one
-thread seldom overlaps them: a smaller number is possible in principle, not a larger one.
+finds nothing in the caches and keeps everything it needs twice. The bound is the sum of the two times; a thread
+that overlapped them fully could go below it.
 """
 
 from __future__ import annotations

@@ -53,7 +53,7 @@ SPLAT_INLINE int blend_block(const Splat* splats, const float* extras, const uin
         Float power = log2_alpha(s, px - Float(s.x), py - Float(s.y));
         Float alpha = zero_unless(power >= Float(kLog2MinAlpha), min(exp2(power), kMaxAlpha));
         // What one splat waits for of the one before it is T alone, so its path is kept short: multiply,
-        // compare, mask (a third of the time of carrying a mask of live pixels along).
+        // compare, mask.
         Float next = T * (Float(1.f) - alpha);
         Mask live = next >= Float(kMinTransmittance);
         Float w = zero_unless(live, alpha * T);

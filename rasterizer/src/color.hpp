@@ -71,7 +71,7 @@ struct Color {
 };
 
 // rgb = ½ + Σ k cos Y. ids[0..count-1] are the rows; next_ids what comes kShPrefetch later. With
-// `differentiable` the derivatives are taken while the coefficients are at hand, 48 bytes a Gaussian kept
+// `differentiable` the derivatives are taken while the coefficients are at hand, a cache line a Gaussian kept
 // instead of 576 read again by the backward pass.
 template <int order, bool differentiable>
 SPLAT_INLINE void color(const Parameters& p, const uint32_t* ids, int count, const uint32_t* next_ids,

@@ -77,18 +77,16 @@ struct LossBand {
 class LossRows {
 public:
     explicit LossRows(int width)
-        : padded_((width + kLanes - 1) / kLanes * kLanes),
-          stride_(padded_ + 2 * kLanes),
+        : stride_((width + kLanes - 1) / kLanes * kLanes + 2 * kLanes),
           data_(static_cast<size_t>(stride_) * (kMeans * kRows + kPartials * kRing + 1), 0.f) {}
     float* column_filtered(int map, int row) { return at(map * kRows + row); }
     float* partial(int map, int row) { return at(kMeans * kRows + map * kRing + (row & (kRing - 1))); }
     const float* zeros() { return at(kMeans * kRows + kPartials * kRing); }
-    int padded() const { return padded_; }
 
 private:
     static constexpr int kRing = 32;  // at least 14 rows being read and 4 being written
     float* at(int row) { return data_.data() + static_cast<size_t>(stride_) * row + kLanes; }
-    int padded_, stride_;
+    int stride_;
     std::vector<float> data_;
 };
 

@@ -212,7 +212,8 @@ inline void prepare(Frame& f, const Parameters& p) {
             const int n = cull_in_time<motion>(p, first, last, f.settings.time, alive);
             project_chunk<motion>(p, f.camera, f.settings, alive, n, packed);
             color_and_stage<order, differentiable>(
-                p, f.settings, packed, f.staged.data() + first, f.color_slope.data() + first,
+                p, f.settings, packed, f.staged.data() + first,
+                differentiable ? f.color_slope.data() + first : nullptr,
                 f.extras.data() + static_cast<size_t>(first) * kExtraStride);
             f.chunk_alive[c] = n;
             f.chunk_count[c] = packed.count;

@@ -73,8 +73,8 @@ inline void expand(const std::vector<ViewColors>& views, uint32_t first, uint32_
             std::fill_n(&out.rows[static_cast<size_t>(i) * out.orders], out.orders, ShRow::zero());
 }
 
-// Dense gradient [N, stored orders · coefficients, 3]. Whole cache lines go past the caches: 2.5 times as
-// fast.
+// Dense gradient [N, stored orders · coefficients, 3]. Whole cache lines go past the caches (W1: 9.4 ms
+// → 4.8).
 inline void expand_dense(const std::vector<ViewColors>& views, uint32_t count, int coefficients, int orders,
                          float* dense, int threads) {
     const size_t order_stride = static_cast<size_t>(coefficients) * 3;

@@ -31,8 +31,8 @@ inline void counting_pass(const Frame::DepthKey* from, Frame::DepthKey* to, uint
         for (uint32_t i = share(t); i < share(t + 1); ++i) to[first[t * digits + digit(i)]++] = from[i];
 }
 
-// The bits of a positive float sort as it does. Depths of one view differ in 20 to 26 bits: two or three
-// passes.
+// The bits of a positive float sort as it does; only as many passes as the bits in which the view's depths
+// differ.
 inline void sort_by_depth(Frame& f) {
     StageTimer timer(f, kStageSort);
     const uint32_t n = f.visible;
