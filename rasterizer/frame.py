@@ -137,7 +137,10 @@ class Frame:
             extras=tuple(name in request.outputs for name in _EXTRAS), differentiable=differentiable,
             threads=self.threads)
         images = {name: torch.empty(_CHANNELS[name], camera.height, camera.width) for name in request.outputs}
-        self._frame.render(self._model, **{name: images.get(name) for name in _CHANNELS})
+        # Detached: an image's graph holds this frame, which must not hold the graph.
+        self._images = {name: image.detach() for name, image in images.items()}
+        self._versions = {name: image._version for name, image in self._images.items()}
+        self._frame.render(self._model, **{name: self._images.get(name) for name in _CHANNELS})
         return RenderOutput(**{name: images.get(name) for name in _CHANNELS})
 
     def backward(
@@ -151,7 +154,8 @@ class Frame:
     ) -> ViewGradient:
         """Carry image gradients (shapes of the outputs; None: zero) back to the parameters, adding to `gradients`.
 
-        Follows the last `render`; the Gaussians must not have changed since.
+        Follows the last `render`; neither the Gaussians nor the images it returned may have changed since. Raises
+        RuntimeError when an image has.
         """
         if self._model is None or not self._differentiable:
             raise RuntimeError("Frame.backward must follow Frame.render with differentiable=True, got no such view")
@@ -160,12 +164,16 @@ class Frame:
         for name, image in images.items():
             if image is None:
                 continue
-            if name not in self._request.outputs and name in _EXTRAS:
+            if name not in self._images:
                 raise ValueError(f"d_{name}: expected {name!r} among the outputs, found {self._request.outputs}")
             if image.dtype != torch.float32 or list(image.shape) != [_CHANNELS[name], *size]:
                 raise ValueError(f"d_{name} must be float32 {[_CHANNELS[name], *size]}, got "
                                  f"{str(image.dtype).removeprefix('torch.')} {list(image.shape)}")
             images[name] = image.detach().contiguous()
+        for name, image in self._images.items():
+            if image._version != self._versions[name]:
+                raise RuntimeError(f"Frame.backward reads the rendered {name}, which was changed in place after "
+                                   "Frame.render: clone it first")
         visible = self._frame.visible
         out = ViewGradient(torch.empty(visible, dtype=torch.int32), torch.empty(visible, 2),
                            torch.empty(visible), torch.empty(visible))

@@ -29,11 +29,6 @@ inline TileSpan tile_span(const Frame& f, int tile) {
     return {tile % f.tiles_x * kTile, tile / f.tiles_x * kTile, f.tile_begin[tile], f.tile_begin[tile + 1]};
 }
 
-// Where the channels of a tile's blocks are kept.
-inline size_t block_at(const Frame& f, int tile, int channel, int block) {
-    return (static_cast<size_t>(tile) * f.channels() + channel) * kTilePixels + block * kLanes;
-}
-
 template <int extra>
 struct Blended {
     Float transmittance;  // 0 once a pixel has ended: nothing more is blended there
@@ -51,7 +46,7 @@ SPLAT_INLINE int blend_block(const Splat* splats, const float* extras, const uin
     for (int j = 0; j < count; ++j) {
         const Splat& s = splats[places[j]];
         Float power = log2_alpha(s, px - Float(s.x), py - Float(s.y));
-        Float alpha = zero_unless(power >= Float(kLog2MinAlpha), min(exp2(power), kMaxAlpha));
+        Float alpha = zero_unless(power >= Float(kLog2MinAlpha), min(exp2_fast(power), kMaxAlpha));
         // What one splat waits for of the one before it is T alone, so its path is kept short: multiply,
         // compare, mask.
         Float next = T * (Float(1.f) - alpha);
@@ -77,11 +72,12 @@ SPLAT_INLINE int blend_block(const Splat* splats, const float* extras, const uin
 
 // Entries whose splats are fetched while a block is blended: the next batch's.
 inline constexpr int kBatch = 256;
+// Neighbours in a row that one thread takes one after another, so that what is fetched ahead is its own.
+inline constexpr int kTilesTogether = 8;
 
 template <int extra>
-inline void blend_tile(Frame& f, int tile) {
+inline void blend_tile(Frame& f, int tile, Blended<extra> (&state)[kBlocks]) {
     const TileSpan span = tile_span(f, tile);
-    Blended<extra> state[kBlocks];
     for (int b = 0; b < kBlocks; ++b) {
         state[b].transmittance = state[b].left = 1.f;
         for (auto& c : state[b].channel) c = 0.f;
@@ -112,40 +108,55 @@ inline void blend_tile(Frame& f, int tile) {
             f.blocks_last[tile * kBlocks + b] = static_cast<float>(last + 1 - span.begin);
         }
     }
-    for (int b = 0; b < kBlocks; ++b) {
-        for (int k = 0; k < 3 + extra; ++k) state[b].channel[k].store(&f.image[block_at(f, tile, k, b)]);
-        state[b].left.store(&f.transmittance[(static_cast<size_t>(tile) * kBlocks + b) * kLanes]);
-    }
 }
 
-// Images as planes [height, width]. color [3] over the background; alpha = 1 - T; extras as blended. Null:
-// not wanted.
-struct OutputPlanes {
-    float* color;
-    float* alpha;
-    float* depth;
-    float* flow;
-    float* stats;
+// Images as planes [height, width], or what the loss says of them. color [3] over the background; alpha = 1 - T;
+// depth, flow [2], stats [2] as blended. Null: not wanted.
+template <class T>
+struct Planes {
+    T* color;
+    T* alpha;
+    T* depth;
+    T* flow;
+    T* stats;
 };
+using OutputPlanes = Planes<float>;
+using InputPlanes = Planes<const float>;
 
-inline void write_tile(const Frame& f, int tile, const OutputPlanes& out) {
+// The planes of the blended channels in their order; alpha is none of them.
+template <class T>
+inline void list_planes(const Frame& f, const Planes<T>& p, T* (&planes)[3 + kMaxExtra]) {
+    const size_t size = static_cast<size_t>(f.camera.width) * f.camera.height;
+    int channel = 0;
+    auto add = [&](T* base, int count) {
+        for (int k = 0; k < count; ++k) planes[channel++] = base ? base + k * size : nullptr;
+    };
+    add(p.color, 3);
+    if (f.settings.depth) add(p.depth, 1);
+    if (f.settings.flow) add(p.flow, 2);
+    if (f.settings.stats) add(p.stats, 2);
+}
+
+template <int extra>
+inline void write_tile(const Frame& f, int tile, const Blended<extra> (&state)[kBlocks],
+                       const OutputPlanes& out) {
     const int width = f.camera.width, height = f.camera.height;
-    const size_t plane = static_cast<size_t>(width) * height;
-    float* extra_plane[kMaxExtra] = {};
-    int extra = 0;
-    if (f.settings.depth) extra_plane[extra++] = out.depth;
-    if (f.settings.flow) extra_plane[extra++] = out.flow, extra_plane[extra++] = out.flow + plane;
-    if (f.settings.stats) extra_plane[extra++] = out.stats, extra_plane[extra++] = out.stats + plane;
+    float* planes[3 + kMaxExtra];
+    list_planes(f, out, planes);
     const TileSpan span = tile_span(f, tile);
-    for (int b = 0; b < kBlocks; ++b) {
-        const int x = span.x + b % 4 * kBlock, y = span.y + b / 4 * kBlock;
-        const Float T = Float::load(&f.transmittance[(static_cast<size_t>(tile) * kBlocks + b) * kLanes]);
-        auto blended = [&](int channel) { return Float::load(&f.image[block_at(f, tile, channel, b)]); };
-        for (int k = 0; k < 3 && out.color; ++k)
-            store_block(out.color + k * plane, width, height, x, y,
-                        blended(k) + T * Float(f.settings.background[k]));
-        if (out.alpha) store_block(out.alpha, width, height, x, y, Float(1.f) - T);
-        for (int e = 0; e < extra; ++e) store_block(extra_plane[e], width, height, x, y, blended(3 + e));
+    for (int first = 0; first < kBlocks; first += kBlock) {  // a row of four blocks
+        const int y = span.y + first;
+        Float block[kBlock];
+        for (int k = 0; k < 3 + extra; ++k) {
+            if (!planes[k]) continue;
+            const Float background(k < 3 ? f.settings.background[k] : 0.f);
+            for (int i = 0; i < kBlock; ++i)
+                block[i] = state[first + i].channel[k] + state[first + i].left * background;
+            store_blocks(planes[k], width, height, span.x, y, block);
+        }
+        if (!out.alpha) continue;
+        for (int i = 0; i < kBlock; ++i) block[i] = Float(1.f) - state[first + i].left;
+        store_blocks(out.alpha, width, height, span.x, y, block);
     }
 }
 
@@ -153,13 +164,17 @@ template <int extra>
 inline void blend(Frame& f, const OutputPlanes& out) {
     StageTimer timer(f, kStageBlend);
     const int tiles = f.tiles();
-    f.image.resize(static_cast<size_t>(tiles) * f.channels() * kTilePixels);
-    f.transmittance.resize(static_cast<size_t>(tiles) * kTilePixels);
     f.blocks_last.resize(static_cast<size_t>(tiles) * kBlocks);
-#pragma omp parallel for schedule(dynamic, 2) num_threads(f.settings.threads)
+    float* planes[3 + kMaxExtra];
+    list_planes(f, out, planes);
+#pragma omp parallel for schedule(dynamic, kTilesTogether) num_threads(f.settings.threads)
     for (int tile = 0; tile < tiles; ++tile) {
-        blend_tile<extra>(f, tile);
-        write_tile(f, tile, out);
+        const TileSpan span = tile_span(f, tile);
+        for (int k = 0; k < 3 + extra; ++k)
+            if (planes[k]) prefetch_for_writing(planes[k], f.camera.width, f.camera.height, span.x, span.y);
+        Blended<extra> state[kBlocks];
+        blend_tile<extra>(f, tile, state);
+        write_tile<extra>(f, tile, state, out);
     }
 }
 

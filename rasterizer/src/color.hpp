@@ -52,16 +52,38 @@ struct TimeFactors {
     }
 };
 
-// How far ahead coefficient rows are fetched, in Gaussians: the rows are the largest read of a frame and are
-// not in order.
-inline constexpr int kShPrefetch = 8;
+// Sixteen coefficient rows on their way to the first-level cache: the largest read of a frame.
+//
+// A core waits for a dozen lines at a time and a row is up to nine, so rows are asked for two at a time between
+// the steps of the sixteen Gaussians before: memory then works while the core does.
+class RowFetch {
+public:
+    RowFetch(const Parameters& p, const uint32_t* ids, int count, int order, int coefficients)
+        : sh_(p.sh),
+          ids_(ids),
+          left_(count),
+          orders_(order + 1),
+          floats_(3 * coefficients),
+          order_stride_(static_cast<size_t>(p.coefficients) * 3),
+          row_stride_(order_stride_ * (p.stored_order + 1)) {}
 
-SPLAT_INLINE void prefetch_sh(const Parameters& p, uint32_t id, int order, int coefficients) {
-    const size_t order_stride = static_cast<size_t>(p.coefficients) * 3;
-    const float* row = p.sh + order_stride * (p.stored_order + 1) * id;
-    for (int n = 0; n <= order; ++n)
-        for (int i = 0; i < 3 * coefficients; i += kLanes) __builtin_prefetch(row + order_stride * n + i);
-}
+    SPLAT_INLINE void two_rows() {
+        for (int k = 0; k < 2 && left_ > 0; ++k, ++ids_, --left_) {
+            const float* row = sh_ + row_stride_ * *ids_;
+            for (int n = 0; n < orders_; ++n, row += order_stride_)
+                for (int i = 0; i < floats_; i += kLanes) __builtin_prefetch(row + i);
+        }
+    }
+    SPLAT_INLINE void rest() {
+        while (left_ > 0) two_rows();
+    }
+
+private:
+    const float* sh_;
+    const uint32_t* ids_;
+    int left_, orders_, floats_;
+    size_t order_stride_, row_stride_;
+};
 
 // A Gaussian's colour before the clamp at zero, and what it depends on besides the coefficients.
 struct Color {
@@ -70,11 +92,11 @@ struct Color {
     Float by_dt[3];         // ∂rgb_c / ∂(t - μt)
 };
 
-// rgb = ½ + Σ k cos Y. ids[0..count-1] are the rows; next_ids what comes kShPrefetch later. With
+// rgb = ½ + Σ k cos Y. ids[0..count-1] are the rows; next: those of the Gaussians after them. With
 // `differentiable` the derivatives are taken while the coefficients are at hand, a cache line a Gaussian kept
 // instead of 576 read again by the backward pass.
 template <int order, bool differentiable>
-SPLAT_INLINE void color(const Parameters& p, const uint32_t* ids, int count, const uint32_t* next_ids,
+SPLAT_INLINE void color(const Parameters& p, const uint32_t* ids, int count, RowFetch next,
                         const Viewing& view, float duration, int sh_degree, Color& out) {
     const size_t order_stride = static_cast<size_t>(p.coefficients) * 3,
                  row_stride = order_stride * (p.stored_order + 1);
@@ -84,7 +106,6 @@ SPLAT_INLINE void color(const Parameters& p, const uint32_t* ids, int count, con
     // coefficient and channel: entry 3 lm + c
     Float sum[kRowVectors][kLanes], by_dt[kRowVectors][kLanes];
     for (int g = 0; g < count; ++g) {
-        prefetch_sh(p, next_ids[g], order, used);
         const float* row = p.sh + row_stride * ids[g];
         ShRow total = ShRow::load(row, used), slope;
         for (int n = 1; n <= order; ++n) {
@@ -107,6 +128,7 @@ SPLAT_INLINE void color(const Parameters& p, const uint32_t* ids, int count, con
     for (int v = 0; v < kRowVectors; ++v) {
         for (int g = count; g < kLanes; ++g) sum[v][g] = 0.f;
         transpose(sum[v]);
+        next.two_rows();
     }
     auto entry = [](Float(&m)[kRowVectors][kLanes], int lm, int c) -> Float& {
         return m[(3 * lm + c) / kLanes][(3 * lm + c) % kLanes];
@@ -123,16 +145,19 @@ SPLAT_INLINE void color(const Parameters& p, const uint32_t* ids, int count, con
             const Float along = g[0] * d[0] + g[1] * d[1] + g[2] * d[2];  // the direction stays a unit vector
             for (int i = 0; i < 3; ++i) out.by_offset[c][i] = (g[i] - along * d[i]) * view.inverse_distance;
             out.by_dt[c] = 0.f;
+            next.two_rows();
         }
         if constexpr (order > 0) {
             for (int v = 0; v < kRowVectors; ++v) {
                 for (int g = count; g < kLanes; ++g) by_dt[v][g] = 0.f;
                 transpose(by_dt[v]);
+                next.two_rows();
             }
             for (int c = 0; c < 3; ++c)
                 for (int lm = 0; lm < 16; ++lm) out.by_dt[c] += basis[lm] * entry(by_dt, lm, c);
         }
     }
+    next.rest();
 }
 
 }  // namespace splat

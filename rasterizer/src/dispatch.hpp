@@ -54,9 +54,10 @@ inline void render(Frame& f, Motion motion, const Parameters& p, const OutputPla
     with_extra(f.settings.extra_channels(), [&]<int extra>() { blend<extra>(f, out); });
 }
 
-inline void render_backward(Frame& f, Motion motion, const Parameters& p, const OutputGradients& d,
-                            const ParameterGradients& out, const ViewGradient& view_out) {
-    with_extra(f.settings.extra_channels(), [&]<int extra>() { blend_backward<extra>(f, d); });
+inline void render_backward(Frame& f, Motion motion, const Parameters& p,
+                            const InputPlanes& rendered, const InputPlanes& d, const ParameterGradients& out,
+                            const ViewGradient& view_out) {
+    with_extra(f.settings.extra_channels(), [&]<int extra>() { blend_backward<extra>(f, rendered, d); });
     with_model(motion, f.settings.fourier_order,
                [&]<Motion m, int order>() { gaussian_backward<m, order>(f, p, out, view_out); });
 }

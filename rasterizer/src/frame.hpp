@@ -54,16 +54,12 @@ struct Frame {
     };
     std::vector<Segment> segments;
 
-    // blend: images in blocks [tile][channel][block][lane]; channels are rgb and then the extras
-    Buffer<float> image;
-    Buffer<float> transmittance;  // [tile][block][lane]
-    Buffer<float> blocks_last;    // [tile][block] entries that had any effect; exact in float up to 2²⁴
-    Buffer<Slot> slots;           // backward
+    Buffer<float> blocks_last;  // blend: [tile][block] entries that had any effect; exact in float up to 2²⁴
+    Buffer<Slot> slots;         // blend_backward: [entry_slot]
 
     double stage_ms[8] = {};  // wall time of the stages below
 
     int tiles() const { return tiles_x * tiles_y; }
-    int channels() const { return 3 + settings.extra_channels(); }
 };
 
 inline constexpr int kExtraStride = 8;

@@ -42,12 +42,7 @@ inline void backward_sixteen(const Frame& f, const Parameters& p, uint32_t place
     const Settings& s = f.settings;
     const Splat* splats = &f.staged[place];
     uint32_t ids[kLanes];
-    alignas(64) float keep_rgb[3][16] = {};
-    for (int l = 0; l < kLanes; ++l) {
-        const Splat& splat = splats[std::min(l, count - 1)];
-        ids[l] = splat.id;
-        for (int k = 0; k < 3; ++k) keep_rgb[k][l] = splat.clamped >> k & 1 ? 0.f : 1.f;
-    }
+    for (int l = 0; l < kLanes; ++l) ids[l] = splats[std::min(l, count - 1)].id;
     Float slot[16];
     sum_slots(f, place, count, slot);
 
@@ -71,7 +66,7 @@ inline void backward_sixteen(const Frame& f, const Parameters& p, uint32_t place
     transpose(slope);
     for (int k = 0; k < 3; ++k) {
         offset[k] = g.mean[k] - Float(f.camera.position[k]);
-        d_rgb[k] = slot[kSlotR + k] * Float::load(keep_rgb[k]);
+        d_rgb[k] = slot[kSlotR + k] * slope[12 + k];
     }
     for (int i = 0; i < 3; ++i)
         d_offset[i] = d_rgb[0] * slope[i] + d_rgb[1] * slope[3 + i] + d_rgb[2] * slope[6 + i];

@@ -25,24 +25,22 @@ struct UnitQuaternion {
     Float inverse_norm;
 };
 
-// q/|q|; zero is read as identity. Scaled by the largest component first, so that no square over- or
-// underflows.
+// q/|q|; zero is read as identity. Scaled by a power of two first where a square would over- or underflow.
 SPLAT_INLINE UnitQuaternion normalise(const Float (&q)[4]) {
-    Float largest = max(max(abs(q[0]), abs(q[1])), max(abs(q[2]), abs(q[3])));
-    Mask usable = largest > Float(0.f);
-    Float divisor =
-        select(usable, largest, 1.f);  // divided by, not multiplied with 1/divisor: it may be denormal
+    const Float largest = max(max(abs(q[0]), abs(q[1])), max(abs(q[2]), abs(q[3])));
+    const Mask usable = largest > Float(0.f);
+    const Float scale = select(largest < Float(0x1p-40f), 0x1p100f,
+                               select(largest > Float(0x1p40f), 0x1p-100f, 1.f));
     Float s[4], norm2(0.f);
     for (int i = 0; i < 4; ++i) {
-        s[i] = q[i] / divisor;
+        s[i] = q[i] * scale;
         norm2 += s[i] * s[i];
     }
-    Float inverse = zero_unless(usable, Float(1.f) / sqrt(norm2));
-    Float inverse_largest = min(Float(1.f) / divisor, kLargestInverse);
+    const Float inverse = zero_unless(usable, Float(1.f) / sqrt(norm2));
     UnitQuaternion u;
     for (int i = 0; i < 4; ++i) u.q[i] = s[i] * inverse;
     u.q[0] = select(usable, u.q[0], 1.f);
-    u.inverse_norm = inverse * inverse_largest;
+    u.inverse_norm = min(inverse * scale, kLargestInverse);
     return u;
 }
 // ∂L/∂q from ∂L/∂(q/|q|): the part along q has no effect.
@@ -120,8 +118,8 @@ struct Stored {
 
     SPLAT_INLINE static Stored load(const Parameters& p, const uint32_t* ids) {
         Stored s;
-        alignas(64) float lane[16];
         auto gather = [&](const float* base, int stride, int column) {
+            alignas(64) float lane[kLanes];
             for (int l = 0; l < kLanes; ++l) lane[l] = base[static_cast<size_t>(stride) * ids[l] + column];
             return Float::load(lane);
         };

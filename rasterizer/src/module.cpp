@@ -7,6 +7,7 @@
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
+#include <array>
 #include <optional>
 #include <string>
 #include <tuple>
@@ -92,6 +93,7 @@ public:
                 std::optional<Out> depth, std::optional<Out> flow, std::optional<Out> stats) {
         const splat::OutputPlanes out{pointer(color), pointer(alpha), pointer(depth), pointer(flow),
                                       pointer(stats)};
+        rendered_ = {color, alpha, depth, flow, stats};
         nb::gil_scoped_release release;
         splat::render(frame_, model.motion(), model.parameters(), out);
     }
@@ -99,14 +101,16 @@ public:
                   std::optional<In> depth, std::optional<In> flow, std::optional<In> stats, Out mean,
                   Out log_scale, Out quat_left, std::optional<Out> quat_right, Out opacity_logit,
                   Array<int32_t> id, Out mean2d, Out mean_t, Out radius, Out color_gradient) {
-        const splat::OutputGradients d{pointer(color), pointer(alpha), pointer(depth), pointer(flow),
-                                       pointer(stats)};
+        const splat::InputPlanes d{pointer(color), pointer(alpha), pointer(depth), pointer(flow),
+                                   pointer(stats)};
+        const splat::InputPlanes rendered{pointer(rendered_[0]), pointer(rendered_[1]), pointer(rendered_[2]),
+                                          pointer(rendered_[3]), pointer(rendered_[4])};
         const splat::ParameterGradients out{mean.data(), log_scale.data(), quat_left.data(),
                                             pointer(quat_right), opacity_logit.data()};
         const splat::ViewGradient view{id.data(), mean2d.data(), mean_t.data(), radius.data(),
                                        reinterpret_cast<splat::ColorGradient*>(color_gradient.data())};
         nb::gil_scoped_release release;
-        splat::render_backward(frame_, model.motion(), model.parameters(), d, out, view);
+        splat::render_backward(frame_, model.motion(), model.parameters(), rendered, d, out, view);
     }
     uint32_t visible() const { return frame_.visible; }
     uint32_t alive() const { return frame_.alive; }
@@ -119,6 +123,7 @@ public:
 
 private:
     splat::Frame frame_;
+    std::array<std::optional<Out>, 5> rendered_;  // the images, which the backward pass reads
 };
 
 using View = std::tuple<Array<const int32_t>, In, int,

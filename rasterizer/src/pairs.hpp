@@ -29,7 +29,7 @@ inline Pairs count_pairs(const Frame& f) {
                 const Float py = lane_y + Float(static_cast<float>(span.y + b / 4 * kBlock));
                 const Float power = log2_alpha(s, px - Float(s.x), py - Float(s.y));
                 const Mask seen = power >= Float(kLog2MinAlpha);
-                const Float next = T[b] * (Float(1.f) - zero_unless(seen, min(exp2(power), kMaxAlpha)));
+                const Float next = T[b] * (Float(1.f) - zero_unless(seen, min(exp2_fast(power), kMaxAlpha)));
                 const Mask live = next >= Float(kMinTransmittance);
                 T[b] = zero_unless(live, next);
                 pairs.evaluated += kLanes;

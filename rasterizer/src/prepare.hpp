@@ -47,7 +47,7 @@ inline int cull_in_time(const Parameters& p, uint32_t first, uint32_t last, floa
         Float dt = Float(time) - mean[3];
         unsigned in_time = bits(dt * dt <= max(var_t, kMinTimeVariance) * Float(kMinusTwoLogMinMarginal));
         if (last - base < kLanes) in_time &= (1u << (last - base)) - 1;
-        for (; in_time; in_time &= in_time - 1) alive[n++] = base + __builtin_ctz(in_time);
+        n += pack_kept(ids, in_time, alive + n);
     }
     return n;
 }
@@ -130,9 +130,7 @@ inline void project_chunk(const Parameters& p, const Camera& c, const Settings& 
                 put(extra++, g.var_t);
             }
         }
-        uint32_t* id = out.id + out.count;
-        for (unsigned m = keep; m; m &= m - 1) *id++ = alive[i + __builtin_ctz(m)];
-        out.count += __builtin_popcount(keep);
+        out.count += pack_kept(alive + i, keep, out.id + out.count);
     }
 }
 
@@ -140,18 +138,20 @@ template <int order, bool differentiable>
 inline void color_and_stage(const Parameters& p, const Settings& s, Packed& in, Splat* staged,
                             ColorSlope* slopes, float* extras) {
     const int extra_channels = s.extra_channels();
-    for (int l = 0; l < kLanes && in.count > 0; ++l) in.id[in.count + l] = in.id[in.count - 1];
-    uint32_t next[kLanes];
+    const int used = std::min(p.coefficients, (s.sh_degree + 1) * (s.sh_degree + 1));
+    auto fetch = [&](int i) {
+        return RowFetch(p, in.id + i, std::clamp(in.count - i, 0, kLanes), order, used);
+    };
+    fetch(0).rest();
     for (int i = 0; i < in.count; i += kLanes) {
         const int n = std::min(kLanes, in.count - i);
-        for (int l = 0; l < n; ++l) next[l] = in.id[std::min(i + l + kShPrefetch, in.count - 1)];
         Float offset[3] = {in.at(Packed::kOffset, i), in.at(Packed::kOffset + 1, i),
                            in.at(Packed::kOffset + 2, i)};
         Float dt(0.f);
         if constexpr (order > 0) dt = in.at(Packed::kDt, i);
         Color c;
-        color<order, differentiable>(p, in.id + i, n, next, viewing(offset, dt, s.duration), s.duration,
-                                     s.sh_degree, c);
+        color<order, differentiable>(p, in.id + i, n, fetch(i + kLanes), viewing(offset, dt, s.duration),
+                                     s.duration, s.sh_degree, c);
         Float row[16] = {in.at(Packed::kX, i),
                          in.at(Packed::kY, i),
                          in.at(Packed::kXX, i),
@@ -165,17 +165,12 @@ inline void color_and_stage(const Parameters& p, const Settings& s, Packed& in, 
                          in.at(Packed::kHalfWidth, i),
                          in.at(Packed::kHalfHeight, i),
                          in.at(Packed::kRadius, i),
-                         0.f,
+                         Float::load_bits(in.id + i),
                          0.f,
                          0.f};
-        unsigned clamped[3];
-        for (int k = 0; k < 3; ++k) clamped[k] = bits(c.rgb[k] < Float(0.f));
         transpose(row);
         for (int l = 0; l < n; ++l) {
-            Splat& splat = staged[i + l];
-            row[l].store(&splat.x);
-            splat.id = in.id[i + l];
-            splat.clamped = (clamped[0] >> l & 1) | (clamped[1] >> l & 1) << 1 | (clamped[2] >> l & 1) << 2;
+            row[l].store(&staged[i + l].x);
             for (int e = 0; e < extra_channels; ++e)
                 extras[kExtraStride * (i + l) + e] = in.value[Packed::kExtraField + e][i + l];
         }
@@ -183,7 +178,8 @@ inline void color_and_stage(const Parameters& p, const Settings& s, Packed& in, 
             Float slope[16];
             for (int k = 0; k < 9; ++k) slope[k] = c.by_offset[k / 3][k % 3];
             for (int k = 0; k < 3; ++k) slope[9 + k] = c.by_dt[k];
-            for (int k = 12; k < 16; ++k) slope[k] = 0.f;
+            for (int k = 0; k < 3; ++k) slope[12 + k] = select(c.rgb[k] < Float(0.f), 0.f, 1.f);
+            slope[15] = 0.f;
             transpose(slope);
             for (int l = 0; l < n; ++l)
                 slope[l].stream(&slopes[i + l].by_offset[0][0]);  // not read before the backward pass

@@ -74,8 +74,7 @@ struct alignas(64) Splat {
     float half_width, half_height;  // of the box round the alpha >= 1/255 ellipse, pixels
     float radius;                   // 3 standard deviations along the longer axis, pixels
     uint32_t id;                    // row in the parameters
-    uint32_t clamped;               // bit c: channel c was negative and is shown as 0
-    uint32_t unused;
+    uint32_t unused[2];
 };
 static_assert(sizeof(Splat) == 64);
 
@@ -84,7 +83,8 @@ static_assert(sizeof(Splat) == 64);
 struct alignas(64) ColorSlope {
     float by_offset[3][3];  // ∂rgb_c / ∂(camera centre to μ(t))_i
     float by_dt[3];         // ∂rgb_c / ∂(t - μt)
-    float unused[4];
+    float shown[3];         // 0 where rgb_c was negative and is shown as 0, else 1
+    float unused;
 };
 static_assert(sizeof(ColorSlope) == 64);
 

@@ -44,6 +44,12 @@ struct Float {
         std::memcpy(&r, p, sizeof r);
         return r;
     }
+    // Sixteen words as they are, to be moved and not computed with.
+    SPLAT_INLINE static Float load_bits(const uint32_t* p) {
+        Float r;
+        std::memcpy(&r, p, sizeof r);
+        return r;
+    }
     SPLAT_INLINE void store(float* p) const { std::memcpy(p, this, sizeof *this); }
     // To 64-byte aligned p, past the caches: for results nobody reads soon. `end_of_streaming` before anyone
     // does.

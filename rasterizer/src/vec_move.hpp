@@ -38,79 +38,135 @@ SPLAT_INLINE Float sum_lanes(const Float (&v)[4 * groups]) {
 
 // ---- moving rows to lanes
 
-SPLAT_INLINE void transpose4(Quad (&q)[4]) {
-    Quad a = __builtin_shufflevector(q[0], q[1], 0, 4, 1, 5),
-         b = __builtin_shufflevector(q[0], q[1], 2, 6, 3, 7);
-    Quad c = __builtin_shufflevector(q[2], q[3], 0, 4, 1, 5),
-         d = __builtin_shufflevector(q[2], q[3], 2, 6, 3, 7);
-    q[0] = __builtin_shufflevector(a, c, 0, 1, 4, 5), q[1] = __builtin_shufflevector(a, c, 2, 3, 6, 7);
-    q[2] = __builtin_shufflevector(b, d, 0, 1, 4, 5), q[3] = __builtin_shufflevector(b, d, 2, 3, 6, 7);
+inline constexpr int kQuads = kNativeLanes / 4;  // in a native register
+
+// Rows of four floats, one for each quad.
+template <class T>
+struct QuadRows {
+    T* row[kQuads];
+    QuadRows() = default;
+    // Quad q is row ids[4 q].
+    SPLAT_INLINE QuadRows(T* rows, const uint32_t* ids) {
+        for (int q = 0; q < kQuads; ++q) row[q] = rows + 4 * static_cast<size_t>(ids[4 * q]);
+    }
+};
+template <class T>
+SPLAT_INLINE NativeFloat load_quads(const QuadRows<T>& from) {
+#if SPLAT_AVX512
+    __m512 r = _mm512_castps128_ps512(_mm_loadu_ps(from.row[0]));
+    r = _mm512_insertf32x4(r, _mm_loadu_ps(from.row[1]), 1);
+    r = _mm512_insertf32x4(r, _mm_loadu_ps(from.row[2]), 2);
+    return (NativeFloat)_mm512_insertf32x4(r, _mm_loadu_ps(from.row[3]), 3);
+#elif SPLAT_AVX2
+    const __m256 r = _mm256_castps128_ps256(_mm_loadu_ps(from.row[0]));
+    return (NativeFloat)_mm256_insertf128_ps(r, _mm_loadu_ps(from.row[1]), 1);
+#else
+    NativeFloat r;
+    std::memcpy(&r, from.row[0], sizeof r);
+    return r;
+#endif
+}
+SPLAT_INLINE void store_quads(const QuadRows<float>& to, NativeFloat a) {
+#if SPLAT_AVX512
+    _mm_storeu_ps(to.row[0], _mm512_castps512_ps128((__m512)a));
+    _mm_storeu_ps(to.row[1], _mm512_extractf32x4_ps((__m512)a, 1));
+    _mm_storeu_ps(to.row[2], _mm512_extractf32x4_ps((__m512)a, 2));
+    _mm_storeu_ps(to.row[3], _mm512_extractf32x4_ps((__m512)a, 3));
+#elif SPLAT_AVX2
+    _mm_storeu_ps(to.row[0], _mm256_castps256_ps128((__m256)a));
+    _mm_storeu_ps(to.row[1], _mm256_extractf128_ps((__m256)a, 1));
+#else
+    std::memcpy(to.row[0], &a, sizeof a);
+#endif
+}
+
+// Each quad of m[0..3] is a row of a 4×4 matrix; afterwards a column of it.
+SPLAT_INLINE void transpose_quads(NativeFloat (&m)[4]) {
+    const NativeFloat a = unpack_low(m[0], m[1]), b = unpack_high(m[0], m[1]);
+    const NativeFloat c = unpack_low(m[2], m[3]), d = unpack_high(m[2], m[3]);
+    m[0] = unpack_low_pairs(a, c), m[1] = unpack_high_pairs(a, c);
+    m[2] = unpack_low_pairs(b, d), m[3] = unpack_high_pairs(b, d);
+}
+
+// Quad j of m[i] becomes quad i of m[j].
+SPLAT_INLINE void transpose_of_quads(Float (&m)[4]) {
+#if SPLAT_AVX512
+    const NativeFloat even01 = even_quads(m[0].part[0], m[1].part[0]),
+                      even23 = even_quads(m[2].part[0], m[3].part[0]);
+    const NativeFloat odd01 = odd_quads(m[0].part[0], m[1].part[0]),
+                      odd23 = odd_quads(m[2].part[0], m[3].part[0]);
+    m[0].part[0] = even_quads(even01, even23), m[1].part[0] = even_quads(odd01, odd23);
+    m[2].part[0] = odd_quads(even01, even23), m[3].part[0] = odd_quads(odd01, odd23);
+#else
+    Quad from[4][4], to[4][4];
+    std::memcpy(from, m, sizeof from);
+    for (int i = 0; i < 4; ++i)
+        for (int j = 0; j < 4; ++j) to[j][i] = from[i][j];
+    std::memcpy(m, to, sizeof to);
+#endif
 }
 
 // Transposes a 16×16 matrix of sixteen rows in place.
 #if SPLAT_AVX512
 SPLAT_INLINE void transpose(Float (&m)[16]) {
-    NativeFloat t[16], u[16];
-    for (int i = 0; i < 16; i += 4) {  // 4×4 transposes inside each 128-bit lane
-        NativeFloat a = unpack_low(m[i].part[0], m[i + 1].part[0]),
-                    b = unpack_high(m[i].part[0], m[i + 1].part[0]);
-        NativeFloat c = unpack_low(m[i + 2].part[0], m[i + 3].part[0]),
-                    d = unpack_high(m[i + 2].part[0], m[i + 3].part[0]);
-        t[i] = unpack_low_pairs(a, c), t[i + 1] = unpack_high_pairs(a, c);
-        t[i + 2] = unpack_low_pairs(b, d), t[i + 3] = unpack_high_pairs(b, d);
+    NativeFloat t[4][4];
+    for (int i = 0; i < 4; ++i) {
+        for (int j = 0; j < 4; ++j) t[i][j] = m[4 * i + j].part[0];
+        transpose_quads(t[i]);
     }
-    for (int j = 0; j < 4; ++j) {  // then the 4×4 matrix of lanes
-        u[j] = even_quads(t[j], t[4 + j]), u[4 + j] = odd_quads(t[j], t[4 + j]);
-        u[8 + j] = even_quads(t[8 + j], t[12 + j]), u[12 + j] = odd_quads(t[8 + j], t[12 + j]);
-    }
-    for (int j = 0; j < 4; ++j) {
-        m[j].part[0] = even_quads(u[j], u[8 + j]), m[8 + j].part[0] = odd_quads(u[j], u[8 + j]);
-        m[4 + j].part[0] = even_quads(u[4 + j], u[12 + j]),
-              m[12 + j].part[0] = odd_quads(u[4 + j], u[12 + j]);
+    for (int j = 0; j < 4; ++j) {  // then the 4×4 matrix of quads
+        Float column[4];
+        for (int i = 0; i < 4; ++i) column[i].part[0] = t[i][j];
+        transpose_of_quads(column);
+        for (int i = 0; i < 4; ++i) m[4 * i + j] = column[i];
     }
 }
 #else
-// Through memory, and so not worth inlining: it is called a dozen times in each of a dozen instantiations.
+// In 4×4 pieces through memory, and so not worth inlining: it is called a dozen times in each of a dozen
+// instantiations.
 __attribute__((noinline)) inline void transpose(Float (&m)[16]) {
-    alignas(64) float from[16][16], to[16][16];
+    alignas(64) float from[16][16];
     std::memcpy(from, m, sizeof from);
-    for (int i = 0; i < 16; i += 4)
-        for (int j = 0; j < 16; j += 4) {
-            Quad q[4];
-            for (int k = 0; k < 4; ++k) std::memcpy(&q[k], &from[i + k][j], 16);
-            transpose4(q);
-            for (int k = 0; k < 4; ++k) std::memcpy(&to[j + k][i], &q[k], 16);
+    for (int j = 0; j < 16; j += 4)
+        for (int i = 0; i < kParts; ++i) {
+            NativeFloat columns[4];
+            for (int k = 0; k < 4; ++k) {
+                QuadRows<const float> rows;
+                for (int q = 0; q < kQuads; ++q) rows.row[q] = &from[kNativeLanes * i + 4 * q + k][j];
+                columns[k] = load_quads(rows);
+            }
+            transpose_quads(columns);
+            for (int k = 0; k < 4; ++k) m[j + k].part[i] = columns[k];
         }
-    std::memcpy(m, to, sizeof to);
 }
 #endif
 
 // Rows ids[0..15] of an array of four-float rows, as four columns of sixteen lanes.
 SPLAT_INLINE void load_rows4(const float* rows, const uint32_t* ids, Float (&column)[4]) {
-    alignas(64) float to[4][16];
-    for (int i = 0; i < 16; i += 4) {
-        Quad q[4];
-        for (int k = 0; k < 4; ++k) std::memcpy(&q[k], rows + 4 * static_cast<size_t>(ids[i + k]), 16);
-        transpose4(q);
-        for (int k = 0; k < 4; ++k) std::memcpy(&to[k][i], &q[k], 16);
+    for (int i = 0; i < kParts; ++i) {
+        NativeFloat m[4];
+        for (int k = 0; k < 4; ++k) m[k] = load_quads(QuadRows<const float>(rows, ids + kNativeLanes * i + k));
+        transpose_quads(m);
+        for (int k = 0; k < 4; ++k) column[k].part[i] = m[k];
     }
-    for (int k = 0; k < 4; ++k) column[k] = Float::load(to[k]);
 }
 
 // Adds four columns of lanes to rows ids[0..count-1] of an array of four-float rows. The ids differ.
 SPLAT_INLINE void add_to_rows4(float* rows, const uint32_t* ids, int count, const Float (&column)[4]) {
-    alignas(64) float from[4][16];
-    for (int k = 0; k < 4; ++k) column[k].store(from[k]);
-    for (int i = 0; i < count; i += 4) {
-        Quad q[4];
-        for (int k = 0; k < 4; ++k) std::memcpy(&q[k], &from[k][i], 16);
-        transpose4(q);
-        for (int k = 0; k < 4 && i + k < count; ++k) {
-            float* row = rows + 4 * static_cast<size_t>(ids[i + k]);
-            Quad sum;
-            std::memcpy(&sum, row, 16);
-            sum += q[k];
-            std::memcpy(row, &sum, 16);
+    if (count < kLanes) {
+        alignas(64) float lane[4][kLanes];
+        for (int k = 0; k < 4; ++k) column[k].store(lane[k]);
+        for (int l = 0; l < count; ++l)
+            for (int k = 0; k < 4; ++k) rows[4 * static_cast<size_t>(ids[l]) + k] += lane[k][l];
+        return;
+    }
+    for (int i = 0; i < kParts; ++i) {
+        NativeFloat m[4];
+        for (int k = 0; k < 4; ++k) m[k] = column[k].part[i];
+        transpose_quads(m);
+        for (int k = 0; k < 4; ++k) {
+            const QuadRows<float> to(rows, ids + kNativeLanes * i + k);
+            store_quads(to, load_quads(to) + m[k]);
         }
     }
 }
@@ -147,6 +203,18 @@ SPLAT_INLINE void store_packed(float* p, unsigned keep, const Float& a) {
     a.store(lane);
     for (; keep; keep &= keep - 1) *p++ = lane[__builtin_ctz(keep)];
 #endif
+}
+
+// Copies items[l] for each set bit l of `keep` to `out`, packed; returns how many. Up to 16 words from `out` on
+// may be overwritten.
+SPLAT_INLINE int pack_kept(const uint32_t* items, unsigned keep, uint32_t* out) {
+#if SPLAT_AVX512
+    _mm512_storeu_si512(
+        out, _mm512_maskz_compress_epi32(static_cast<__mmask16>(keep), _mm512_loadu_si512(items)));
+#else
+    for (unsigned left = keep; left; left &= left - 1) *out++ = items[__builtin_ctz(left)];
+#endif
+    return __builtin_popcount(keep);
 }
 
 // Copies the items whose mask has `bit` set to `out`, packed (up to 15 more may be overwritten); returns how
