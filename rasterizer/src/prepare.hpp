@@ -192,6 +192,7 @@ inline void prepare(Frame& f, const Parameters& p) {
     StageTimer timer(f, kStagePrepare);
     const int chunks = static_cast<int>((p.count + kChunk - 1) / kChunk);
     f.staged.resize(static_cast<size_t>(chunks) * kChunk);
+    f.depth.resize(static_cast<size_t>(chunks) * kChunk);
     if (differentiable) f.color_slope.resize(static_cast<size_t>(chunks) * kChunk);
     if (f.settings.extra_channels()) f.extras.resize(static_cast<size_t>(chunks) * kChunk * kExtraStride);
     f.chunk_count.assign(chunks, 0);
@@ -211,6 +212,7 @@ inline void prepare(Frame& f, const Parameters& p) {
                 p, f.settings, packed, f.staged.data() + first,
                 differentiable ? f.color_slope.data() + first : nullptr,
                 f.extras.data() + static_cast<size_t>(first) * kExtraStride);
+            std::copy_n(packed.value[Packed::kDepth], packed.count, &f.depth[first]);
             f.chunk_alive[c] = n;
             f.chunk_count[c] = packed.count;
         }

@@ -44,7 +44,7 @@ inline void sort_by_depth(Frame& f) {
     for (int c = 0; c < chunks; ++c) {
         const uint32_t place = static_cast<uint32_t>(c) * kChunk;
         for (uint32_t i = 0; i < f.chunk_count[c]; ++i) {
-            const uint32_t bits = std::bit_cast<uint32_t>(f.staged[place + i].depth);
+            const uint32_t bits = std::bit_cast<uint32_t>(f.depth[place + i]);
             f.keys[0][f.chunk_first[c] + i] = {bits, place + i};
             nearest = std::min(nearest, bits), farthest = std::max(farthest, bits);
         }
