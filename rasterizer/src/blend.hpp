@@ -31,41 +31,49 @@ inline TileSpan tile_span(const Frame& f, int tile) {
 
 template <int extra>
 struct Blended {
-    Float transmittance;  // 0 once a pixel has ended: nothing more is blended there
-    Float left;           // the transmittance that stays in the end
+    Float transmittance;
+    Mask open;  // pixels that have not ended
     Float channel[3 + extra];
 };
 
-// Blends `count` splats into one block; returns how many it took until every pixel had ended, else -1.
+// Blends splats places[0..count-1] into one block; returns how many it took until every pixel had ended, else -1.
+// places[count] is looked at too.
 template <int extra>
 SPLAT_INLINE int blend_block(const Splat* splats, const float* extras, const uint32_t* places, int count,
                              const Float& px, const Float& py, Blended<extra>& state) {
-    Float T = state.transmittance, left = state.left, C[3 + extra];
+    Float T = state.transmittance, C[3 + extra];
+    Mask open = state.open;
     for (int k = 0; k < 3 + extra; ++k) C[k] = state.channel[k];
+    auto alpha_of = [&](const Splat& s) {
+        const Float power = log2_alpha(s, px - Float(s.x), py - Float(s.y));
+        return zero_unless(power >= Float(kLog2MinAlpha), min(exp2_fast(power), kMaxAlpha));
+    };
     int used = -1;
+    // One splat ahead: the way to alpha is too long a chain for a processor to begin the next by itself (a sixth
+    // of a hot tile's time).
+    Float upcoming = alpha_of(splats[places[0]]);
     for (int j = 0; j < count; ++j) {
         const Splat& s = splats[places[j]];
-        Float power = log2_alpha(s, px - Float(s.x), py - Float(s.y));
-        Float alpha = zero_unless(power >= Float(kLog2MinAlpha), min(exp2_fast(power), kMaxAlpha));
+        const Float alpha = upcoming;
+        upcoming = alpha_of(splats[places[j + 1]]);
         // What one splat waits for of the one before it is T alone, so its path is kept short: multiply,
         // compare, mask.
-        Float next = T * (Float(1.f) - alpha);
-        Mask live = next >= Float(kMinTransmittance);
-        Float w = zero_unless(live, alpha * T);
-        T = zero_unless(live, next);
-        left = select(live, next, left);
+        const Float next = T * (Float(1.f) - alpha);
+        open = open & (next >= Float(kMinTransmittance));
+        const Float w = zero_unless(open, alpha * T);
+        T = select(open, next, T);
         C[0] += w * Float(s.r), C[1] += w * Float(s.g), C[2] += w * Float(s.b);
         if constexpr (extra > 0) {
             const float* value = extras + static_cast<size_t>(places[j]) * kExtraStride;
             for (int e = 0; e < extra; ++e) C[3 + e] += w * Float(value[e]);
         }
-        if (!bits(live)) [[unlikely]] {
+        if (!bits(open)) [[unlikely]] {
             used = j + 1;
             break;
         }
     }
     state.transmittance = T;
-    state.left = left;
+    state.open = open;
     for (int k = 0; k < 3 + extra; ++k) state.channel[k] = C[k];
     return used;
 }
@@ -79,7 +87,8 @@ template <int extra>
 inline void blend_tile(Frame& f, int tile, Blended<extra> (&state)[kBlocks]) {
     const TileSpan span = tile_span(f, tile);
     for (int b = 0; b < kBlocks; ++b) {
-        state[b].transmittance = state[b].left = 1.f;
+        state[b].transmittance = 1.f;
+        state[b].open = Float(1.f) > Float(0.f);
         for (auto& c : state[b].channel) c = 0.f;
         f.blocks_last[tile * kBlocks + b] = static_cast<float>(span.end - span.begin);
     }
@@ -97,6 +106,8 @@ inline void blend_tile(Frame& f, int tile, Blended<extra> (&state)[kBlocks]) {
             for (int k = 0; k < share && ahead < ahead_end; ++k, ++ahead)
                 __builtin_prefetch(&f.staged[f.entry_splat[ahead]]);
             const int count = pack_matching(&f.entry_splat[first], &f.entry_mask[first], n, b, packed);
+            if (count == 0) continue;
+            packed[count] = packed[count - 1];
             const Float px = lane_x + Float(static_cast<float>(span.x + b % 4 * kBlock));
             const Float py = lane_y + Float(static_cast<float>(span.y + b / 4 * kBlock));
             const int used =
@@ -151,11 +162,11 @@ inline void write_tile(const Frame& f, int tile, const Blended<extra> (&state)[k
             if (!planes[k]) continue;
             const Float background(k < 3 ? f.settings.background[k] : 0.f);
             for (int i = 0; i < kBlock; ++i)
-                block[i] = state[first + i].channel[k] + state[first + i].left * background;
+                block[i] = state[first + i].channel[k] + state[first + i].transmittance * background;
             store_blocks(planes[k], width, height, span.x, y, block);
         }
         if (!out.alpha) continue;
-        for (int i = 0; i < kBlock; ++i) block[i] = Float(1.f) - state[first + i].left;
+        for (int i = 0; i < kBlock; ++i) block[i] = Float(1.f) - state[first + i].transmittance;
         store_blocks(out.alpha, width, height, span.x, y, block);
     }
 }

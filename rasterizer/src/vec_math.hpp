@@ -31,36 +31,37 @@ SPLAT_INLINE Float fast_inverse(const Float& a) {
     return r;
 }
 
-// 2^x for -126 <= x <= 126 by the minimax polynomial of degree 4 or 5 on |f| <= ½: relative error 2.7e-6 or
-// 2e-7. Below -126: 0 on AVX-512, meaningless elsewhere (callers mask it).
+// 2^f by the minimax polynomial of degree 4 or 5: relative error 2.7e-6 or 2e-7. f is a native vector's distance from
+// the integer below (AVX-512, where one instruction gives it) or from the nearest one.
+template <int degree>
+SPLAT_INLINE NativeFloat exp2_of_fraction(NativeFloat f) {
+    static_assert(degree == 4 || degree == 5);
+#if SPLAT_AVX512
+    constexpr float c[2][6] = {{1.00000259f, 0.693003834f, 0.241442758f, 0.0520114586f, 0.0135341689f, 0.f},
+                               {0.999999925f, 0.693153072f, 0.240153621f, 0.0558263126f, 0.00898934306f,
+                                0.0018775763f}};
+#else
+    constexpr float c[2][6] = {{0.999999261f, 0.693121815f, 0.240247448f, 0.0559178603f, 0.00957010208f, 0.f},
+                               {1.00000007f, 0.693146967f, 0.240221198f, 0.0555071287f, 0.00967554032f,
+                                0.00132765996f}};
+#endif
+    NativeFloat p = f * c[degree - 4][degree] + c[degree - 4][degree - 1];
+    for (int k = degree - 2; k >= 0; --k) p = p * f + c[degree - 4][k];
+    return p;
+}
+
+// 2^x for -126 <= x <= 126. Below -126: 0 on AVX-512, meaningless elsewhere (callers mask it).
 template <int degree>
 SPLAT_INLINE Float exp2_poly(const Float& x) {
-    static_assert(degree == 4 || degree == 5);
     Float r;
     for (int i = 0; i < kParts; ++i) {
 #if SPLAT_AVX512
-        NativeFloat whole = (NativeFloat)_mm512_roundscale_ps((__m512)x.part[i], 8);
-        NativeFloat f = x.part[i] - whole;
+        const __m512 v = (__m512)x.part[i];
+        const NativeFloat p = exp2_of_fraction<degree>((NativeFloat)_mm512_reduce_ps(v, _MM_FROUND_FLOOR));
+        r.part[i] = (NativeFloat)_mm512_scalef_ps((__m512)p, v);  // p · 2^floor(v)
 #else
-        NativeFloat shifted = x.part[i] + kRoundMagic;
-        NativeFloat f = x.part[i] - (shifted - kRoundMagic);
-#endif
-        NativeFloat p;
-        if constexpr (degree == 5) {
-            p = f * 1.32765996e-3f + 9.67554033e-3f;
-            p = p * f + 5.55071287e-2f;
-            p = p * f + 2.40221198e-1f;
-            p = p * f + 6.93146967e-1f;
-            p = p * f + 1.00000007f;
-        } else {
-            p = f * 9.57010208e-3f + 5.59178603e-2f;
-            p = p * f + 2.40247448e-1f;
-            p = p * f + 6.93121815e-1f;
-            p = p * f + 9.99999261e-1f;
-        }
-#if SPLAT_AVX512
-        r.part[i] = (NativeFloat)_mm512_scalef_ps((__m512)p, (__m512)whole);
-#else
+        const NativeFloat shifted = x.part[i] + kRoundMagic;
+        const NativeFloat p = exp2_of_fraction<degree>(x.part[i] - (shifted - kRoundMagic));
         r.part[i] = (NativeFloat)((NativeInt)p + ((NativeInt)shifted << 23));
 #endif
     }
