@@ -39,18 +39,21 @@ struct Float {
     SPLAT_INLINE Float(float x) {
         for (auto& p : part) p = x - NativeFloat{};  // x - 0 is x for every x, so this is a plain broadcast
     }
+    // Register by register: copied whole, GCC takes a detour through memory where there are several.
     SPLAT_INLINE static Float load(const float* p) {
         Float r;
-        std::memcpy(&r, p, sizeof r);
+        for (int i = 0; i < kParts; ++i) std::memcpy(&r.part[i], p + i * kNativeLanes, sizeof r.part[i]);
         return r;
     }
     // Sixteen words as they are, to be moved and not computed with.
     SPLAT_INLINE static Float load_bits(const uint32_t* p) {
         Float r;
-        std::memcpy(&r, p, sizeof r);
+        for (int i = 0; i < kParts; ++i) std::memcpy(&r.part[i], p + i * kNativeLanes, sizeof r.part[i]);
         return r;
     }
-    SPLAT_INLINE void store(float* p) const { std::memcpy(p, this, sizeof *this); }
+    SPLAT_INLINE void store(float* p) const {
+        for (int i = 0; i < kParts; ++i) std::memcpy(p + i * kNativeLanes, &part[i], sizeof part[i]);
+    }
     // To 64-byte aligned p, past the caches: for results nobody reads soon. `end_of_streaming` before anyone
     // does.
     SPLAT_INLINE void stream(float* p) const {
@@ -71,6 +74,7 @@ struct Float {
         r.part[0] = (NativeFloat)_mm512_maskz_loadu_ps(static_cast<__mmask16>((1u << count) - 1), p);
         return r;
 #else
+        if (count == kLanes) return load(p);
         alignas(64) float lane[kLanes] = {};
         for (int i = 0; i < count; ++i) lane[i] = p[i];
         return load(lane);
@@ -80,6 +84,7 @@ struct Float {
 #if SPLAT_AVX512
         _mm512_mask_storeu_ps(p, static_cast<__mmask16>((1u << count) - 1), (__m512)part[0]);
 #else
+        if (count == kLanes) return store(p);
         alignas(64) float lane[kLanes];
         store(lane);
         for (int i = 0; i < count; ++i) p[i] = lane[i];
