@@ -21,6 +21,7 @@ from rich.table import Table
 
 from pipeline.config import Config
 from pipeline.configure import CONFIG_DIR, one_line, register_schema, to_config
+from pipeline.memory import keep_freed_memory
 
 # What a user can cause, by a wrong key, bad data, a full disk or a training that diverges. Anything else is a fault of
 # the program and shows its traceback.
@@ -65,6 +66,7 @@ def run_one(composed: DictConfig) -> None:
 
         from pipeline.stages import run
 
+        keep_freed_memory()
         torch.set_num_threads(1)  # the heavy work is the kernel's, which has threads of its own (cfg.threads)
         metrics = run(cfg, command, say=lambda text: print(text, flush=True))
         (_report_line if job.mode == RunMode.MULTIRUN else _report)(cfg, metrics)

@@ -23,9 +23,7 @@ class ViewLoss:
 
 def view_loss(criterion: L1Ssim, image: Tensor, target: Tensor, batch: int) -> ViewLoss:
     """image, target: (3, H, W). The image is not clamped: a pixel too bright must still be pulled back."""
-    value = criterion(image, target)
-    if batch > 1:
-        value.d_image.mul_(1.0 / batch)
+    value = criterion(image, target, share=1.0 / batch)
     return ViewLoss(value.loss, value.l1, value.ssim, value.d_image)
 
 

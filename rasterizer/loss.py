@@ -18,7 +18,7 @@ class LossValue:
     loss: float
     l1: float
     ssim: float
-    d_image: Tensor  # (3, H, W) ∂loss/∂image
+    d_image: Tensor  # (3, H, W) share · ∂loss/∂image
 
 
 class L1Ssim:
@@ -28,8 +28,11 @@ class L1Ssim:
         self.ssim_weight = ssim_weight
         self.threads = threads or default_threads()
 
-    def __call__(self, image: Tensor, target: Tensor) -> LossValue:
-        """image, target: (3, H, W) float32 in [0, 1]. Raises ValueError when shapes or types differ from it."""
+    def __call__(self, image: Tensor, target: Tensor, share: float = 1.0) -> LossValue:
+        """image, target: (3, H, W) float32 in [0, 1]. Raises ValueError when shapes or types differ from it.
+
+        share: of this pair in the mean over a batch; the gradient is multiplied with it.
+        """
         for name, tensor in (("image", image), ("target", target)):
             expected = [3, *image.shape[1:]]
             if tensor.dtype != torch.float32 or tensor.ndim != 3 or list(tensor.shape) != expected:
@@ -37,7 +40,7 @@ class L1Ssim:
                 raise ValueError(f"{name} must be float32 {expected}, got {kind} {list(tensor.shape)}")
         d_image = torch.empty_like(image)
         l1, ssim = kernel.l1_ssim(image=image.contiguous(), target=target.contiguous(), gradient=d_image,
-                                  ssim_weight=self.ssim_weight, threads=self.threads)
+                                  ssim_weight=self.ssim_weight, share=share, threads=self.threads)
         return LossValue((1 - self.ssim_weight) * l1 + self.ssim_weight * (1 - ssim), l1, ssim, d_image)
 
 

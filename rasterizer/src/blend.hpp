@@ -36,8 +36,8 @@ struct Blended {
     Float channel[3 + extra];
 };
 
-// Blends splats places[0..count-1] into one block; returns how many it took until every pixel had ended, else -1.
-// places[count] is looked at too.
+// Blends splats places[0..count-1] into one block; returns how many it took until every pixel had ended, else
+// -1. places[count] is looked at too.
 template <int extra>
 SPLAT_INLINE int blend_block(const Splat* splats, const float* extras, const uint32_t* places, int count,
                              const Float& px, const Float& py, Blended<extra>& state) {
@@ -49,8 +49,8 @@ SPLAT_INLINE int blend_block(const Splat* splats, const float* extras, const uin
         return zero_unless(power >= Float(kLog2MinAlpha), min(exp2_fast(power), kMaxAlpha));
     };
     int used = -1;
-    // One splat ahead: the way to alpha is too long a chain for a processor to begin the next by itself (a sixth
-    // of a hot tile's time).
+    // One splat ahead: the way to alpha is too long a chain for a processor to begin the next by itself (a
+    // sixth of a hot tile's time).
     Float upcoming = alpha_of(splats[places[0]]);
     for (int j = 0; j < count; ++j) {
         const Splat& s = splats[places[j]];
@@ -121,8 +121,8 @@ inline void blend_tile(Frame& f, int tile, Blended<extra> (&state)[kBlocks]) {
     }
 }
 
-// Images as planes [height, width], or what the loss says of them. color [3] over the background; alpha = 1 - T;
-// depth, flow [2], stats [2] as blended. Null: not wanted.
+// Images as planes [height, width], or what the loss says of them. color [3] over the background; alpha = 1 -
+// T; depth, flow [2], stats [2] as blended. Null: not wanted.
 template <class T>
 struct Planes {
     T* color;

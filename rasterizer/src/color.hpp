@@ -54,8 +54,8 @@ struct TimeFactors {
 
 // Sixteen coefficient rows on their way to the first-level cache: the largest read of a frame.
 //
-// A core waits for a dozen lines at a time and a row is up to nine, so rows are asked for two at a time between
-// the steps of the sixteen Gaussians before: memory then works while the core does.
+// A core waits for a dozen lines at a time and a row is up to nine, so rows are asked for two at a time
+// between the steps of the sixteen Gaussians before: memory then works while the core does.
 class RowFetch {
 public:
     RowFetch(const Parameters& p, const uint32_t* ids, int count, int order, int coefficients)

@@ -54,8 +54,8 @@ inline void render(Frame& f, Motion motion, const Parameters& p, const OutputPla
     with_extra(f.settings.extra_channels(), [&]<int extra>() { blend<extra>(f, out); });
 }
 
-inline void render_backward(Frame& f, Motion motion, const Parameters& p,
-                            const InputPlanes& rendered, const InputPlanes& d, const ParameterGradients& out,
+inline void render_backward(Frame& f, Motion motion, const Parameters& p, const InputPlanes& rendered,
+                            const InputPlanes& d, const ParameterGradients& out,
                             const ViewGradient& view_out) {
     with_extra(f.settings.extra_channels(), [&]<int extra>() { blend_backward<extra>(f, rendered, d); });
     with_model(motion, f.settings.fourier_order,

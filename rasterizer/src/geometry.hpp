@@ -29,8 +29,8 @@ struct UnitQuaternion {
 SPLAT_INLINE UnitQuaternion normalise(const Float (&q)[4]) {
     const Float largest = max(max(abs(q[0]), abs(q[1])), max(abs(q[2]), abs(q[3])));
     const Mask usable = largest > Float(0.f);
-    const Float scale = select(largest < Float(0x1p-40f), 0x1p100f,
-                               select(largest > Float(0x1p40f), 0x1p-100f, 1.f));
+    const Float scale =
+        select(largest < Float(0x1p-40f), 0x1p100f, select(largest > Float(0x1p40f), 0x1p-100f, 1.f));
     Float s[4], norm2(0.f);
     for (int i = 0; i < 4; ++i) {
         s[i] = q[i] * scale;

@@ -206,12 +206,12 @@ inline void loss_band(const LossBand& p, const float* w, LossRows& rows) {
     }
 }
 
-// image, target: planes [3, height, width]. gradient = ∂ ((1-λ) L1 + λ (1-SSIM)) / ∂ image.
+// image, target: planes [3, height, width]. gradient = share · ∂ ((1-λ) L1 + λ (1-SSIM)) / ∂ image.
 inline LossValue l1_ssim(const float* image, const float* target, int width, int height, float ssim_weight,
-                         float* gradient, int threads) {
+                         float share, float* gradient, int threads) {
     const auto w = window_weights();
     const size_t plane = static_cast<size_t>(width) * height;
-    const float scale = 1.f / (3.f * plane);
+    const float scale = share / (3.f * plane);
     std::vector<double> row_l1(3 * height), row_ssim(3 * height);
     const int bands = std::clamp(height / 32, 1, threads);  // a band of a channel
 #pragma omp parallel num_threads(threads)

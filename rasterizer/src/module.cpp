@@ -163,11 +163,12 @@ void adam_sh(Out sh, Out m, Out v, int coefficients, int orders, int active_coef
                    splat::AdamStep(beta1, beta2, epsilon, step), threads);
 }
 
-std::tuple<double, double> l1_ssim(In image, In target, Out gradient, float ssim_weight, int threads) {
+std::tuple<double, double> l1_ssim(In image, In target, Out gradient, float ssim_weight, float share,
+                                   int threads) {
     const int height = static_cast<int>(image.shape(1)), width = static_cast<int>(image.shape(2));
     nb::gil_scoped_release release;
-    const auto value =
-        splat::l1_ssim(image.data(), target.data(), width, height, ssim_weight, gradient.data(), threads);
+    const auto value = splat::l1_ssim(image.data(), target.data(), width, height, ssim_weight, share,
+                                      gradient.data(), threads);
     return {value.l1, value.ssim};
 }
 
@@ -218,5 +219,5 @@ NB_MODULE(KERNEL_MODULE_NAME, m) {
         return std::tuple{rates.fma_per_second, rates.copy_bytes_per_second};
     });
     m.def("l1_ssim", &l1_ssim, nb::arg("image"), nb::arg("target"), nb::arg("gradient"),
-          nb::arg("ssim_weight"), nb::arg("threads"));
+          nb::arg("ssim_weight"), nb::arg("share"), nb::arg("threads"));
 }

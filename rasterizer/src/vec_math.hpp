@@ -31,19 +31,19 @@ SPLAT_INLINE Float fast_inverse(const Float& a) {
     return r;
 }
 
-// 2^f by the minimax polynomial of degree 4 or 5: relative error 2.7e-6 or 2e-7. f is a native vector's distance from
-// the integer below (AVX-512, where one instruction gives it) or from the nearest one.
+// 2^f by the minimax polynomial of degree 4 or 5: relative error 2.7e-6 or 2e-7. f is a native vector's
+// distance from the integer below (AVX-512, where one instruction gives it) or from the nearest one.
 template <int degree>
 SPLAT_INLINE NativeFloat exp2_of_fraction(NativeFloat f) {
     static_assert(degree == 4 || degree == 5);
 #if SPLAT_AVX512
-    constexpr float c[2][6] = {{1.00000259f, 0.693003834f, 0.241442758f, 0.0520114586f, 0.0135341689f, 0.f},
-                               {0.999999925f, 0.693153072f, 0.240153621f, 0.0558263126f, 0.00898934306f,
-                                0.0018775763f}};
+    constexpr float c[2][6] = {
+        {1.00000259f, 0.693003834f, 0.241442758f, 0.0520114586f, 0.0135341689f, 0.f},
+        {0.999999925f, 0.693153072f, 0.240153621f, 0.0558263126f, 0.00898934306f, 0.0018775763f}};
 #else
-    constexpr float c[2][6] = {{0.999999261f, 0.693121815f, 0.240247448f, 0.0559178603f, 0.00957010208f, 0.f},
-                               {1.00000007f, 0.693146967f, 0.240221198f, 0.0555071287f, 0.00967554032f,
-                                0.00132765996f}};
+    constexpr float c[2][6] = {
+        {0.999999261f, 0.693121815f, 0.240247448f, 0.0559178603f, 0.00957010208f, 0.f},
+        {1.00000007f, 0.693146967f, 0.240221198f, 0.0555071287f, 0.00967554032f, 0.00132765996f}};
 #endif
     NativeFloat p = f * c[degree - 4][degree] + c[degree - 4][degree - 1];
     for (int k = degree - 2; k >= 0; --k) p = p * f + c[degree - 4][k];

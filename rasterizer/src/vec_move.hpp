@@ -145,7 +145,8 @@ __attribute__((noinline)) inline void transpose(Float (&m)[16]) {
 SPLAT_INLINE void load_rows4(const float* rows, const uint32_t* ids, Float (&column)[4]) {
     for (int i = 0; i < kParts; ++i) {
         NativeFloat m[4];
-        for (int k = 0; k < 4; ++k) m[k] = load_quads(QuadRows<const float>(rows, ids + kNativeLanes * i + k));
+        for (int k = 0; k < 4; ++k)
+            m[k] = load_quads(QuadRows<const float>(rows, ids + kNativeLanes * i + k));
         transpose_quads(m);
         for (int k = 0; k < 4; ++k) column[k].part[i] = m[k];
     }
@@ -205,12 +206,12 @@ SPLAT_INLINE void store_packed(float* p, unsigned keep, const Float& a) {
 #endif
 }
 
-// Copies items[l] for each set bit l of `keep` to `out`, packed; returns how many. Up to 16 words from `out` on
-// may be overwritten.
+// Copies items[l] for each set bit l of `keep` to `out`, packed; returns how many. Up to 16 words from `out`
+// on may be overwritten.
 SPLAT_INLINE int pack_kept(const uint32_t* items, unsigned keep, uint32_t* out) {
 #if SPLAT_AVX512
-    _mm512_storeu_si512(
-        out, _mm512_maskz_compress_epi32(static_cast<__mmask16>(keep), _mm512_loadu_si512(items)));
+    _mm512_storeu_si512(out,
+                        _mm512_maskz_compress_epi32(static_cast<__mmask16>(keep), _mm512_loadu_si512(items)));
 #else
     for (unsigned left = keep; left; left &= left - 1) *out++ = items[__builtin_ctz(left)];
 #endif
