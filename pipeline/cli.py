@@ -21,7 +21,7 @@ from rich.table import Table
 
 from pipeline.config import Config
 from pipeline.configure import CONFIG_DIR, one_line, register_schema, to_config
-from pipeline.memory import keep_freed_memory
+from rasterizer.memory import keep_freed_memory
 
 # What a user can cause, by a wrong key, bad data, a full disk or a training that diverges. Anything else is a fault of
 # the program and shows its traceback.

@@ -22,6 +22,7 @@ from rasterizer.bench.measure import (Counts, FrameTime, Time, clock_for, count,
 from rasterizer.bench.workloads import WORKLOADS, Workload, make_workload
 from rasterizer.frame import default_threads
 from rasterizer.kernel import kernel
+from rasterizer.memory import keep_freed_memory
 
 TWIN_PIXELS = 24
 LOSS_PIXELS = 400
@@ -47,6 +48,7 @@ def main() -> None:
         # The kernel is chosen when the package is imported, which has happened by now: start again.
         environment = os.environ | {"RASTERIZER_ISA": options.isa}
         os.execve(sys.executable, [sys.executable, "-m", "rasterizer.bench", *sys.argv[1:]], environment)
+    keep_freed_memory()
     torch.set_num_threads(1)
     threads = options.threads or list(range(1, min(2, default_threads()) + 1))
     say = (lambda *lines: None) if options.json else print
