@@ -233,6 +233,17 @@ def test_backward_asks_for_what_was_rendered():
         frame.backward(gradients, d_color=torch.zeros(3, 37, 45, dtype=torch.float64))
 
 
+def test_backward_refuses_an_image_that_was_changed_in_place():
+    """It reads what render returned, so a changed image would give wrong gradients without a word."""
+    gaussians, request = random_gaussians(80, "full", generator(14)).to(torch.float32), request_for("full")
+    frame, gradients = Frame(threads=1), Gradients.zeros_like(gaussians)
+    image = frame.render(gaussians, request).color
+    frame.backward(gradients, **image_gradients(request))
+    image.clamp_(0.0, 0.5)
+    with pytest.raises(RuntimeError, match="reads the rendered color, which was changed in place"):
+        frame.backward(gradients, **image_gradients(request))
+
+
 def test_rows_that_are_not_in_view_get_no_gradient():
     gaussians, request = random_gaussians(80, "full", generator(13)).to(torch.float32), request_for("full")
     found, (view,) = run_frame(gaussians, [request], threads=2)

@@ -68,7 +68,7 @@ SPLAT_INLINE Float exp2_poly(const Float& x) {
     return r;
 }
 SPLAT_INLINE Float exp2(const Float& x) { return exp2_poly<5>(x); }
-// For alpha, where 2.7e-6 is a hundredth of an eighth-bit step of the image at most.
+// For alpha: 2.7e-6 of it is under a thousandth of the smallest step that an 8-bit image shows.
 SPLAT_INLINE Float exp2_fast(const Float& x) { return exp2_poly<4>(x); }
 
 // e^x with x clamped to ±80: large enough for every scale and logit that means something in float32.
