@@ -108,18 +108,18 @@ def train(model: Model, scene: Scene, cfg: Config, run: RunFolder, evaluate: Eva
             # One batch: gradients and statistics of every view, then one step.
             targets = [views.at(index, phase.resolution) for index in state.sampler.next_batch()]
             batch = Batch(model, scene, cfg, kernels, phase, len(targets))
-            gradients.zero_()
+            gradients.zero_(threads)
             if collect:
                 state.statistics.begin()
             for target in targets:
                 view = batch.backward(target, gradients)
                 guard.check_loss(view.loss, iteration, target.name, model)
                 if collect:
-                    state.statistics.add_view(view.gradient, target.camera, scene.duration)
+                    state.statistics.add_view(view.gradient, target.camera, scene.duration, threads)
             if collect:
                 state.statistics.end(len(targets))
             guard.check_gradients(gradients, iteration, [t.name for t in targets],
-                                  lambda position: batch.gradients_of(targets[position]))
+                                  lambda position: batch.gradients_of(targets[position]), threads)
             state.optimiser.step(gradients, phase.rates, batch.touched)
 
             # The set of Gaussians changes in space and time.

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from .arguments import Request
+from .camera import Camera
 from .gaussians import Gaussians
 from .kernel import kernel
 from .output import RenderOutput
@@ -51,6 +52,14 @@ class ViewGradient:
     mean_t: Tensor  # (V,) ∂L/∂μt
     radius: Tensor  # (V,) 3 standard deviations on the screen, pixels
 
+    def add_to(self, space: Tensor, time: Tensor, views: Tensor, radius: Tensor, camera: Camera, duration: float,
+               threads: int = 1) -> None:
+        """Add to running statistics, (N,) each, in place: Σ |∂L/∂ position| in normalised device coordinates,
+        Σ |∂L/∂μt| per duration, how many views, and the largest radius."""
+        kernel.add_view(id=self.visible, mean2d=self.mean2d, mean_t=self.mean_t, radius=self.radius,
+                        half_width=0.5 * camera.width, half_height=0.5 * camera.height, duration=duration, space=space,
+                        time=time, views=views, largest_radius=radius, threads=threads)
+
 
 @dataclass
 class Gradients:
@@ -75,10 +84,14 @@ class Gradients:
         named = {name: getattr(self, name) for name in names}
         return {name: tensor for name, tensor in named.items() if tensor is not None}
 
-    def zero_(self) -> None:
-        for tensor in self.dense().values():
-            tensor.zero_()
+    def zero_(self, threads: int = 1) -> None:
+        kernel.set_to_zero(arrays=list(self.dense().values()), threads=threads)
         self.views.clear()
+
+    def all_finite(self, threads: int = 1) -> bool:
+        """Neither NaN nor infinity among them, those of the SH included."""
+        tensors = [*self.dense().values(), *(view.gradient for view in self.views)]
+        return all(kernel.all_finite(array=tensor, threads=threads) for tensor in tensors)
 
     def sh(self, threads: int = 1, out: Tensor | None = None) -> Tensor:
         """The SH gradient, dense (N, (n+1)(l+1)², 3), into `out` if given. Training never asks for it."""

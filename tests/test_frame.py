@@ -114,6 +114,24 @@ def test_zeroed_gradients_start_afresh():
     assert torch.equal(gradients.mean, once["mean"]) and torch.equal(gradients.sh(), once["sh"])
 
 
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_one_value_that_is_not_finite_is_found_anywhere(value: float):
+    """Rows enough for several shares of work and a rest that fills no vector."""
+    gaussians = random_gaussians(40_009, "full", generator(15)).to(torch.float32)
+    gradients = Gradients.zeros_like(gaussians)
+    largest = torch.finfo(torch.float32).max
+    for name, tensor in gradients.dense().items():
+        flat = tensor.view(-1)
+        for place in (0, len(flat) // 2, len(flat) - 1):
+            for threads in (1, 3):
+                flat[place] = -largest
+                assert gradients.all_finite(threads), (name, place)
+                flat[place] = value
+                assert not gradients.all_finite(threads), (name, place)
+                gradients.zero_(threads)
+                assert not flat.any()
+
+
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_what_a_view_says_of_its_gaussians(motion: str):
     """∂L/∂pixel position, ∂L/∂μt and radius of the visible ones, against the twin."""

@@ -58,7 +58,7 @@ def time_frame(workload: Workload, threads: int, repeats: int, **options) -> Fra
     request, d_sh = workload.request(**options), torch.zeros_like(workload.gaussians.sh)
     marks, stages = [], {stage: [] for stage in STAGES}
     for _ in range(repeats):
-        gradients.zero_()
+        gradients.zero_(threads)
         at = [clock()]
         frame.render(workload.gaussians, request)
         at.append(clock())
@@ -136,7 +136,7 @@ def time_iteration(workload: Workload, threads: int, repeats: int, views: int = 
     spent: dict[str, list[float]] = {"rasterizer": [], "loss": [], "adam": [], "iteration": []}
     for step in range(1, repeats + 1):
         start = clock()
-        gradients.zero_()
+        gradients.zero_(threads)
         parts = dict.fromkeys(("rasterizer", "loss", "adam"), 0.0)
         touched = torch.zeros(len(gaussians), dtype=torch.uint8) if sparse else None
         for _ in range(views):

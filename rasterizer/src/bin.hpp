@@ -8,6 +8,7 @@
 
 #include <algorithm>
 #include <utility>
+#include <vector>
 
 #include "blocks.hpp"
 #include "frame.hpp"
@@ -96,13 +97,23 @@ inline void bin(Frame& f) {
     f.tile_begin[tiles] = total;
     // Gradient slots of one Gaussian lie together, Gaussians in order of id: the reduction reads them in
     // sequence.
-    uint32_t slot = 0;
-    for (size_t c = 0; c < f.chunk_count.size(); ++c)
+    const int chunks = static_cast<int>(f.chunk_count.size());
+    std::vector<uint32_t> chunk_slot(chunks, 0);  // entries of the chunk, then its first slot
+#pragma omp parallel for schedule(static) num_threads(segments)
+    for (int c = 0; c < chunks; ++c)
+        for (uint32_t i = 0; i < f.chunk_count[c]; ++i)
+            chunk_slot[c] += f.slot_range[static_cast<size_t>(c) * kChunk + i].count;
+    uint32_t slots = 0;
+    for (uint32_t& first : chunk_slot) slots += std::exchange(first, slots);
+#pragma omp parallel for schedule(static) num_threads(segments)
+    for (int c = 0; c < chunks; ++c) {
+        uint32_t slot = chunk_slot[c];
         for (uint32_t i = 0; i < f.chunk_count[c]; ++i) {
-            Frame::SlotRange& range = f.slot_range[c * kChunk + i];
+            Frame::SlotRange& range = f.slot_range[static_cast<size_t>(c) * kChunk + i];
             range.begin = slot;
             slot += range.count;
         }
+    }
 
     f.entry_splat.resize(total + kLanes);  // blend reads masks and indices sixteen at a time
     f.entry_mask.resize(total + kLanes);

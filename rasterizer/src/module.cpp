@@ -18,6 +18,8 @@
 #include "loss.hpp"
 #include "pairs.hpp"
 #include "rates.hpp"
+#include "statistics.hpp"
+#include "sweep.hpp"
 
 namespace nb = nanobind;
 
@@ -163,6 +165,24 @@ void adam_sh(Out sh, Out m, Out v, int coefficients, int orders, int active_coef
                    splat::AdamStep(beta1, beta2, epsilon, step), threads);
 }
 
+void set_to_zero(const std::vector<Out>& arrays, int threads) {
+    nb::gil_scoped_release release;
+    for (const Out& a : arrays) splat::set_to_zero(a.data(), static_cast<int64_t>(a.size()), threads);
+}
+
+bool all_finite(In array, int threads) {
+    nb::gil_scoped_release release;
+    return splat::all_finite(array.data(), static_cast<int64_t>(array.size()), threads);
+}
+
+void add_view(Array<const int32_t> id, In mean2d, In mean_t, In radius, float half_width, float half_height,
+              float duration, Out space, Out time, Out views, Out largest_radius, int threads) {
+    const splat::Statistics to{space.data(), time.data(), views.data(), largest_radius.data()};
+    nb::gil_scoped_release release;
+    splat::add_view(id.data(), mean2d.data(), mean_t.data(), radius.data(), static_cast<int64_t>(id.size()),
+                    half_width, half_height, duration, to, threads);
+}
+
 std::tuple<double, double> l1_ssim(In image, In target, Out gradient, float ssim_weight, float share,
                                    int threads) {
     const int height = static_cast<int>(image.shape(1)), width = static_cast<int>(image.shape(2));
@@ -214,6 +234,11 @@ NB_MODULE(KERNEL_MODULE_NAME, m) {
           nb::arg("orders"), nb::arg("active_coefficients"), nb::arg("active_orders"), nb::arg("lr_dc"),
           nb::arg("lr_rest"), nb::arg("sparse"), nb::arg("views"), nb::arg("beta1"), nb::arg("beta2"),
           nb::arg("epsilon"), nb::arg("step"), nb::arg("threads"));
+    m.def("add_view", &add_view, nb::arg("id"), nb::arg("mean2d"), nb::arg("mean_t"), nb::arg("radius"),
+          nb::arg("half_width"), nb::arg("half_height"), nb::arg("duration"), nb::arg("space"),
+          nb::arg("time"), nb::arg("views"), nb::arg("largest_radius"), nb::arg("threads"));
+    m.def("set_to_zero", &set_to_zero, nb::arg("arrays"), nb::arg("threads"));
+    m.def("all_finite", &all_finite, nb::arg("array"), nb::arg("threads"));
     m.def("measure_rates", [] {
         const splat::Rates rates = splat::measure_rates();
         return std::tuple{rates.fma_per_second, rates.copy_bytes_per_second};
