@@ -206,7 +206,7 @@ class Batch:
             loss += self._size * add_rigid_gradient(gradients, self._model, target.time, scene.duration,
                                                     cfg.train.rigid_weight / self._size, self._kernels.threads)
         if self.touched is not None:
-            self.touched[seen.visible.long()] = 1
+            seen.mark(self.touched, self._kernels.threads)
         self.loss += loss / self._size
         self.alive += frame.alive / self._size
         return ViewStep(loss, image, seen)

@@ -52,6 +52,10 @@ class ViewGradient:
     mean_t: Tensor  # (V,) ∂L/∂μt
     radius: Tensor  # (V,) 3 standard deviations on the screen, pixels
 
+    def mark(self, seen: Tensor, threads: int = 1) -> None:
+        """Set `seen` (N,) uint8 to 1 for the Gaussians it shows."""
+        kernel.mark_seen(id=self.visible, seen=seen, threads=threads)
+
     def add_to(self, space: Tensor, time: Tensor, views: Tensor, radius: Tensor, camera: Camera, duration: float,
                threads: int = 1) -> None:
         """Add to running statistics, (N,) each, in place: Σ |∂L/∂ position| in normalised device coordinates,

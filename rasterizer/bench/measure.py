@@ -148,7 +148,7 @@ def time_iteration(workload: Workload, threads: int, repeats: int, views: int = 
             seen = frame.backward(gradients, d_color=d_image)
             t3 = clock()
             if sparse:
-                touched[seen.visible.long()] = 1
+                seen.mark(touched, threads)
             parts["rasterizer"] += t1 - t0 + t3 - t2
             parts["loss"] += t2 - t1
         t0 = clock()

@@ -113,8 +113,9 @@ inline void adam_sh(float* sh, float* m, float* v, uint32_t count, int coefficie
                     for (int n = 0; n < active_orders; ++n)
                         for (int k = 0; k < 3 * active_coefficients; k += kLanes) {
                             const size_t at = row_stride * (i + kRowsAhead) + order_stride * n + k;
-                            __builtin_prefetch(sh + at, 1), __builtin_prefetch(m + at, 1),
-                                __builtin_prefetch(v + at, 1);
+                            // for reading: for writing takes a tenth longer here
+                            __builtin_prefetch(sh + at), __builtin_prefetch(m + at),
+                                __builtin_prefetch(v + at);
                         }
                 if (sparse && !chunk.touched[i - first]) continue;
                 for (int n = 0; n < active_orders; ++n) {

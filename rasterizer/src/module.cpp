@@ -183,6 +183,11 @@ void add_view(Array<const int32_t> id, In mean2d, In mean_t, In radius, float ha
                     half_width, half_height, duration, to, threads);
 }
 
+void mark_seen(Array<const int32_t> id, Array<uint8_t> seen, int threads) {
+    nb::gil_scoped_release release;
+    splat::mark_seen(id.data(), static_cast<int64_t>(id.size()), seen.data(), threads);
+}
+
 std::tuple<double, double> l1_ssim(In image, In target, Out gradient, float ssim_weight, float share,
                                    int threads) {
     const int height = static_cast<int>(image.shape(1)), width = static_cast<int>(image.shape(2));
@@ -237,6 +242,7 @@ NB_MODULE(KERNEL_MODULE_NAME, m) {
     m.def("add_view", &add_view, nb::arg("id"), nb::arg("mean2d"), nb::arg("mean_t"), nb::arg("radius"),
           nb::arg("half_width"), nb::arg("half_height"), nb::arg("duration"), nb::arg("space"),
           nb::arg("time"), nb::arg("views"), nb::arg("largest_radius"), nb::arg("threads"));
+    m.def("mark_seen", &mark_seen, nb::arg("id"), nb::arg("seen"), nb::arg("threads"));
     m.def("set_to_zero", &set_to_zero, nb::arg("arrays"), nb::arg("threads"));
     m.def("all_finite", &all_finite, nb::arg("array"), nb::arg("threads"));
     m.def("measure_rates", [] {

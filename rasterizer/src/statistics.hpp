@@ -30,4 +30,10 @@ inline void add_view(const int32_t* id, const float* mean2d, const float* mean_t
     }
 }
 
+// seen[id] = 1 for each of `count` Gaussians.
+inline void mark_seen(const int32_t* id, int64_t count, uint8_t* seen, int threads) {
+#pragma omp parallel for schedule(static) num_threads(threads)
+    for (int64_t i = 0; i < count; ++i) seen[id[i]] = 1;
+}
+
 }  // namespace splat
