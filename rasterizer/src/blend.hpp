@@ -50,7 +50,7 @@ SPLAT_INLINE int blend_block(const Splat* splats, const float* extras, const uin
     };
     int used = -1;
     // One splat ahead: the way to alpha is too long a chain for a processor to begin the next by itself (a
-    // sixth of a hot tile's time).
+    // tenth of a hot tile's time).
     Float upcoming = alpha_of(splats[places[0]]);
     for (int j = 0; j < count; ++j) {
         const Splat& s = splats[places[j]];
