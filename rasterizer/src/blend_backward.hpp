@@ -16,7 +16,6 @@ struct Unblended {
     Float transmittance[kBlocks];  // 0 once a pixel has ended: nothing more is blended there
     Float rest[kBlocks];           // Q
     Float gradient[3 + extra][kBlocks];
-    Float last[kBlocks];
 };
 
 // rendered: the images of the forward pass. d: ∂L/∂ them, null: zero.

@@ -17,7 +17,6 @@ inline constexpr int kTile = 16;  // a tile is 16×16 pixels ...
 inline constexpr int kBlock =
     4;  // ... made of sixteen 4×4 blocks, a block's pixels being the lanes of a Float
 inline constexpr int kBlocks = 16;  // 8×8 tiles have 1.7× the entries; 16×1 and 8×2 blocks lose too
-inline constexpr int kTilePixels = kTile * kTile;
 
 // What a model has; what it does not have is not compiled into its path.
 enum class Motion {
