@@ -2,31 +2,77 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from datasets.scene import Scene, SceneError, View, validate_scene
 
 if TYPE_CHECKING:  # the readers know nothing of configs; only this dispatch does
+    from datasets.plenoptic import Footage
     from pipeline.config import SceneConfig
 
-__all__ = ["Scene", "SceneError", "View", "load_scene", "validate_scene"]
+__all__ = ["Footage", "Scene", "SceneError", "View", "load_footage", "load_scene", "validate_scene"]
+
+Say = Callable[[str], None]  # takes a line of text for the user
 
 
-def load_scene(cfg: SceneConfig) -> Scene:
-    """The scene a config names; a synthetic one is made first unless it stands in the cache.
+def load_scene(cfg: SceneConfig, *, threads: int = 0, say: Say = print) -> Scene:
+    """The scene a config names; a synthetic one is made first, videos are decoded first, unless the cache holds them.
 
-    A reader's module is imported only when a config asks for it. Raises SceneError for bad data.
+    threads: that decode; 0 for all. A reader's module is imported only when a config asks for it. Raises SceneError
+    for bad data, and for the reader `video`: its cameras are known only after structure from motion, see load_footage.
     """
-    path = cfg.path
     if cfg.reader == "synthetic":
-        from datasets.synthetic import make_scene
-        path = make_scene(cfg.name.rpartition("/")[2], cfg.cache, seed=cfg.seed, size=cfg.size,
-                          train_views=cfg.train_views, test_views=cfg.test_views)
-    elif cfg.reader != "dnerf":
-        raise SceneError("scene.reader", "dnerf or synthetic", repr(cfg.reader))
-    if path is None:
-        raise SceneError("scene.path", "the folder of the data (scene.path=DIR)", "none")
+        return _load_synthetic(cfg, threads, say)
+    if cfg.reader == "dnerf":
+        return _load_dnerf(cfg, _path(cfg))
+    if cfg.reader == "plenoptic":
+        from datasets.plenoptic import read_plenoptic
+        return read_plenoptic(_path(cfg), **_filming(cfg, threads, say))
+    raise SceneError("scene.reader", "dnerf, plenoptic or synthetic, whose cameras are known", repr(cfg.reader))
 
+
+def load_footage(cfg: SceneConfig, *, threads: int = 0, say: Say = print) -> Footage:
+    """The videos of the reader `video`, checked but not decoded; Footage.to_scene makes the scene, given cameras."""
+    if cfg.reader != "video":
+        raise SceneError("scene.reader", "video", repr(cfg.reader))
+    from datasets.plenoptic import read_footage
+    return read_footage(_path(cfg), **_filming(cfg, threads, say))
+
+
+def __getattr__(name: str) -> Any:
+    if name == "Footage":  # late, as all that needs a video decoder
+        from datasets.plenoptic import Footage
+        return Footage
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def _load_synthetic(cfg: SceneConfig, threads: int, say: Say) -> Scene:
+    from datasets.synthetic import FILMED, make_scene
+    name = cfg.name.rpartition("/")[2]
+    path = make_scene(name, cfg.cache, seed=cfg.seed, size=cfg.size, train_views=cfg.train_views,
+                      test_views=cfg.test_views, cameras=cfg.cameras, frames=cfg.frames)
+    if name not in FILMED:
+        return _load_dnerf(cfg, path)
+    from datasets.plenoptic import read_plenoptic
+    return read_plenoptic(path, **_filming(cfg, threads, say))
+
+
+def _load_dnerf(cfg: SceneConfig, path: Path) -> Scene:
     from datasets.dnerf import read_dnerf
     return read_dnerf(path, name=cfg.name, test_split=cfg.test_split, downscale=cfg.downscale,
                       background=tuple(cfg.background), init_box=tuple(cfg.init_box))
+
+
+def _filming(cfg: SceneConfig, threads: int, say: Say) -> dict[str, Any]:
+    """The fields of datasets.plenoptic.Reading."""
+    return {"name": cfg.name, "downscale": cfg.downscale, "test_cameras": cfg.test_cameras,
+            "drop_cameras": cfg.drop_cameras, "first_frame": cfg.first_frame, "frames": cfg.frames, "cache": cfg.cache,
+            "background": cfg.background, "threads": threads, "say": say}
+
+
+def _path(cfg: SceneConfig) -> Path:
+    if cfg.path is None:
+        raise SceneError("scene.path", "the folder of the data (scene.path=DIR)", "none")
+    return Path(cfg.path)

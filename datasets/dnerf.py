@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -54,7 +55,7 @@ def read_dnerf(path: str | Path, *, name: str, test_split: str = "test", downsca
     frames = {split: _read_transforms(root, split) for split in ("train", test_split)}
     everything = [frame for split in frames.values() for frame in split]
     _check_times(root, everything)
-    size = _common_size(everything)
+    size = common_size([frame.image_path for frame in everything])
     if min(size) < downscale:
         raise SceneError(everything[0].image_path, f"at least {downscale} pixels a side (downscale)",
                          "{} x {}".format(*size))
@@ -91,6 +92,13 @@ def _block_means(plane: np.ndarray, side: int) -> np.ndarray:
 
 def _read_transforms(root: Path, split: str) -> list[Frame]:
     path = root / f"transforms_{split}.json"
+    content, entries = load_transforms(path)
+    angle_x = read_angle_x(content, path)
+    return [_read_frame(entry, f"{path}: frames[{index}]", root, angle_x) for index, entry in enumerate(entries)]
+
+
+def load_transforms(path: Path) -> tuple[dict, list]:
+    """A transforms file's content, and the list of its frames: one at least."""
     try:
         content = json.loads(path.read_text())
     except FileNotFoundError:
@@ -99,20 +107,37 @@ def _read_transforms(root: Path, split: str) -> list[Frame]:
         raise SceneError(path, "valid JSON", str(error)) from None
     if not isinstance(content, dict):
         raise SceneError(path, "an object with camera_angle_x and frames", type(content).__name__)
-    angle_x = _number(_get(content, "camera_angle_x", path), f"{path}: camera_angle_x")
-    if not 0 < angle_x < math.pi:
-        raise SceneError(f"{path}: camera_angle_x", "an angle in (0, π) radians", f"{angle_x}")
-    entries = _get(content, "frames", path)
+    entries = get_key(content, "frames", path)
     if not isinstance(entries, list) or not entries:
         raise SceneError(f"{path}: frames", "a list of at least one frame", "an empty list" if entries == [] else
                          type(entries).__name__)
-    return [_read_frame(entry, f"{path}: frames[{index}]", root, angle_x) for index, entry in enumerate(entries)]
+    return content, entries
+
+
+def read_angle_x(content: dict, path: Path) -> float:
+    """The horizontal field of view, radians."""
+    angle_x = read_number(get_key(content, "camera_angle_x", path), f"{path}: camera_angle_x")
+    if not 0 < angle_x < math.pi:
+        raise SceneError(f"{path}: camera_angle_x", "an angle in (0, π) radians", f"{angle_x}")
+    return angle_x
 
 
 def _read_frame(entry: Any, where: str, root: Path, angle_x: float) -> Frame:
+    file_path, image_path = find_image(entry, where, root)
+    time = None
+    if "time" in entry:
+        time = read_number(entry["time"], f"{where}: time")
+        if not 0 <= time <= 1:
+            raise SceneError(f"{where}: time", "a time in [0, 1]", f"{time}")
+    pose = read_pose(get_key(entry, "transform_matrix", where), f"{where}: transform_matrix")
+    return Frame(Path(file_path).as_posix().removesuffix(".png"), image_path, time, pose, angle_x)
+
+
+def find_image(entry: Any, where: str, root: Path) -> tuple[str, Path]:
+    """The file_path of an entry of `frames`, as it stands there, and the file it names."""
     if not isinstance(entry, dict):
         raise SceneError(where, "an object", type(entry).__name__)
-    file_path = _get(entry, "file_path", where)
+    file_path = get_key(entry, "file_path", where)
     if not isinstance(file_path, str) or not file_path:
         raise SceneError(f"{where}: file_path", "a file name", repr(file_path))
     image_path = root / file_path
@@ -120,17 +145,11 @@ def _read_frame(entry: Any, where: str, root: Path, angle_x: float) -> Frame:
         image_path = image_path.with_name(image_path.name + ".png")  # D-NeRF leaves it out
     if not image_path.is_file():
         raise SceneError(image_path, f"an image, named by {where}", "no such file")
-
-    time = None
-    if "time" in entry:
-        time = _number(entry["time"], f"{where}: time")
-        if not 0 <= time <= 1:
-            raise SceneError(f"{where}: time", "a time in [0, 1]", f"{time}")
-    pose = _read_pose(_get(entry, "transform_matrix", where), f"{where}: transform_matrix")
-    return Frame(Path(file_path).as_posix().removesuffix(".png"), image_path, time, pose, angle_x)
+    return file_path, image_path
 
 
-def _read_pose(value: Any, where: str) -> np.ndarray:
+def read_pose(value: Any, where: str) -> np.ndarray:
+    """(4, 4) float64, rigid."""
     try:
         pose = np.array(value, dtype=np.float64)
     except (TypeError, ValueError):
@@ -156,30 +175,36 @@ def _check_times(root: Path, frames: list[Frame]) -> None:
                          f"none here and in {len(missing)} of {len(frames)} frames")
 
 
-def _common_size(frames: list[Frame]) -> tuple[int, int]:
+def common_size(paths: Sequence[Path]) -> tuple[int, int]:
     """(width, height) of all images, from their headers."""
     sizes = []
-    for frame in frames:
+    for path in paths:
         try:
-            with Image.open(frame.image_path) as image:
+            with Image.open(path) as image:
                 sizes.append(image.size)
         except Exception as error:  # PIL raises many types for broken files
-            raise SceneError(frame.image_path, "a readable image", str(error)) from None
+            raise SceneError(path, "a readable image", str(error)) from None
         if sizes[-1] != sizes[0]:
-            raise SceneError(frame.image_path, "{} x {} pixels as {}".format(*sizes[0], frames[0].image_path.name),
+            raise SceneError(path, "{} x {} pixels as {}".format(*sizes[0], paths[0].name),
                              "{} x {}".format(*sizes[-1]))
     return sizes[0]
 
 
-def _read_view(frame: Frame, size: tuple[int, int], downscale: int, background: tuple[float, float, float]) -> View:
+def read_rgba(path: Path) -> np.ndarray:
+    """(H, W, 4) uint8, straight alpha; 255 where the file has none."""
     try:
-        with Image.open(frame.image_path) as image:
+        with Image.open(path) as image:
             mode = image.mode
             rgba = np.asarray(image.convert("RGBA"))
     except Exception as error:  # a truncated file shows only now
-        raise SceneError(frame.image_path, "a readable image", str(error)) from None
+        raise SceneError(path, "a readable image", str(error)) from None
     if mode.startswith(("I", "F")):
-        raise SceneError(frame.image_path, "8 bits a channel", f"image mode {mode}")
+        raise SceneError(path, "8 bits a channel", f"image mode {mode}")
+    return rgba
+
+
+def _read_view(frame: Frame, size: tuple[int, int], downscale: int, background: tuple[float, float, float]) -> View:
+    rgba = read_rgba(frame.image_path)
     width, height = size
     focal = 0.5 * width / math.tan(0.5 * frame.angle_x)
     camera = Camera.from_blender(width, height, focal, frame.cam_to_world)
@@ -189,13 +214,13 @@ def _read_view(frame: Frame, size: tuple[int, int], downscale: int, background: 
     return View(kept.resized(small.shape[1], small.shape[0]), frame.time or 0.0, small, frame.name)
 
 
-def _get(container: dict, key: str, where: str | Path) -> Any:
+def get_key(container: dict, key: str, where: str | Path) -> Any:
     if key not in container:
         raise SceneError(where, f"the key {key}", f"only {', '.join(container) or 'nothing'}")
     return container[key]
 
 
-def _number(value: Any, where: str) -> float:
+def read_number(value: Any, where: str) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise SceneError(where, "a number", repr(value))
     return float(value)

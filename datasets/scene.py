@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
@@ -25,13 +26,25 @@ class SceneError(ValueError):
         super().__init__(" ".join(f"{where}: expected {expected}, found {found}".split()))
 
 
+class Image(Protocol):
+    """Pixels (H, W, 3) uint8: an array, or something that reads one when asked for it (frames.StoredFrame)."""
+
+    @property
+    def shape(self) -> tuple[int, ...]: ...
+
+    @property
+    def dtype(self) -> np.dtype: ...
+
+    def __array__(self, dtype: np.dtype | None = None, copy: bool | None = None) -> np.ndarray: ...
+
+
 @dataclass(frozen=True)
 class View:
     """One image: who saw it, when, and what was seen."""
 
     camera: Camera
     time: float  # in the scene's own unit, within [time_start, time_start + duration]; 0 when static
-    image: np.ndarray  # (H, W, 3) uint8, already composed over the scene's background
+    image: Image  # already composed over the scene's background; np.asarray reads it
     name: str  # unique in the scene, e.g. "train/r_0"
 
 
@@ -48,6 +61,8 @@ class Scene:
     extent: float  # world units, see camera_extent
     init_box: tuple[float, float]  # random points start in the cube [low, high]³, world units
     source: Path  # the folder it was read from
+    unit: float = 1.0  # world units of one normalised unit, which the near plane is given in
+    frame_rate: float | None = None  # of the videos it was filmed as, a second; None: photographs
 
     @property
     def time_end(self) -> float:

@@ -32,6 +32,7 @@ class Checkpoint:
     model: Model
     step_count: int  # Adam's
     moments: tuple[dict[str, Tensor], dict[str, Tensor]] | None  # None: dropped after the end of training
+    environment_moments: tuple[Tensor, Tensor] | None  # likewise, or the model has no environment
     statistics: dict[str, Tensor]  # densification's, densify.Statistics.state()
     sampler: dict  # sampling.BatchSampler.state()
     split_generator: Tensor  # torch.Generator.get_state()
@@ -42,12 +43,14 @@ class Checkpoint:
 def save(path: Path, checkpoint: Checkpoint) -> None:
     """Write `path` durably. The same checkpoint gives the same bytes."""
     c = checkpoint
-    tensors = {f"model.{name}": t for name, t in c.model.parameters.items()}
+    tensors = {f"model.{name}": t for name, t in c.model.state().items()}
     for order, moments in zip(("first", "second"), c.moments or ()):
         tensors |= {f"{order}.{name}": t for name, t in moments.items()}
+    for order, moment in zip(("first", "second"), c.environment_moments or ()):
+        tensors[f"environment.{order}"] = moment
     tensors |= {f"statistics.{name}": t for name, t in c.statistics.items()}
     if c.best_model is not None:
-        tensors |= {f"best.{name}": t for name, t in c.best_model.parameters.items()}
+        tensors |= {f"best.{name}": t for name, t in c.best_model.state().items()}
     tensors["sampler.order"] = torch.from_numpy(c.sampler["order"])
     tensors["split_generator"] = c.split_generator
     kind = c.model.kind
@@ -75,19 +78,22 @@ def load(path: Path) -> Checkpoint:
     for name, tensor in tensors.items():
         group, _, rest = name.partition(".")
         groups.setdefault(group, {})[rest] = tensor
+    environment = groups.get("environment")
     sampler = dict(header["sampler"], order=tensors["sampler.order"].numpy())
     return Checkpoint(
         iteration=header["iteration"], train_seconds=header["train_seconds"], seed=header["seed"],
-        model=Model(kind, groups["model"]), step_count=header["step_count"],
+        model=Model.restored(kind, groups["model"]), step_count=header["step_count"],
         moments=(groups["first"], groups["second"]) if "first" in groups else None,
+        environment_moments=(environment["first"], environment["second"]) if environment else None,
         statistics=groups["statistics"], sampler=sampler, split_generator=tensors["split_generator"],
-        best=header["best"], best_model=Model(kind, groups["best"]) if "best" in groups else None)
+        best=header["best"], best_model=Model.restored(kind, groups["best"]) if "best" in groups else None)
 
 
 def load_model(path: Path) -> Model:
     """The model of a checkpoint alone, without reading Adam's moments."""
     header, tensors = _read(path, prefix="model.")
-    return Model(ModelKind(*header["kind"]), {name.removeprefix("model."): t for name, t in tensors.items()})
+    state = {name.removeprefix("model."): tensor for name, tensor in tensors.items()}
+    return Model.restored(ModelKind(*header["kind"]), state)
 
 
 def _read(path: Path, prefix: str = "") -> tuple[dict, dict[str, Tensor]]:

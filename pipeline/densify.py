@@ -3,6 +3,7 @@
 Gaussians whose place the loss keeps pulling at stand where the model is too coarse: a small one is cloned, a big one
 split. Two indicators say so, the gradient of the position on the screen and the gradient of the mean in time. The
 functions here are pure but for `densify` and `reset_opacity`, which apply their decisions through the optimiser.
+Gaussians on the sphere round the scene have rules of their own, see background.py.
 """
 
 from __future__ import annotations
@@ -108,18 +109,19 @@ def choose_growth(model: Model, statistics: Statistics, cfg: DensifyConfig, exte
 
     Either indicator at its threshold selects; the temporal one only with `use_time_gradient` and `time_split`.
     Those already too transparent to live are passed over. Where the cap binds, the largest ratio of indicator to
-    threshold goes first, ties by index.
+    threshold goes first, ties by index. Neither the cap nor the choice knows the background's sphere.
     """
     space, time = statistics.indicators()
     urgency = space / cfg.space_gradient
     if cfg.use_time_gradient and time_split and model.kind.dims == 4:
         urgency = torch.maximum(urgency, time / cfg.time_gradient)
     transparent = _transparent(model, cfg)
-    selected = (urgency >= 1) & ~transparent
+    here = torch.ones_like(transparent) if model.sphere is None else ~model.sphere
+    selected = (urgency >= 1) & here & ~transparent
     big = _spatial_scale(model) > cfg.split_scale * extent
     added = torch.where(big, cfg.split_count - 1, 1)  # a split replaces its parent
 
-    room = cfg.max_gaussians - (len(model) - int(transparent.sum()))
+    room = cfg.max_gaussians - int((here & ~transparent).sum())
     if int(added[selected].sum()) > room:
         order = torch.sort(urgency.masked_fill(~selected, -1.0), descending=True, stable=True).indices
         order = order[: int(selected.sum())]
@@ -152,11 +154,15 @@ def split_rows(model: Model, mask: Tensor, cfg: DensifyConfig, time_split: bool,
     return rows
 
 
-def to_prune(model: Model, radius: Tensor, iteration: int, cfg: DensifyConfig, extent: float) -> Tensor:
+def to_prune(model: Model, radius: Tensor, iteration: int, cfg: DensifyConfig, extent: float,
+             train_sphere: bool = True) -> Tensor:
     """(N,) bool: too transparent, or, after `prune_big_after`, too big on the screen (`radius`, px) or in space."""
-    prune = _transparent(model, cfg)
+    transparent = _transparent(model, cfg)
+    prune = transparent
     if iteration > cfg.prune_big_after:
         prune = prune | (radius > cfg.prune_radius_px) | (_spatial_scale(model) > cfg.prune_scale * extent)
+    if model.sphere is not None:
+        prune = torch.where(model.sphere, transparent & train_sphere, prune)
     return prune
 
 
@@ -168,6 +174,7 @@ def densify(
     extent: float,
     time_split: bool,
     generator: torch.Generator,
+    train_sphere: bool = True,  # False: the background's sphere is frozen
 ) -> tuple[Statistics, Densified]:
     """Clone, split, then prune, on the optimiser's model. Returns empty statistics for the new set of Gaussians.
 
@@ -184,7 +191,7 @@ def densify(
     radius = torch.zeros(len(model))
     parents = statistics.radius[~growth.split]
     radius[: len(parents)] = parents
-    prune = to_prune(model, radius, iteration, cfg, extent)
+    prune = to_prune(model, radius, iteration, cfg, extent, train_sphere)
     pruned = int(prune.sum())
     if 0 < pruned < len(model):
         optimiser.keep(~prune)
@@ -194,11 +201,14 @@ def densify(
     return Statistics(len(model)), done
 
 
-def reset_opacity(optimiser: Adam, cfg: DensifyConfig) -> None:
-    """Bring every opacity down to at most `opacity_reset_to` and forget its moments (3DGS)."""
+def reset_opacity(optimiser: Adam, cfg: DensifyConfig, train_sphere: bool = True) -> None:
+    """Bring every opacity down to at most `opacity_reset_to` and forget its moments (3DGS), but those of a sphere that
+    is no longer trained."""
     highest = torch.logit(torch.tensor(cfg.opacity_reset_to, dtype=torch.float64)).item()
-    optimiser.model.parameters["opacity_logit"].clamp_(max=highest)
-    optimiser.zero_moments("opacity_logit")
+    sphere, logit = optimiser.model.sphere, optimiser.model.parameters["opacity_logit"]
+    rows = slice(None) if sphere is None or train_sphere else ~sphere
+    logit[rows] = logit[rows].clamp(max=highest)
+    optimiser.zero_moments("opacity_logit", rows)
 
 
 def _transparent(model: Model, cfg: DensifyConfig) -> Tensor:

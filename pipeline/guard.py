@@ -22,8 +22,8 @@ class NonFiniteError(FloatingPointError):
 def check_loss(loss: float, iteration: int, view: str, model: Model) -> None:
     """After each view."""
     if not math.isfinite(loss):
-        found = model.first_non_finite()
-        cause = f"Gaussian {found[1]} has a non-finite {found[0]}" if found else "all Gaussians are finite"
+        broken = _broken(model)
+        cause = f"NaN or Inf in {broken}" if broken else "the model is finite"
         raise NonFiniteError(f"iteration {iteration}, view {view}: expected a finite loss, found {loss}; {cause}")
 
 
@@ -50,10 +50,10 @@ def check_gradients(
 
 def check_model(model: Model, iteration: int) -> None:
     """Before a checkpoint is written: a broken model must not replace a good one."""
-    found = model.first_non_finite()
-    if found is not None:
-        raise NonFiniteError(f"iteration {iteration}: expected finite parameters, found NaN or Inf in {found[0]} "
-                             f"of Gaussian {found[1]}; not written to the checkpoint")
+    broken = _broken(model)
+    if broken is not None:
+        raise NonFiniteError(f"iteration {iteration}: expected finite parameters, found NaN or Inf in {broken}; "
+                             "not written to the checkpoint")
 
 
 def first_non_finite(gradients: Gradients) -> tuple[str, int] | None:
@@ -66,6 +66,16 @@ def first_non_finite(gradients: Gradients) -> tuple[str, int] | None:
         row = _first_bad_row(view.gradient)
         if row is not None:
             return "sh", int(view.visible[row])
+    return None
+
+
+def _broken(model: Model) -> str | None:
+    """Where the first parameter is that is NaN or Inf, in words, or None."""
+    found = model.first_non_finite()
+    if found is not None:
+        return f"{found[0]} of Gaussian {found[1]}"
+    if model.environment is not None and not torch.isfinite(model.environment.image).all():
+        return "the environment map"
     return None
 
 

@@ -1,4 +1,5 @@
-"""The Gaussians training starts from (SPEC 2): random points in a cube, as D-NeRF scenes have no point cloud."""
+"""The Gaussians training starts from (SPEC 2): random points in a cube, or those of structure from motion; and where
+the scene has an open background, more on a sphere round it."""
 
 from __future__ import annotations
 
@@ -7,27 +8,60 @@ import torch
 from scipy.spatial import cKDTree
 
 from datasets.scene import Scene
+from pipeline.background import sphere_points
 from pipeline.config import Config
 from pipeline.model import Model, kind_of
+from pipeline.sfm.photograph import Reconstruction
 
 # 3DGS: squared distances are kept above this, so that coincident points still have a finite log scale.
 MIN_SQUARED_DISTANCE = 1e-7
 
+SH_C0 = 0.28209479177387814  # Y_00 = 1 / (2 √π)
 
-def initialise(scene: Scene, cfg: Config, generator: np.random.Generator) -> Model:
+
+def initialise(scene: Scene, cfg: Config, generator: np.random.Generator, cloud: Reconstruction | None = None) -> Model:
     """A fresh model of the kind the scene and the ablation ask for.
 
-    Positions are uniform in the cube `scene.init_box`³ (or `train.init_box`³), times uniform over the scene's
-    duration widened by `train.init_time_margin` × duration a side. Deterministic in `generator`.
+    Positions and colours are those of `cloud`; without one positions are uniform in the cube `scene.init_box`³ (or
+    `train.init_box`³) and colours grey. Times are uniform over the scene's duration widened by `train.init_time_margin`
+    × duration a side. Deterministic in `generator`.
     """
+    points, sh_dc = _random_points(scene, cfg, generator) if cloud is None else (cloud.points, _sh_dc(cloud.colors))
+    sphere = 0
+    if cfg.background_model == "sphere":
+        sphere = cfg.init.sphere_points
+        places = np.concatenate([points, [view.camera.position for view in scene.train]])
+        around = sphere_points(sphere, *bounding_sphere(places, cfg.init.sphere_radius), generator)
+        points, sh_dc = np.concatenate([points, around]), np.concatenate([sh_dc, _grey(sphere, generator)])
+    margin = cfg.train.init_time_margin * scene.duration
+    times = generator.uniform(scene.time_start - margin, scene.time_start + scene.duration + margin, size=len(points))
+    model = from_points(points, times, sh_dc, scene, cfg)
+    if not sphere:
+        return model
+    return Model(model.kind, model.parameters, sphere=torch.arange(len(points)) >= len(points) - sphere)
+
+
+def bounding_sphere(places: np.ndarray, reach: float) -> tuple[np.ndarray, float]:
+    """(centre (3,), radius): the middle of the box round `places` (N, 3), `reach` times the farthest one's distance."""
+    centre = 0.5 * (places.min(axis=0) + places.max(axis=0))
+    return centre, reach * float(np.linalg.norm(places - centre, axis=1).max())
+
+
+def _random_points(scene: Scene, cfg: Config, generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (N, 3) in the cube, and colours as coefficients (N, 3)."""
     count = cfg.scene.init_points if cfg.train.init_points is None else cfg.train.init_points
     low, high = scene.init_box if cfg.train.init_box is None else cfg.train.init_box
-    points = generator.uniform(low, high, size=(count, 3))
-    margin = cfg.train.init_time_margin * scene.duration
-    times = generator.uniform(scene.time_start - margin, scene.time_start + scene.duration + margin, size=count)
-    # 3DGS's start for Blender scenes: grey (½ from 4DSH's offset) with a trace of noise.
-    sh_dc = generator.uniform(0.0, 1.0 / 255.0, size=(count, 3))
-    return from_points(points, times, sh_dc, scene, cfg)
+    return generator.uniform(low, high, size=(count, 3)), _grey(count, generator)
+
+
+def _grey(count: int, generator: np.random.Generator) -> np.ndarray:
+    """(N, 3) coefficients: 3DGS's start for Blender scenes, grey (½ from 4DSH's offset) with a trace of noise."""
+    return generator.uniform(0.0, 1.0 / 255.0, size=(count, 3))
+
+
+def _sh_dc(colors: np.ndarray) -> np.ndarray:
+    """(N, 3) uint8 -> coefficients of order 0, degree 0 that show these colours from everywhere, at all times."""
+    return (colors / 255.0 - 0.5) / SH_C0
 
 
 def from_points(

@@ -11,7 +11,8 @@ from pathlib import Path
 
 from pipeline.run_folder import now
 
-PACKAGES = ("torch", "numpy", "scipy", "scikit-image", "pytorch-msssim", "safetensors", "hydra-core")
+PACKAGES = ("torch", "numpy", "scipy", "scikit-image", "pytorch-msssim", "safetensors", "hydra-core",
+            "opencv-contrib-python-headless", "imageio-ffmpeg", "pycolmap")
 PROJECT_ROOT = Path(__file__).resolve().parent.parent
 
 

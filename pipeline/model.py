@@ -2,6 +2,8 @@
 
 A model is a plain bag of tensors. Which tensors there are, and how wide, is its `ModelKind`: a static scene stores
 no time, a model without 4D rotation no right quaternion, a model without Fourier orders no coefficients for them.
+Two more parts exist only where a scene's open background is modelled: the label of the Gaussians on the sphere round
+the scene (background.py), or the environment map (environment.py).
 """
 
 from __future__ import annotations
@@ -13,6 +15,7 @@ from torch import Tensor
 
 from datasets.scene import Scene
 from pipeline.config import Config
+from pipeline.environment import EnvironmentMap
 from rasterizer.gaussians import Gaussians, Motion
 
 FIELDS = ("mean", "log_scale", "quat_left", "quat_right", "opacity_logit", "sh")
@@ -64,8 +67,12 @@ class Model:
     `parameters` is replaced row-wise by densification (see optimiser.py) and changed in place by Adam.
     """
 
-    def __init__(self, kind: ModelKind, parameters: dict[str, Tensor]) -> None:
-        """Raises ValueError naming the field whose presence, dtype or shape does not fit `kind`."""
+    def __init__(self, kind: ModelKind, parameters: dict[str, Tensor], sphere: Tensor | None = None,
+                 environment: EnvironmentMap | None = None) -> None:
+        """sphere: (N,) bool, which Gaussians stand on the sphere round the scene; None: there is no sphere.
+
+        Raises ValueError naming the field whose presence, dtype or shape does not fit `kind`.
+        """
         shapes = kind.shapes()
         if set(parameters) != set(shapes):
             raise ValueError(f"{kind.motion} model: expected fields {list(shapes)}, found {sorted(parameters)}")
@@ -74,8 +81,12 @@ class Model:
             tensor = parameters[name]
             if tensor.dtype != torch.float32 or tuple(tensor.shape) != (n, *row):
                 raise ValueError(f"{name}: expected float32 {[n, *row]}, found {tensor.dtype} {list(tensor.shape)}")
+        if sphere is not None and (sphere.dtype != torch.bool or tuple(sphere.shape) != (n,)):
+            raise ValueError(f"sphere: expected bool {[n]}, found {sphere.dtype} {list(sphere.shape)}")
         self.kind = kind
         self.parameters = {name: parameters[name].contiguous() for name in shapes}
+        self.sphere = sphere
+        self.environment = environment
 
     @classmethod
     def from_gaussians(cls, gaussians: Gaussians) -> Model:
@@ -87,15 +98,37 @@ class Model:
         return Gaussians(**{name: self.parameters.get(name) for name in FIELDS})
 
     def copy(self) -> Model:
-        return Model(self.kind, {name: tensor.clone() for name, tensor in self.parameters.items()})
+        return Model.restored(self.kind, {name: tensor.clone() for name, tensor in self.state().items()})
+
+    def state(self) -> dict[str, Tensor]:
+        """All tensors by name (not copies), those of the background among them where there is one."""
+        state = dict(self.parameters)
+        if self.sphere is not None:
+            state["sphere"] = self.sphere
+        if self.environment is not None:
+            state["environment"] = self.environment.image
+        return state
+
+    @classmethod
+    def restored(cls, kind: ModelKind, state: dict[str, Tensor]) -> Model:
+        """The model whose `state()` this is."""
+        parameters = {name: tensor for name, tensor in state.items() if name not in ("sphere", "environment")}
+        environment = EnvironmentMap(state["environment"]) if "environment" in state else None
+        return cls(kind, parameters, state.get("sphere"), environment)
 
     def __len__(self) -> int:
         return self.parameters["mean"].shape[0]
 
     @property
+    def background(self) -> str:
+        """none, sphere or envmap, as the configuration calls it."""
+        return "envmap" if self.environment is not None else "none" if self.sphere is None else "sphere"
+
+    @property
     def bytes(self) -> int:
-        """Size of the parameters; with Adam's two moments it is three times this."""
-        return sum(tensor.numel() * tensor.element_size() for tensor in self.parameters.values())
+        """Size of the parameters, the environment's among them; with Adam's two moments it is three times this."""
+        gaussians = sum(tensor.numel() * tensor.element_size() for tensor in self.parameters.values())
+        return gaussians + (self.environment.bytes if self.environment else 0)
 
     def first_non_finite(self) -> tuple[str, int] | None:
         """(field, Gaussian index) of the first value that is NaN or Inf, or None."""

@@ -1,8 +1,10 @@
 """The model as a .ply file that viewers of 3D Gaussian Splatting open, and back without loss.
 
 A static model is exactly 3DGS's file. A 4D model adds properties such viewers skip: `t`, `scale_3` (log time scale),
-`rot_right_0..3`, and the coefficients of Fourier order n as `f_fourier<n>_*`. Shown in such a viewer, it is the 4D
-Gaussians' spatial part without conditioning on a time: right for checking an initialisation, a blur for motion.
+`rot_right_0..3`, and the coefficients of Fourier order n as `f_fourier<n>_*`; so does one with a sphere round the
+scene, `sphere`, 1 for its Gaussians and 0 for the others. An environment map is no Gaussian and is left out. Shown in
+such a viewer, a 4D model is the Gaussians' spatial part without conditioning on a time: right for checking an
+initialisation, a blur for motion.
 """
 
 from __future__ import annotations
@@ -20,6 +22,8 @@ def save_ply(path: Path, model: Model) -> None:
     """Write binary little-endian float32, one vertex a Gaussian, values before activation (as 3DGS does)."""
     columns = {name: model.parameters[field].reshape(len(model), -1)[:, index].numpy()
                for name, field, index in _layout(model.kind)}
+    if model.sphere is not None:
+        columns["sphere"] = model.sphere.numpy()
     names = list(columns)
     normals = names.index("f_dc_0")  # 3DGS stores unused normals before the colours
     order = names[:normals] + ["nx", "ny", "nz"] + names[normals:]
@@ -43,8 +47,9 @@ def load_ply(path: Path) -> Model:
         if name not in present:
             raise ValueError(f"{path}: expected a property {name} of a {kind.motion} model, found none")
         parameters[field][:, index] = torch.from_numpy(np.array(vertices[name], dtype=np.float32))
-    return Model(kind, {field: parameters[field].reshape(len(vertices), *row)
-                        for field, row in kind.shapes().items()})
+    parameters = {field: parameters[field].reshape(len(vertices), *row) for field, row in kind.shapes().items()}
+    sphere = torch.from_numpy(np.array(vertices["sphere"], dtype=bool)) if "sphere" in present else None
+    return Model(kind, parameters, sphere)
 
 
 def _kind(path: Path, present: set[str]) -> ModelKind:

@@ -18,10 +18,12 @@ Rate = Union[float, tuple[float, ...]]  # one for the field, or one a column
 class Phase:
     """What one iteration trains with."""
 
-    rates: dict[str, Rate]  # by field; sh: (DC, rest)
+    rates: dict[str, Rate]  # by field, and of the environment map; sh: (DC, rest)
     sh_degree: int
     fourier_order: int
     resolution: float  # × the size the images were read at
+    sphere: bool  # is the background's sphere still trained (background.py)
+    environment: bool  # is the environment map (environment.py)
 
 
 def clock(iteration: int, train_seconds: float, cfg: TrainConfig) -> float:
@@ -36,11 +38,12 @@ def phase(now: float, cfg: TrainConfig, extent: float, max_sh_degree: int, max_f
     fraction = min(1.0, now / cfg.iterations)
     return Phase(rates(now, fraction, cfg.rate, extent), sh_degree(now, cfg.sh_degree_every, max_sh_degree),
                  fourier_order(now, cfg.fourier_at, max_fourier_order),
-                 cfg.resolution_scale * resolution(fraction, cfg.resolution_steps))
+                 cfg.resolution_scale * resolution(fraction, cfg.resolution_steps),
+                 sphere=now <= cfg.sphere_freeze_after, environment=now <= cfg.environment_until)
 
 
 def rates(now: float, fraction: float, cfg: RateConfig, extent: float) -> dict[str, Rate]:
-    """Learning rate of every field at clock `now`, `fraction` of the whole schedule done.
+    """Learning rate of every field, and of the environment map, at clock `now`, `fraction` of the whole schedule done.
 
     The mean's columns are x, y, z (log-linear decay over `decay_iterations`) and t (constant, as the release).
     The unit of t's rate is the extent's too: the paper does not scale time.
@@ -51,7 +54,7 @@ def rates(now: float, fraction: float, cfg: RateConfig, extent: float) -> dict[s
     rotation = cfg.rotation * decay
     return {"mean": (xyz, xyz, xyz, t), "log_scale": cfg.scale * decay, "quat_left": rotation,
             "quat_right": rotation, "opacity_logit": cfg.opacity * decay,
-            "sh": (cfg.sh_dc * decay, cfg.sh_rest * decay)}
+            "sh": (cfg.sh_dc * decay, cfg.sh_rest * decay), "environment": cfg.environment * decay}
 
 
 def log_linear(start: float, end: float, fraction: float) -> float:

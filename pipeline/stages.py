@@ -1,4 +1,4 @@
-"""The three stages of a run: init → train → evaluate. Each is skipped if it was finished with the same inputs.
+"""The stages of a run: (sfm →) init → train → evaluate. Each is skipped if it was finished with the same inputs.
 
 A stage's inputs are what its result depends on: the stage before it, the data, and its part of the configuration.
 """
@@ -7,20 +7,22 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
-from datasets import Scene, load_scene
+from datasets import Scene
 from pipeline import checkpoint as checkpoints
 from pipeline.config import Config
-from pipeline.evaluate import Evaluation, evaluate, png_saver, quick_evaluate
+from pipeline.evaluate import Evaluation, evaluate, evaluate_and_show, quick_evaluate
 from pipeline.initialise import initialise
 from pipeline.machine import environment, peak_memory_mb, reset_peak_memory, usable_cores
 from pipeline.model import Model
 from pipeline.ply import load_ply, save_ply
+from pipeline.prepare import Prepared, prepare
 from pipeline.run_folder import RunFolder, now, replacing, write_csv, write_json
 from pipeline.train import Progress, TrainResult, train
 from rasterizer import Frame
@@ -34,31 +36,38 @@ def run(cfg: Config, command: str, say: Say) -> dict:
     command: what the user typed, for the record. say: takes a line of text for the user.
     """
     with RunFolder(Path(cfg.out), asdict(cfg), cfg.resume) as folder:
-        scene = load_scene(cfg.scene)
-        inputs = stage_inputs(cfg, scene)
+        data = prepare(cfg, say)
+        inputs = stage_inputs(cfg, data)
         if folder.inputs_of("init") not in (None, inputs["init"]):
-            raise ValueError(f"{folder.path}: holds a run made from other data than {scene.source} holds now; "
+            raise ValueError(f"{folder.path}: holds a run made from other data than {data.scene.source} holds now; "
                              "give another out=DIR, or resume=false to replace it")
-        if not all(_done(folder, stage, inputs[stage]) for stage in _OUTPUTS):
+        if not all(_done(folder, stage, inputs[stage]) for stage in inputs):
             write_json(folder.environment, environment(command))
             folder.log({"event": "start", "command": command})
-        for stage, work in (("init", _init), ("train", _train), ("evaluate", _evaluate)):
+        for stage in inputs:
             if _done(folder, stage, inputs[stage]):
                 say(f"{stage}: already done in {folder.path}")
                 continue
             say(f"{stage}: {folder.path}")
-            folder.finish(stage, inputs[stage], **work(cfg, scene, folder))
+            folder.finish(stage, inputs[stage], **_WORK[stage](cfg, data, folder))
             folder.log({"event": f"finished {stage}"})
         return json.loads(folder.metrics.read_text())
 
 
-def stage_inputs(cfg: Config, scene: Scene) -> dict[str, str]:
-    """Stage -> hash of everything its result depends on."""
-    config = asdict(cfg)
+def stage_inputs(cfg: Config, data: Prepared) -> dict[str, str]:
+    """Stage -> hash of everything its result depends on; `sfm` only where the scene has points from it."""
+    config, found = asdict(cfg), {}
     starts = {key: value for key, value in config["train"].items() if key.startswith("init_")}
-    init = _hash(fingerprint(scene), config["ablation"], starts, config["scene"]["init_points"], cfg.seed)
-    training = _hash(init, config["train"], config["scene"]["near"])
-    return {"init": init, "train": training, "evaluate": _hash(training, config["evaluate"])}
+    beginning = [fingerprint(data.scene), config["ablation"], starts, config["scene"]["init_points"], cfg.seed]
+    if data.cloud is not None:
+        found["sfm"] = _hash(data.sfm_folder.name)
+        beginning.append(found["sfm"])
+    if cfg.background_model != "none":
+        beginning += [cfg.background_model, cfg.init.sphere_points, cfg.init.sphere_radius]
+    found["init"] = _hash(*beginning)
+    found["train"] = _hash(found["init"], config["train"], config["scene"]["near"])
+    found["evaluate"] = _hash(found["train"], config["evaluate"])
+    return found
 
 
 def fingerprint(scene: Scene) -> str:
@@ -69,20 +78,31 @@ def fingerprint(scene: Scene) -> str:
         c = view.camera
         digest.update(repr((view.name, view.time, c.width, c.height, c.fx, c.fy, c.cx, c.cy)).encode())
         digest.update(c.world_to_cam.tobytes())
-        digest.update(np.ascontiguousarray(view.image))
+        # A stored frame has its checksum at hand: a scene of 25 GB is not read through for this.
+        known = getattr(view.image, "checksum", None)
+        digest.update(np.ascontiguousarray(view.image) if known is None else known.encode())
     return digest.hexdigest()
 
 
-def _init(cfg: Config, scene: Scene, folder: RunFolder) -> dict:
-    """scene → init.ply."""
-    model = initialise(scene, cfg, np.random.default_rng([cfg.seed, 0]))
+def _sfm(cfg: Config, data: Prepared, folder: RunFolder) -> dict:
+    """The kept result of structure from motion → sfm.json, sfm.png."""
+    for path in (folder.sfm, folder.sfm_picture):
+        with replacing(path) as temporary:
+            shutil.copyfile(data.sfm_folder / path.name, temporary)
+    return data.cloud.summary()
+
+
+def _init(cfg: Config, data: Prepared, folder: RunFolder) -> dict:
+    """scene and points → init.ply."""
+    model = initialise(data.scene, cfg, np.random.default_rng([cfg.seed, 0]), data.cloud)
     with replacing(folder.init_ply) as temporary:
         save_ply(temporary, model)
     return {"n_gaussians": len(model)}
 
 
-def _train(cfg: Config, scene: Scene, folder: RunFolder) -> dict:
+def _train(cfg: Config, data: Prepared, folder: RunFolder) -> dict:
     """init.ply → checkpoint.safetensors, error_vs_time.csv; goes on from the checkpoint if there is one."""
+    scene = data.scene
     frame = Frame(threads=_threads(cfg))
 
     def look(model: Model, progress: Progress) -> dict:
@@ -96,11 +116,12 @@ def _train(cfg: Config, scene: Scene, folder: RunFolder) -> dict:
             "n_gaussians": len(result.model), **_sizes(result), "peak_rss_mb": _peak_memory_mb(folder)}
 
 
-def _evaluate(cfg: Config, scene: Scene, folder: RunFolder) -> dict:
+def _evaluate(cfg: Config, data: Prepared, folder: RunFolder) -> dict:
     """checkpoint.safetensors → metrics.json, per_image.csv, renders/."""
+    scene = data.scene
     trained = folder.values_of("train")
     saved = checkpoints.load(folder.checkpoint)
-    final = evaluate(saved.model, scene, cfg, _threads(cfg), png_saver(folder.renders))
+    final = evaluate_and_show(saved.model, scene, cfg, _threads(cfg), folder.renders)
     best = None
     if cfg.evaluate.best_on_test and saved.best is not None and saved.best_model is not None:
         is_final = saved.best["iteration"] == saved.iteration
@@ -115,8 +136,11 @@ def _evaluate(cfg: Config, scene: Scene, folder: RunFolder) -> dict:
     return {"psnr": final.metrics["psnr"]}
 
 
+_WORK = {"sfm": _sfm, "init": _init, "train": _train, "evaluate": _evaluate}
+
 # What each stage leaves behind; a stage whose output was deleted is not done.
 _OUTPUTS: dict[str, tuple[Callable[[RunFolder], Path], ...]] = {
+    "sfm": (lambda folder: folder.sfm, lambda folder: folder.sfm_picture),
     "init": (lambda folder: folder.init_ply,),
     "train": (lambda folder: folder.checkpoint, lambda folder: folder.curve),
     "evaluate": (lambda folder: folder.metrics, lambda folder: folder.per_image, lambda folder: folder.renders),

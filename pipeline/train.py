@@ -17,20 +17,21 @@ from typing import Protocol
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from datasets.scene import Scene
 from pipeline import checkpoint as checkpoints
 from pipeline import densify, guard, schedule
+from pipeline.background import moving_rows
+from pipeline.batch import Batch, Kernels
 from pipeline.config import Config
 from pipeline.display import TrainingDisplay
-from pipeline.losses import psnr, view_loss
+from pipeline.environment import EnvironmentMap
+from pipeline.losses import psnr
 from pipeline.model import Model
 from pipeline.optimiser import Adam
 from pipeline.sampling import BatchSampler
-from pipeline.views import Target, TrainingViews
-from rasterizer import Frame, Gradients, Request, ViewGradient
-from rasterizer.loss import L1Ssim
+from pipeline.views import TrainingViews
+from rasterizer import Gradients
 
 SHOW_EVERY = 10  # iterations between updates of the display; the PSNR it shows costs half a millisecond
 LOG_EVERY = 100  # iterations between lines of log.jsonl; a multiple of SHOW_EVERY
@@ -120,18 +121,19 @@ def train(model: Model, scene: Scene, cfg: Config, run: RunFolder, evaluate: Eva
                 state.statistics.end(len(targets))
             guard.check_gradients(gradients, iteration, [t.name for t in targets],
                                   lambda position: batch.gradients_of(targets[position]), threads)
-            state.optimiser.step(gradients, phase.rates, batch.touched)
+            rows = moving_rows(model, phase.sphere, batch.touched)
+            state.optimiser.step(gradients, phase.rates, rows, batch.d_environment)
 
             # The set of Gaussians changes in space and time.
             if densify.due(iteration, now, cfg.train.densify):
                 state.statistics, done = densify.densify(
                     state.optimiser, state.statistics, iteration, cfg.train.densify, scene.extent, time_split,
-                    state.split_generator)
+                    state.split_generator, phase.sphere)
                 gradients = Gradients.zeros_like(model.gaussians())
                 run.log({"event": "densify", "iteration": iteration, "cloned": done.cloned, "split": done.split,
                          "pruned": done.pruned, "n_gaussians": done.total})
             if densify.opacity_reset_due(iteration, now, cfg.train.densify):
-                densify.reset_opacity(state.optimiser, cfg.train.densify)
+                densify.reset_opacity(state.optimiser, cfg.train.densify, phase.sphere)
 
             # What a person sees, and what is kept.
             if iteration % SHOW_EVERY == 0:
@@ -159,63 +161,6 @@ def train(model: Model, scene: Scene, cfg: Config, run: RunFolder, evaluate: Eva
 def thread_count(threads: int) -> int:
     """0 means all this process may use."""
     return threads or len(os.sched_getaffinity(0))
-
-
-@dataclass(frozen=True)
-class ViewStep:
-    """What the forward and backward pass of one view say."""
-
-    loss: float
-    image: Tensor  # (3, H, W)
-    gradient: ViewGradient  # of the batch's loss
-
-
-class Kernels:
-    """The compiled parts with their scratch memory, reused from view to view."""
-
-    def __init__(self, ssim_weight: float, threads: int) -> None:
-        self.frame = Frame(threads=threads)
-        self.criterion = L1Ssim(ssim_weight, threads)
-        self.threads = threads
-
-
-class Batch:
-    """The views of one iteration, one after another."""
-
-    def __init__(self, model: Model, scene: Scene, cfg: Config, kernels: Kernels, phase: schedule.Phase, size: int
-                 ) -> None:
-        self._model, self._scene, self._cfg, self._kernels = model, scene, cfg, kernels
-        self._phase, self._size = phase, size
-        self._gaussians = model.gaussians()
-        sparse = cfg.train.optimiser == "sparse_adam"
-        self.touched = torch.zeros(len(model), dtype=torch.uint8) if sparse else None
-        self.loss = 0.0  # mean over the batch, once all views are through
-        self.alive = 0.0  # Gaussians with p(t) >= 0.05 a view, likewise
-
-    def backward(self, target: Target, gradients: Gradients) -> ViewStep:
-        """Render `target`, add the gradient of its share of the batch's loss into `gradients`."""
-        scene, cfg, frame = self._scene, self._cfg, self._kernels.frame
-        request = Request(target.camera, target.time, scene.duration, scene.background, near=cfg.scene.near,
-                          sh_degree=self._phase.sh_degree, fourier_order=self._phase.fourier_order)
-        image = frame.render(self._gaussians, request).color
-        found = view_loss(self._kernels.criterion, image, target.image, self._size)
-        seen = frame.backward(gradients, d_color=found.d_image)
-        loss = found.loss
-        if cfg.train.rigid_weight > 0 and self._model.kind.motion == "full":
-            from pipeline.rigid import add_rigid_gradient  # only where a configuration asks for it
-            loss += self._size * add_rigid_gradient(gradients, self._model, target.time, scene.duration,
-                                                    cfg.train.rigid_weight / self._size, self._kernels.threads)
-        if self.touched is not None:
-            seen.mark(self.touched, self._kernels.threads)
-        self.loss += loss / self._size
-        self.alive += frame.alive / self._size
-        return ViewStep(loss, image, seen)
-
-    def gradients_of(self, target: Target) -> Gradients:
-        """The gradient of one view alone, to find out which is broken."""
-        alone = Gradients.zeros_like(self._gaussians)
-        self.backward(target, alone)
-        return alone
 
 
 class Stopwatch:
@@ -248,14 +193,17 @@ def _start(model: Model, scene: Scene, cfg: Config, run: RunFolder) -> tuple[Tra
     if not cfg.resume:
         path.unlink(missing_ok=True)  # or a later resume would continue the run that this one replaces
     saved = checkpoints.load(path) if path.exists() else None
+    if cfg.background_model == "envmap":  # before training there is nothing to store of it: init.ply has none
+        model.environment = EnvironmentMap.grey(cfg.train.environment_height)
     if saved is not None:
-        if saved.seed != cfg.seed or saved.model.kind != model.kind:
-            raise ValueError(f"{path}: expected a checkpoint of seed {cfg.seed} and {model.kind}, "
-                             f"found seed {saved.seed} and {saved.model.kind}")
+        expected, found = (f"seed {seed}, {of.kind} and background {of.background}"
+                           for seed, of in ((cfg.seed, model), (saved.seed, saved.model)))
+        if found != expected:
+            raise ValueError(f"{path}: expected a checkpoint of {expected}, found {found}")
         model = saved.model
     # One stream each, so that what one draws never shifts the other.
     sampler = BatchSampler(scene.train, cfg.train.sampler, cfg.train.batch, np.random.default_rng([cfg.seed, 1]))
-    optimiser = Adam(model, cfg.train.optimiser == "sparse_adam", thread_count(cfg.threads))
+    optimiser = Adam(model, thread_count(cfg.threads))
     state = TrainState(model, optimiser, densify.Statistics(len(model)), sampler,
                        torch.Generator().manual_seed(cfg.seed))
     if saved is None:
@@ -265,6 +213,7 @@ def _start(model: Model, scene: Scene, cfg: Config, run: RunFolder) -> tuple[Tra
     state.iteration, state.best, state.best_model = saved.iteration, saved.best, saved.best_model
     if saved.moments is not None:
         state.optimiser.first, state.optimiser.second = saved.moments
+        state.optimiser.environment = saved.environment_moments
     elif not _done(saved.iteration, saved.train_seconds, cfg):
         raise ValueError(f"{path}: expected Adam's moments to continue from iteration {saved.iteration}, found none "
                          "(train.checkpoint_keep_moments was false)")
@@ -292,5 +241,6 @@ def _checkpoint(state: TrainState, train_seconds: float, seed: int, keep_moments
     return checkpoints.Checkpoint(
         iteration=state.iteration, train_seconds=train_seconds, seed=seed, model=state.model,
         step_count=optimiser.step_count, moments=(optimiser.first, optimiser.second) if keep_moments else None,
+        environment_moments=optimiser.environment if keep_moments else None,
         statistics=state.statistics.state(), sampler=state.sampler.state(),
         split_generator=state.split_generator.get_state(), best=state.best, best_model=state.best_model)

@@ -28,14 +28,26 @@ class Target:
 
 def target_of(view: View, scale: float) -> Target:
     """The view at `scale` of its size, each side rounded to whole pixels (at least 1); averaged over areas."""
-    height, width = view.image.shape[:2]
-    small = max(1, round(width * scale)), max(1, round(height * scale))
-    image = np.ascontiguousarray(view.image.transpose(2, 0, 1), dtype=np.float32) / np.float32(255)
-    camera = view.camera
-    if small != (width, height):
-        image = area_weights(height, small[1]) @ image @ area_weights(width, small[0]).T
-        camera = camera.resized(*small)
+    camera = camera_at(view.camera, scale)
+    pixels = np.asarray(view.image)
+    image = np.ascontiguousarray(pixels.transpose(2, 0, 1), dtype=np.float32) / np.float32(255)
+    if camera is not view.camera:
+        height, width = pixels.shape[:2]
+        image = area_weights(height, camera.height) @ image @ area_weights(width, camera.width).T
     return Target(view.name, view.time, camera, torch.from_numpy(np.ascontiguousarray(image)))
+
+
+def camera_at(camera: Camera, scale: float) -> Camera:
+    """The camera at `scale` of its size, each side rounded to whole pixels (at least 1); itself at its own size."""
+    size = max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
+    return camera if size == (camera.width, camera.height) else camera.resized(*size)
+
+
+def spread(count: int, wanted: int) -> list[int]:
+    """`wanted` of `count` indices, evenly from first to last; -1 or too many: all."""
+    if wanted < 0 or wanted >= count:
+        return list(range(count))
+    return np.unique(np.linspace(0, count - 1, wanted).round().astype(int)).tolist()
 
 
 def area_weights(pixels: int, fewer: int) -> np.ndarray:

@@ -19,9 +19,13 @@ def write_run(
     out: str | None = None,
     iterations: int = 1000,
     images: int = 0,
+    settings: str = "",
     **changes,
 ) -> Path:
-    """One run folder; `changes` replace keys of metrics.json (dotted keys reach inside)."""
+    """One run folder; `changes` replace keys of metrics.json (dotted keys reach inside).
+
+    settings: lines of YAML for `train` in config.yaml, indented by two.
+    """
     folder = root / (out or f"{scene}/{ablation}/{train}/seed{seed}")
     (folder / "renders").mkdir(parents=True)
     quality = {
@@ -60,7 +64,7 @@ def write_run(
     (folder / "metrics.json").write_text(json.dumps(metrics))
     (folder / "config.yaml").write_text(
         f"seed: {seed}\nthreads: 2\nscene:\n  name: {scene}\n  path: null\nablation:\n  name: {ablation}\n"
-        f"train:\n  name: {train}\n  iterations: {iterations}\n"
+        f"train:\n  name: {train}\n  iterations: {iterations}\n{settings}"
     )
     rows = ["train_seconds,iteration,psnr,ssim,test_loss,n_gaussians"]
     rows += [
@@ -86,4 +90,14 @@ def write_run(
             pixels = np.full((24, 24, 3), shade + i, np.uint8)
             Image.fromarray(pixels).save(folder / "renders" / f"test_r_{i}_{part}.png")
     (folder / "per_image.csv").write_text("\n".join(per_image) + "\n")
+    return folder
+
+
+def write_sfm(folder: Path, picture: bool = True, **changes) -> Path:
+    """What a run that started from structure from motion leaves besides; `changes` replace keys of sfm.json."""
+    found = {"points": 12345, "mean_error_px": 0.625, "mean_track_length": 3.5, "cameras": 20, "registered": 19,
+             "seconds": 42.5, "poses": "known"}
+    (folder / "sfm.json").write_text(json.dumps(found | changes))
+    if picture:
+        Image.fromarray(np.full((60, 80, 3), 77, np.uint8)).save(folder / "sfm.png")
     return folder

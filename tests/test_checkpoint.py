@@ -10,6 +10,7 @@ import torch
 
 from pipeline import checkpoint
 from pipeline.checkpoint import Checkpoint
+from pipeline.environment import EnvironmentMap
 from pipeline.model import ModelKind
 from test_model import random_model
 
@@ -19,6 +20,7 @@ def example(iteration: int = 7, **changes) -> Checkpoint:
     moments = tuple({name: torch.rand_like(t) for name, t in model.parameters.items()} for _ in range(2))
     values = dict(
         iteration=iteration, train_seconds=0.1 + 0.2, seed=3, model=model, step_count=iteration, moments=moments,
+        environment_moments=None,
         statistics={"space": torch.rand(7), "radius": torch.rand(7)},
         sampler={"order": np.arange(5)[::-1].copy(), "position": 2, "generator": '{"state": 1}'},
         split_generator=torch.Generator().manual_seed(5).get_state(), best={"psnr": 1 / 3, "iteration": 5},
@@ -49,6 +51,21 @@ def test_round_trip_is_exact(tmp_path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == [checkpoint.FILE_NAME], "no temporary file left"
 
 
+def test_the_background_is_kept_too(tmp_path) -> None:
+    """The sphere's label, the environment and its moments, of the model and of the best one."""
+    kind = ModelKind("full", 2, 3)
+    models = [random_model(kind) for _ in range(2)]
+    for model in models:
+        model.sphere, model.environment = torch.rand(7) < 0.5, EnvironmentMap(torch.rand(3, 4, 8))
+    moments = torch.rand(3, 4, 8), torch.rand(3, 4, 8)
+    checkpoint.save(tmp_path / "c", example(model=models[0], best_model=models[1], environment_moments=moments))
+    loaded = checkpoint.load(tmp_path / "c")
+    assert_same(loaded.model.state(), models[0].state())
+    assert_same(loaded.best_model.state(), models[1].state())
+    assert all(map(torch.equal, loaded.environment_moments, moments))
+    assert_same(checkpoint.load_model(tmp_path / "c").state(), models[0].state())
+
+
 def test_same_state_same_bytes(tmp_path) -> None:
     torch.manual_seed(0)
     saved = example()
@@ -61,6 +78,7 @@ def test_without_moments_and_best(tmp_path) -> None:
     checkpoint.save(tmp_path / "c", example(moments=None, best=None, best_model=None))
     loaded = checkpoint.load(tmp_path / "c")
     assert loaded.moments is None and loaded.best is None and loaded.best_model is None
+    assert loaded.environment_moments is None and loaded.model.background == "none"
 
 
 def test_model_alone(tmp_path) -> None:

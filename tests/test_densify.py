@@ -192,6 +192,52 @@ def test_opacity_reset_lowers_only_and_zeroes_moments() -> None:
     assert not optimiser.first["opacity_logit"].any()
 
 
+def sphere_model(scales: list[float], sphere: list[bool], opacity: float = 0.5) -> Model:
+    model = model_of(scales, opacity)
+    model.sphere = torch.tensor(sphere)
+    return model
+
+
+def test_the_sphere_is_not_grown_and_the_cap_does_not_count_it() -> None:
+    sphere = [False, False, True, True, True, True]
+    model = sphere_model([0.01, 0.2, 0.01, 0.2, 0.2, 0.2], sphere)
+    growth = choose_growth(model, statistics_of([9e-4] * 6, [9e-4] * 6), DensifyConfig(), EXTENT, True)
+    assert growth.clone.tolist() == [True] + [False] * 5 and growth.split.tolist() == [False, True] + [False] * 4
+    growth = choose_growth(model, statistics_of([9e-4] * 6, [0] * 6), DensifyConfig(max_gaussians=3), EXTENT, True)
+    assert growth.clone.any() != growth.split.any(), "two are not of the sphere, so there is room for one more"
+
+
+def test_the_sphere_is_pruned_for_transparency_alone_and_only_until_it_is_frozen() -> None:
+    model = sphere_model([0.6, 0.6, 0.01, 0.01, 0.01], [True, False, True, False, True])
+    model.parameters["opacity_logit"][2:4] = -6.0  # 0.0025
+    radius = torch.tensor([99.0, 1.0, 1.0, 1.0, 99.0])
+    late = to_prune(model, radius, 3001, DensifyConfig(), EXTENT)
+    assert late.tolist() == [False, True, True, True, False]
+    frozen = to_prune(model, radius, 3001, DensifyConfig(), EXTENT, train_sphere=False)
+    assert frozen.tolist() == [False, True, False, True, False]
+
+
+def test_a_frozen_sphere_goes_through_densification_and_opacity_reset_unchanged() -> None:
+    model = sphere_model([0.01, 0.2, 0.6, 0.2, 0.6], [True, False, True, False, True], opacity=0.9)
+    model.parameters["opacity_logit"][4] = -6.0  # 0.0025
+    model.parameters["mean"] += torch.arange(5)[:, None]
+    optimiser = Adam(model)
+    for tensors in (optimiser.first, optimiser.second):
+        for tensor in tensors.values():
+            tensor.fill_(1.0)
+    before = {name: tensor[model.sphere].clone() for name, tensor in model.parameters.items()}
+    _, done = densify(optimiser, statistics_of([9e-4] * 5, [0] * 5), 3100, DensifyConfig(), EXTENT, True,
+                      torch.Generator().manual_seed(0), train_sphere=False)
+    reset_opacity(optimiser, DensifyConfig(), train_sphere=False)
+    assert done.split == 2 and int(model.sphere.sum()) == 3 and len(model) == 7
+    for name, tensor in model.parameters.items():
+        assert torch.equal(tensor[model.sphere], before[name]), name
+        assert (optimiser.first[name][model.sphere] == 1).all(), name
+    assert (torch.sigmoid(model.parameters["opacity_logit"][~model.sphere]) < 0.0101).all()
+    reset_opacity(optimiser, DensifyConfig())
+    assert (torch.sigmoid(model.parameters["opacity_logit"]) < 0.0101).all(), "reset like the others until then"
+
+
 def test_when() -> None:
     cfg = DensifyConfig()
     assert [i for i in range(1, 16_000) if due(i, float(i), cfg)] == list(range(600, 15_000, 100))

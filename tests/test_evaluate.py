@@ -12,14 +12,15 @@ from PIL import Image
 
 from datasets.scene import Scene, View
 from pipeline import evaluate as evaluation
-from pipeline import lpips
+from pipeline import lpips, perceptual
 from pipeline.config import Config, EvaluateConfig
-from pipeline.evaluate import DIFFERENCE_GAIN, evaluate, frames_per_second, png_saver, quick_evaluate
+from pipeline.evaluate import DIFFERENCE_GAIN, Renderer, evaluate, frames_per_second, png_saver, quick_evaluate
 from pipeline.initialise import initialise
 from pipeline.metrics import METRICS, psnr
 from pipeline.model import Model
 from rasterizer import Frame
 from tiny import SIZE, tiny_config, tiny_scene
+from tiny_film import tiny_film
 
 
 def config(**keys) -> Config:
@@ -70,17 +71,39 @@ def test_what_cannot_be_measured_is_none_and_says_why(model: Model) -> None:
 def test_lpips_without_weights(model: Model, monkeypatch) -> None:
     def unavailable(net: str) -> None:
         raise lpips.LpipsUnavailable(f"no weights of {net}")
-    monkeypatch.setattr(evaluation.lpips, "load", unavailable)
+    monkeypatch.setattr(lpips, "load", unavailable)
     found = evaluate(model, tiny_scene(), config(lpips=True), 1)
     assert found.metrics["lpips_vgg"] is None
     assert found.metrics["lpips_note"] == "no weights of alex"
 
 
 def test_lpips_with_weights(model: Model, monkeypatch) -> None:
-    monkeypatch.setattr(evaluation.lpips, "load", lambda net: lambda image, truth: 0.25)
+    monkeypatch.setattr(lpips, "load", lambda net: lambda image, truth: 0.25)
     found = evaluate(model, tiny_scene(), config(lpips=True), 1)
     assert found.metrics["lpips_alex"] == found.metrics["lpips_vgg"] == 0.25
     assert found.metrics["lpips_note"] is None
+
+
+def test_lpips_vgg_of_large_scenes_is_of_views_spread_evenly(model: Model, monkeypatch) -> None:
+    """Each network says its own number; room for three of five views."""
+    said = {"alex": iter(range(5)), "vgg": iter((10.0, 20.0, 60.0))}
+    monkeypatch.setattr(lpips, "load", lambda net: lambda image, truth: float(next(said[net])))
+    monkeypatch.setattr(perceptual, "VGG_PIXELS", 3 * SIZE**2)
+    found = evaluate(model, tiny_film(frames=5, held_out=("cam00",)), config(lpips=True), 1)
+    assert [row["lpips_vgg"] for row in found.per_image] == [10.0, None, 20.0, None, 60.0]
+    assert (found.metrics["lpips_alex"], found.metrics["lpips_vgg"]) == (2.0, 30.0)
+    assert found.metrics["lpips_note"] == "LPIPS-VGG is of 3 of the 5 test views"
+
+
+@pytest.mark.parametrize("room, side_by_side", [(0, 1), (2.5, 2), (100, 4)])
+def test_views_are_measured_side_by_side_while_memory_lasts(model: Model, monkeypatch, room: float, side_by_side: int
+                                                            ) -> None:
+    sizes = []
+    pool = evaluation.ThreadPoolExecutor
+    monkeypatch.setattr(evaluation, "ThreadPoolExecutor", lambda size: sizes.append(size) or pool(size))
+    monkeypatch.setattr(evaluation, "MEASURE_BYTES", int(room * SIZE**2 * evaluation.METRICS_BYTES_A_PIXEL))
+    evaluate(model, tiny_scene(), config(), 4)
+    assert sizes == [side_by_side]
 
 
 def test_alive_counts_the_gaussians_that_the_time_reaches() -> None:
@@ -103,6 +126,60 @@ def test_quick_evaluate_agrees_on_psnr(model: Model) -> None:
     # The same renders; float32 sums in another order.
     assert quick["psnr"] == pytest.approx(evaluate(model, scene, cfg, 1).metrics["psnr"], abs=1e-4)
     assert 0 < quick["ssim"] < 1 and 0 < quick["test_loss"] < 1
+
+
+def test_quick_evaluate_takes_views_spread_evenly(model: Model) -> None:
+    scene, cfg = tiny_film(frames=5, held_out=("cam00",)), config()
+    few = replace(cfg, train=replace(cfg.train, eval_views=3))
+    found = quick_evaluate(model, scene, few, Frame(threads=1))
+    assert found == quick_evaluate(model, replace(scene, test=scene.test[::2]), cfg, Frame(threads=1))
+    assert found != quick_evaluate(model, scene, cfg, Frame(threads=1))
+
+
+def test_speed_is_of_few_views(model: Model, monkeypatch) -> None:
+    rendered = []
+    monkeypatch.setattr(evaluation, "SPEED_VIEWS", 2)
+    monkeypatch.setattr(Renderer, "tensor", lambda self, camera, moment: rendered.append(moment))
+    monkeypatch.setattr(Frame, "stage_ms", {"blend": 1.0})
+    speed = frames_per_second(model, tiny_scene(), config(speed_repeats=2), 1)
+    assert rendered == [0.0, tiny_scene().test[-1].time] * 2
+    assert speed["fps_raster"] == pytest.approx(1000.0)
+
+
+def test_flicker_is_of_consecutive_frames_of_each_camera(model: Model) -> None:
+    scene, images = tiny_film(frames=5), {}
+    scene = replace(scene, test=tuple(view for view in scene.test if view.name != "test/cam05_0002"))
+    found = evaluate(model, scene, config(renders=-1), 2, lambda name, *pair: images.update({name: pair}))
+    assert [row["view"] for row in found.per_image] == [view.name for view in scene.test]
+    expected = {}
+    for row in found.per_image:
+        camera, number = row["view"].split("_")
+        before = images.get(f"{camera}_{int(number) - 1:04d}")
+        now = images[row["view"]]
+        expected[row["view"]] = before and np.abs((now[0] - now[1]) - (before[0] - before[1])).mean(dtype=np.float64)
+    assert {row["view"]: row["flicker"] for row in found.per_image} == pytest.approx(expected, abs=1e-7)
+    known = [value for value in expected.values() if value is not None]
+    assert len(known) == 4 + 2 and found.metrics["flicker"] == pytest.approx(np.mean(known))
+
+
+def test_photographs_have_no_flicker(model: Model) -> None:
+    found = evaluate(model, tiny_scene(), config(), 1)
+    assert found.metrics["flicker"] is None and {row["flicker"] for row in found.per_image} == {None}
+    assert "flicker" not in found.note()  # nothing is missing
+
+
+def test_all_frames_come_in_film_order(model: Model) -> None:
+    names: list[str] = []
+    evaluate(model, tiny_film(frames=3), config(), 2, film=lambda name, image, truth: names.append(name))
+    assert names == [f"test/{camera}_{number:04d}" for camera in ("cam00", "cam05") for number in range(3)]
+
+
+def test_the_near_plane_is_in_the_scenes_unit(model: Model) -> None:
+    """The cameras are 4 from the middle: a near plane at 0.2 × 100 leaves only the background."""
+    scene = replace(tiny_scene(), unit=100.0, background=(0.0, 1.0, 0.0))
+    images: list[np.ndarray] = []
+    evaluate(model, scene, config(renders=-1), 1, lambda name, image, truth: images.append(image))
+    assert all((image == (0.0, 1.0, 0.0)).all() for image in images)
 
 
 def test_it_renders_at_the_size_training_ended_with(model: Model) -> None:

@@ -8,6 +8,7 @@ import torch
 from plyfile import PlyData
 
 from pipeline.config import AblationConfig, Config
+from pipeline.environment import EnvironmentMap
 from pipeline.model import Model, ModelKind, kind_of
 from pipeline.ply import load_ply, save_ply
 from tiny import tiny_scene
@@ -72,6 +73,38 @@ def test_ply_round_trip_is_exact(kind: ModelKind, tmp_path) -> None:
     assert back.kind == kind
     for name, tensor in model.parameters.items():
         assert torch.equal(back.parameters[name], tensor), name
+
+
+def test_ply_keeps_the_spheres_label(tmp_path) -> None:
+    model = random_model(KINDS[1])
+    model.sphere = torch.arange(7) >= 4
+    save_ply(tmp_path / "model.ply", model)
+    assert torch.equal(load_ply(tmp_path / "model.ply").sphere, model.sphere)
+    columns = PlyData.read(str(tmp_path / "model.ply"))["vertex"].data.dtype
+    assert {columns[name].str for name in columns.names} == {"<f4"}, "as everything in 3DGS's file"
+    model.sphere = None
+    save_ply(tmp_path / "model.ply", model)
+    assert load_ply(tmp_path / "model.ply").sphere is None
+
+
+def test_a_copy_has_the_background_and_shares_nothing() -> None:
+    model = random_model(KINDS[0])
+    assert model.background == "none"
+    model.sphere = torch.arange(7) >= 4
+    assert model.background == "sphere"
+    model.environment = EnvironmentMap.grey(3)
+    assert model.background == "envmap"
+    copy = model.copy()
+    assert copy.state().keys() == model.state().keys()
+    for name, tensor in copy.state().items():
+        assert torch.equal(tensor, model.state()[name]) and tensor.data_ptr() != model.state()[name].data_ptr(), name
+
+
+def test_a_label_that_does_not_fit_is_refused() -> None:
+    parameters = random_model(KINDS[0]).parameters
+    for sphere in (torch.zeros(6, dtype=torch.bool), torch.zeros(7)):
+        with pytest.raises(ValueError, match=r"sphere: expected bool \[7\], found"):
+            Model(KINDS[0], parameters, sphere)
 
 
 def test_static_ply_is_that_of_3dgs(tmp_path) -> None:

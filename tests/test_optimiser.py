@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
+from pipeline.environment import EnvironmentMap
 from pipeline.model import Model, ModelKind
 from pipeline.optimiser import Adam
 from rasterizer import Gradients
@@ -12,13 +13,14 @@ from test_model import random_model
 
 KIND = ModelKind("full", 2, 3)
 RATES = {"mean": (1e-3, 1e-3, 1e-3, 2e-3), "log_scale": 5e-3, "quat_left": 1e-3, "quat_right": 1e-3,
-         "opacity_logit": 5e-2, "sh": (2.5e-3, 1.25e-4)}
+         "opacity_logit": 5e-2, "sh": (2.5e-3, 1.25e-4), "environment": 0.02}
+FIELDS = RATES.keys() - {"sh", "environment"}
 
 
 def random_gradients(model: Model, generator: torch.Generator) -> Gradients:
     """Of every field but sh, whose gradient only a rendered view can make."""
     gradients = Gradients.zeros_like(model.gaussians())
-    for name in RATES.keys() - {"sh"}:
+    for name in FIELDS:
         getattr(gradients, name).copy_(torch.randn(getattr(gradients, name).shape, generator=generator))
     return gradients
 
@@ -36,7 +38,7 @@ def marked_optimiser(count: int = 6) -> Adam:
 def test_steps_match_the_formula() -> None:
     """Kingma and Ba, algorithm 1, in float64."""
     model, generator = random_model(KIND, 20), torch.Generator().manual_seed(0)
-    names = RATES.keys() - {"mean", "sh"}
+    names = FIELDS - {"mean"}
     expected = {name: model.parameters[name].double() for name in names}
     first, second = ({name: torch.zeros_like(expected[name]) for name in names} for _ in range(2))
     optimiser = Adam(model)
@@ -66,16 +68,35 @@ def test_the_means_columns_have_their_own_rates() -> None:
     assert torch.allclose(moved, torch.tensor(RATES["mean"]).expand(5, 4), atol=1e-6)
 
 
-def test_sparse_leaves_untouched_rows_and_their_moments_alone() -> None:
+def test_rows_left_out_keep_their_values_and_moments() -> None:
     model, generator = random_model(KIND, 6), torch.Generator().manual_seed(0)
-    optimiser = Adam(model, sparse=True)
-    touched = torch.tensor([1, 0, 1, 0, 0, 1], dtype=torch.uint8)
+    optimiser = Adam(model)
+    rows = torch.tensor([1, 0, 1, 0, 0, 1], dtype=torch.uint8)
     before = model.copy()
-    optimiser.step(random_gradients(model, generator), RATES, touched)
-    for name in RATES.keys() - {"sh"}:
+    optimiser.step(random_gradients(model, generator), RATES, rows)
+    for name in FIELDS:
         changed = (model.parameters[name] != before.parameters[name]).reshape(6, -1).any(dim=1)
-        assert torch.equal(changed, touched.bool()), name
-        assert not optimiser.first[name][~touched.bool()].any(), name
+        assert torch.equal(changed, rows.bool()), name
+        assert not optimiser.first[name][~rows.bool()].any(), name
+
+
+def test_the_environment_is_stepped_by_adam_where_it_has_a_gradient() -> None:
+    """torch.optim.Adam in float64; a step without a gradient for it leaves it and its moments alone."""
+    model, generator = random_model(KIND, 5), torch.Generator().manual_seed(0)
+    model.environment = EnvironmentMap(torch.rand(3, 4, 8, generator=generator))
+    shadow = model.environment.image.double().requires_grad_()
+    optimiser, truth = Adam(model), torch.optim.Adam([shadow], lr=RATES["environment"], eps=1e-15)
+    for _ in range(5):
+        d_environment = torch.randn(3, 4, 8, generator=generator)
+        optimiser.step(random_gradients(model, generator), RATES, d_environment=d_environment)
+        shadow.grad = d_environment.double()
+        truth.step()
+    # five float32 updates of values up to 1, each rounded to 6e-8 and itself right to some 1e-6 of the rate
+    torch.testing.assert_close(model.environment.image.double(), shadow.detach(), rtol=0, atol=1e-6)
+    before = [model.environment.image.clone(), *(moment.clone() for moment in optimiser.environment)]
+    optimiser.step(random_gradients(model, generator), RATES)
+    assert all(map(torch.equal, before, (model.environment.image, *optimiser.environment)))
+    assert optimiser.bytes == 2 * model.bytes
 
 
 def test_keep_keeps_rows_and_their_moments_in_order() -> None:
@@ -100,6 +121,16 @@ def test_append_adds_rows_with_zero_moments_at_the_end() -> None:
     optimiser.model.gaussians()  # shapes still fit each other
 
 
+def test_the_spheres_label_comes_and_goes_with_its_rows() -> None:
+    optimiser = marked_optimiser()
+    optimiser.keep(torch.ones(6, dtype=torch.bool))
+    assert optimiser.model.sphere is None
+    optimiser.model.sphere = torch.tensor([False, True, True, False, False, True])
+    optimiser.keep(torch.tensor([True, False, True, True, False, True]))
+    optimiser.append({name: tensor[:2] for name, tensor in optimiser.model.parameters.items()})
+    assert optimiser.model.sphere.tolist() == [False, True, False, True, False, False], "new ones are not of the sphere"
+
+
 def test_append_of_other_fields_is_refused() -> None:
     with pytest.raises(ValueError, match="append: expected fields"):
         marked_optimiser().append({"mean": torch.zeros(1, 4)})
@@ -107,6 +138,9 @@ def test_append_of_other_fields_is_refused() -> None:
 
 def test_zero_moments_of_one_field_only() -> None:
     optimiser = marked_optimiser()
+    rows = torch.tensor([True, False, False, True, False, False])
+    optimiser.zero_moments("opacity_logit", rows)
+    assert optimiser.first["opacity_logit"].tolist() == [0, 101, 102, 0, 104, 105]
     optimiser.zero_moments("opacity_logit")
     assert not optimiser.first["opacity_logit"].any() and not optimiser.second["opacity_logit"].any()
     assert optimiser.first["mean"].all()

@@ -50,6 +50,12 @@ def test_resolution_steps_are_fractions_of_the_schedule() -> None:
     assert phase(1, TrainConfig(), 1.0, 3, 2).resolution == 1.0
 
 
+def test_backgrounds_are_trained_up_to_and_with_the_iteration_given() -> None:
+    trained = {now: phase(now, TrainConfig(), EXTENT, 3, 2) for now in (5000.0, 5001.0, 10_000.0, 10_001.0)}
+    assert [found.environment for found in trained.values()] == [True, False, False, False]
+    assert [found.sphere for found in trained.values()] == [True, True, True, False]
+
+
 def test_clock_is_the_iteration_unless_a_budget_ends_first() -> None:
     assert clock(123, 1e9, TrainConfig()) == 123.0
     cfg = TrainConfig(iterations=1000, time_budget_s=60)

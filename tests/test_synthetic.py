@@ -11,7 +11,7 @@ import pytest
 from datasets import load_scene
 from datasets.dnerf import read_dnerf
 from datasets.scene import SceneError
-from datasets.synthetic import SCENE_NAMES, build_scene, make_scene
+from datasets.synthetic import PHOTOGRAPHED, build_scene, make_scene
 from datasets.synthetic.__main__ import main
 from datasets.synthetic.camera_path import held_out_shots, training_shots
 from datasets.synthetic.trace import Traced, trace
@@ -51,7 +51,7 @@ def all_bytes(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
-@pytest.mark.parametrize("name", SCENE_NAMES)
+@pytest.mark.parametrize("name", PHOTOGRAPHED)
 def test_each_scene_reads_back_as_it_was_traced(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     originals: list[Traced] = []
 
@@ -79,7 +79,7 @@ def test_each_scene_reads_back_as_it_was_traced(name: str, tmp_path: Path, monke
         np.testing.assert_allclose(stored.color, truth.color, atol=1.01 / 255)
 
 
-@pytest.mark.parametrize("name", SCENE_NAMES)
+@pytest.mark.parametrize("name", PHOTOGRAPHED)
 def test_everything_lies_where_random_points_start(name: str, tmp_path: Path) -> None:
     folder = build_scene(tmp_path / name, scene=name, seed=1, size=24, train_views=3, test_views=8)
     corner = np.zeros(3)
@@ -144,7 +144,7 @@ def test_a_config_makes_and_reads_a_scene(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("changes", "message"), [
-    ({"name": "synthetic/wheal"}, "expected synthetic/ and one of wheel, lamp, burst, still, found 'wheal'"),
+    ({"name": "synthetic/wheal"}, "expected synthetic/ and one of wheel, lamp, burst, still, counter, found 'wheal'"),
     ({"train_views": 1}, "expected at least 2 and 1, found 1 and 2"),
     ({"reader": "dnerf"}, r"scene.path: expected the folder of the data \(scene.path=DIR\), found none")])
 def test_a_config_that_names_no_scene_is_refused(changes: dict, message: str, tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import torch
 
+from pipeline import batch as batch_module
 from pipeline import checkpoint, guard
 from pipeline import train as train_module
 from pipeline.config import AblationConfig, ResolutionStep
@@ -28,7 +29,8 @@ def assert_same_state(a: Path, b: Path) -> None:
     """Bit for bit everything but the seconds."""
     one, two = (checkpoint.load(path / checkpoint.FILE_NAME) for path in (a, b))
     assert (one.iteration, one.step_count, one.best) == (two.iteration, two.step_count, two.best)
-    pairs = [(one.model.parameters, two.model.parameters), (one.best_model.parameters, two.best_model.parameters),
+    moments = [dict(enumerate(saved.environment_moments or ())) for saved in (one, two)]
+    pairs = [(one.model.state(), two.model.state()), (one.best_model.state(), two.best_model.state()), moments,
              (one.moments[0], two.moments[0]), (one.moments[1], two.moments[1]), (one.statistics, two.statistics)]
     for left, right in pairs:
         assert left.keys() == right.keys()
@@ -125,10 +127,12 @@ def test_resuming_after_a_stop_at_any_iteration(uninterrupted: Path, tmp_path, s
         assert without_seconds(TinyRun(tmp_path).rows(name)) == without_seconds(TinyRun(uninterrupted).rows(name))
 
 
-def test_kill_9_at_a_random_moment(tmp_path) -> None:
+@pytest.mark.parametrize("background", ["none", "sphere", "envmap"])
+def test_kill_9_at_a_random_moment(tmp_path, background: str) -> None:
     """The real thing: another process is sent SIGKILL, then this one goes on from what it left."""
     iterations, delay = 300, float(np.random.default_rng().uniform(0, 0.5))
-    command = [sys.executable, str(Path(__file__).with_name("tiny.py")), str(tmp_path / "killed"), str(iterations)]
+    command = [sys.executable, str(Path(__file__).with_name("tiny.py")), str(tmp_path / "killed"), str(iterations),
+               background]
     environment = dict(os.environ, OMP_NUM_THREADS="1", PYTHONPATH=os.pathsep.join(p for p in sys.path if p))
     file = tmp_path / "killed" / checkpoint.FILE_NAME
     process = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
@@ -138,8 +142,8 @@ def test_kill_9_at_a_random_moment(tmp_path) -> None:
     process.kill()
     _, errors = process.communicate()
     assert process.returncode in (-signal.SIGKILL, 0), errors.decode()
-    train_tiny(tmp_path / "killed", tiny_config(iterations))
-    train_tiny(tmp_path / "whole", tiny_config(iterations))
+    train_tiny(tmp_path / "killed", tiny_config(iterations, background))
+    train_tiny(tmp_path / "whole", tiny_config(iterations, background))
     assert_same_state(tmp_path / "whole", tmp_path / "killed")
     for name in ("error_vs_time.jsonl", "log.jsonl"):
         killed, whole = (without_seconds(TinyRun(tmp_path / run).rows(name)) for run in ("killed", "whole"))
@@ -223,13 +227,13 @@ def test_non_finite_gradient_names_iteration_view_and_gaussian(tmp_path, monkeyp
 
 
 def test_non_finite_loss_names_iteration_and_view(tmp_path, monkeypatch) -> None:
-    original, calls = train_module.view_loss, []
+    original, calls = batch_module.view_loss, []
 
     def view_loss(criterion, image, *rest):
         calls.append(1)
         return original(criterion, image * float("nan") if len(calls) == 6 else image, *rest)
 
-    monkeypatch.setattr(train_module, "view_loss", view_loss)
+    monkeypatch.setattr(batch_module, "view_loss", view_loss)
     with pytest.raises(guard.NonFiniteError, match=r"iteration 3, view train/r_\d: expected a finite loss, found nan"):
         train_tiny(tmp_path)
 

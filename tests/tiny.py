@@ -1,4 +1,4 @@
-"""A scene and a run folder so small that training takes seconds; also a program: `tiny.py OUT ITERATIONS`."""
+"""A scene and a run folder so small that training takes seconds; also a program: `tiny.py OUT ITERATIONS BACKGROUND`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from datasets.scene import Scene, View, camera_extent
-from pipeline.config import AblationConfig, Config, DensifyConfig, SceneConfig, TrainConfig
+from pipeline.config import AblationConfig, Config, DensifyConfig, InitConfig, SceneConfig, TrainConfig
 from pipeline.initialise import initialise
 from pipeline.model import Model
 from pipeline.train import Progress, TrainResult, train
@@ -37,14 +37,15 @@ def tiny_scene(views: int = 8, static: bool = False) -> Scene:
                  camera_extent([view.camera for view in made]), (-1.2, 1.2), Path("tiny"))
 
 
-def tiny_config(iterations: int = 60, **train_keys) -> Config:
-    """Everything that can happen in a run happens within 60 iterations."""
+def tiny_config(iterations: int = 60, background: str = "auto", **train_keys) -> Config:
+    """Everything that can happen in a run happens within 60 iterations; a background is trained for 20 of them."""
     densify = DensifyConfig(start=5, stop=50, every=10, space_gradient=1e-5, opacity_reset_every=25,
                             prune_big_after=30, max_gaussians=400)
     keys = dict(iterations=iterations, batch=2, eval_every=10, checkpoint_every=7, sh_degree_every=15,
-                fourier_at=[30, 40], densify=densify, init_points=200)
-    return Config(scene=SceneConfig(init_points=200), ablation=AblationConfig(),
-                  train=TrainConfig(**(keys | train_keys)), threads=1)
+                fourier_at=[30, 40], densify=densify, init_points=200, sphere_freeze_after=20, environment_until=20,
+                environment_height=12)
+    return Config(scene=SceneConfig(init_points=200), init=InitConfig(sphere_points=50, sphere_radius=2.0),
+                  ablation=AblationConfig(), train=TrainConfig(**(keys | train_keys)), threads=1, background=background)
 
 
 class TinyRun:
@@ -89,4 +90,4 @@ def train_tiny(path: Path, cfg: Config | None = None, scene: Scene | None = None
 if __name__ == "__main__":
     import torch
     torch.set_num_threads(1)
-    train_tiny(Path(sys.argv[1]), tiny_config(int(sys.argv[2])))
+    train_tiny(Path(sys.argv[1]), tiny_config(int(sys.argv[2]), sys.argv[3]))

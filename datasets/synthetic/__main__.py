@@ -3,35 +3,74 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+
 from datasets.scene import SceneError
-from datasets.synthetic import SCENE_NAMES, build_scene
+from datasets.synthetic import FILMED, PHOTOGRAPHED, SCENE_NAMES, build_scene
 
 
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m datasets.synthetic", description="Makes a synthetic scene in the "
-                                     "D-NeRF layout, with exact depth and optical flow for its test views.")
+                                     "D-NeRF layout, with exact depth and optical flow for its test views, or "
+                                     f"({', '.join(FILMED)}) in the Plenoptic Video layout, with exact depth.")
     parser.add_argument("scene", choices=SCENE_NAMES)
     parser.add_argument("--out", type=Path, required=True, help="folder to make; must not exist or be empty")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--size", type=int, default=200, help="image side in pixels (default: %(default)s)")
-    parser.add_argument("--train-views", type=int, default=100, help="default: %(default)s")
-    parser.add_argument("--test-views", type=int, default=12, help="default: %(default)s")
+    parser.add_argument("--size", type=int, default=200, help="image width in pixels (default: %(default)s)")
+    photographed = parser.add_argument_group("photographed scenes", ", ".join(PHOTOGRAPHED))
+    photographed.add_argument("--train-views", type=int, default=100, help="default: %(default)s")
+    photographed.add_argument("--test-views", type=int, default=12, help="default: %(default)s")
+    filmed = parser.add_argument_group("filmed scenes", ", ".join(FILMED))
+    filmed.add_argument("--cameras", type=int, default=12, help="default: %(default)s")
+    filmed.add_argument("--frames", type=int, default=60, help="default: %(default)s")
+    filmed.add_argument("--samples", type=int, default=3, help="rays along a pixel's side (default: %(default)s)")
+    filmed.add_argument("--processes", type=int, default=_usable_cores(),
+                        help="cameras filmed side by side (default: %(default)s, all processors)")
     options = vars(parser.parse_args(arguments))
     folder = options.pop("out")
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         parser.error(f"--out {folder}: expected a folder that does not exist or is empty")
     start = time.perf_counter()
     try:
-        build_scene(folder, **options)
-    except SceneError as error:
+        with _progress() as progress:
+            build_scene(folder, **options, progress=progress)
+    except (SceneError, OSError) as error:
         parser.error(str(error))
-    print(f"{folder}: {options['train_views']} training and {options['test_views']} test views of "
-          f"{options['size']} x {options['size']} pixels in {time.perf_counter() - start:.1f} s")
+    size = options["size"]
+    what = (f"{options['cameras']} cameras, {options['frames']} frames each, {size} pixels wide,"
+            if options["scene"] in FILMED else
+            f"{options['train_views']} training and {options['test_views']} test views of {size} x {size} pixels")
+    print(f"{folder}: {what} in {time.perf_counter() - start:.1f} s")
     return 0
+
+
+def _usable_cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[int, int], None]]:
+    """A live bar on a terminal, one line a camera elsewhere."""
+    console = Console()
+    with Progress(TextColumn("{task.completed:.0f}/{task.total:.0f} cameras"), BarColumn(), TimeRemainingColumn(),
+                  console=console, disable=not console.is_terminal, transient=True) as bar:
+        tasks: list[TaskID] = []
+
+        def update(done: int, total: int) -> None:
+            if not tasks:
+                tasks.append(bar.add_task("film", total=total))
+            bar.update(tasks[0], completed=done)
+            if not console.is_terminal:
+                print(f"{done}/{total} cameras", flush=True)
+        yield update
 
 
 if __name__ == "__main__":

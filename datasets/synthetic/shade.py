@@ -3,6 +3,8 @@
     colour = texture · (hemisphere(n) + Σ_lights visibility · colour · max(0, n·l))
            + Σ_lights visibility · colour · specular · max(0, n·h)^shininess + glow
 
+or the texture as it is, for a material that is not lit.
+
 Soft shadows without noise: the light's disc is sampled by as many points as a pixel has rays, and ray k of every
 pixel asks whether point k is in sight. A pixel's average is then the disc's visible part, the same from
 every camera: a surface keeps its colour when seen from elsewhere, which random shadow rays would not grant.
@@ -49,6 +51,8 @@ def shade(receiver: Placed, points: np.ndarray, local: np.ndarray, toward_eye: n
     the pixel's `samples` rays met the point.
     """
     material = receiver.body.material
+    if not material.is_lit:
+        return np.clip(material.texture(local), 0, 1)
     normal = receiver.pose.rotation.astype(np.float32) @ receiver.body.shape.normal(local)
     normal = np.copysign(1, dot(normal, toward_eye)) * normal  # a rectangle has two sides
 

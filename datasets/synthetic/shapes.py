@@ -53,6 +53,21 @@ class Sphere:
 
 
 @dataclass(frozen=True)
+class Dome:
+    """A sphere seen from inside: what is far off on all sides."""
+
+    radius: float
+    is_convex: bool = False
+
+    def intersect(self, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
+        middle, half = _chord(origin, direction, self.radius)
+        return middle + half
+
+    def normal(self, points: np.ndarray) -> np.ndarray:
+        return -points / norm(points)
+
+
+@dataclass(frozen=True)
 class Box:
     half: tuple[float, float, float]  # half edge lengths
     is_convex: bool = True
@@ -77,9 +92,10 @@ class Box:
 
 @dataclass(frozen=True)
 class Rectangle:
-    """A finite piece of the plane z = 0, seen from both sides."""
+    """A finite piece of the plane z = 0, seen from both sides, perhaps with a rectangular hole."""
 
     half: tuple[float, float]
+    hole: tuple[float, float, float, float] | None = None  # lowest x, lowest y, highest x, highest y of what is cut out
     is_convex: bool = True
 
     @property
@@ -88,8 +104,12 @@ class Rectangle:
 
     def intersect(self, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
         distance = -origin[2] / _nonzero(direction[2])
-        hit = np.abs(origin[:2] + distance * direction[:2])
-        return np.where((hit[0] <= self.half[0]) & (hit[1] <= self.half[1]), distance, np.inf)
+        x, y = origin[:2] + distance * direction[:2]
+        inside = (np.abs(x) <= self.half[0]) & (np.abs(y) <= self.half[1])
+        if self.hole is not None:
+            left, low, right, high = self.hole
+            inside &= (x < left) | (x > right) | (y < low) | (y > high)
+        return np.where(inside, distance, np.inf)
 
     def normal(self, points: np.ndarray) -> np.ndarray:
         return np.broadcast_to(column((0, 0, 1)), points.shape)

@@ -56,6 +56,22 @@ def sectors(parts: Sequence[Texture]) -> Texture:
     return texture
 
 
+def mosaic(dark: Colour, light: Colour, size: float, rng: np.random.Generator) -> Texture:
+    """Cubes of edge `size`, each in its own mixture of two colours: no place looks like another."""
+    table = rng.permutation(256)
+
+    def texture(points: np.ndarray) -> np.ndarray:
+        x, y, z = np.floor(points / np.float32(size) + np.float32(0.25)).astype(np.int32)
+        cell = table[(x + table[(y + table[z & 255]) & 255]) & 255]  # Perlin's hash; repeats after 256 cells
+        return _mix(dark, light, (cell / np.float32(255)).astype(np.float32))
+    return texture
+
+
+def average(*parts: Texture) -> Texture:
+    """The mean of several textures: detail of several sizes at one place."""
+    return lambda points: sum(part(points) for part in parts) / np.float32(len(parts))
+
+
 def mottled(dark: Colour, light: Colour, scale: float, rng: np.random.Generator) -> Texture:
     """Two colours mixed by cloudy noise with features of about `scale`, world units."""
     noise = plane_wave_noise(scale, rng)

@@ -30,46 +30,71 @@ class Traced:
     flow_valid: np.ndarray  # (H, W) bool: something is there, and still (and before the camera) at time + flow_dt
 
 
+@dataclass(frozen=True)
+class Cast:
+    """What each ray has met: samples × samples rays a pixel, in the image's order. float32 but for `owner`."""
+
+    color: np.ndarray  # (3, H·samples, W·samples), 0 where nothing is
+    depth: np.ndarray  # (H·samples, W·samples) z, world units; inf where nothing is
+    owner: np.ndarray  # (H·samples, W·samples) int16: which of the bodies looked for; NOTHING for none
+
+
 def trace(world: World, camera: Camera, time: float, *, flow_dt: float = 0.01, samples: int = 3) -> Traced:
     """The world at `time` seen by `camera`, with samples × samples rays a pixel (samples odd).
 
     Flow: the surface point seen moves with its body to time + flow_dt and is projected by the same camera.
     """
-    if samples < 1 or samples % 2 == 0:
-        raise ValueError(f"samples: expected an odd number of rays along a pixel's side, found {samples}")
-    eye = column(camera.position)
-    rays = _rays(camera, samples)
     placed = place(world, time)
-    blocks = [_screen_block(item, camera, samples) for item in placed]
-    depth, owner = _first_hits(eye, rays, placed, blocks)
+    met = cast(placed, camera, samples, placed, world, time)
+    hit = met.owner != NOTHING
+    centre = (slice(samples // 2, None, samples),) * 2
+    depth, owner = np.where(hit, met.depth, 0)[centre], met.owner[centre]
 
-    color = np.zeros_like(rays)
     flow = np.zeros((2, camera.height, camera.width), dtype=np.float32)
     flow_valid = np.zeros((camera.height, camera.width), dtype=bool)
-    for index, (item, block) in enumerate(zip(placed, blocks)):
+    directions = rays(camera, 1)
+    for index, item in enumerate(placed):
+        y, x = np.nonzero(owner == index)
+        local = item.pose.to_body(column(camera.position) + depth[y, x] * directions[:, y, x])
+        flow[:, y, x], flow_valid[y, x] = _flow(item, local, x, y, camera, time + flow_dt)
+    return Traced(color=pool(met.color, samples), alpha=pool(hit.astype(np.float32), samples), depth=depth,
+                  flow=flow, flow_valid=flow_valid)
+
+
+def cast(bodies: list[Placed], camera: Camera, samples: int, placed: list[Placed], world: World, time: float,
+         before: np.ndarray | None = None) -> Cast:
+    """The nearest of `bodies` for each ray of the camera, and its colour under the shadows of all `placed`.
+
+    before: (H·samples, W·samples); only what is nearer than this is met. None: whatever the distance.
+    """
+    check_samples(samples)
+    eye = column(camera.position)
+    directions = rays(camera, samples)
+    blocks = [screen_block(item, camera, samples) for item in bodies]
+    depth, owner = first_hits(eye, directions, bodies, blocks, before)
+
+    color = np.zeros_like(directions)
+    for index, (item, block) in enumerate(zip(bodies, blocks)):
         row, col = np.nonzero(owner[block] == index)
         if row.size == 0:
             continue
         row, col = row + block[0].start, col + block[1].start
-        met = row * rays.shape[2] + col
-        ray = rays.reshape(3, -1).take(met, axis=1)
+        met = row * directions.shape[2] + col
+        ray = directions.reshape(3, -1).take(met, axis=1)
         points = eye + depth.take(met) * ray
-        local = item.pose.to_body(points)
         sample = row % samples * samples + col % samples
-        color.reshape(3, -1)[:, met] = shade(item, points, local, -ray / norm(ray), sample, samples**2, placed, world,
-                                             time)
-
-        middle = np.flatnonzero(sample == samples**2 // 2)
-        y, x = row[middle] // samples, col[middle] // samples
-        flow[:, y, x], flow_valid[y, x] = _flow(item, local[:, middle], x, y, camera, time + flow_dt)
-
-    hit = owner != NOTHING
-    centre = slice(samples // 2, None, samples)
-    return Traced(color=_pool(color, samples), alpha=_pool(hit.astype(np.float32), samples),
-                  depth=np.where(hit, depth, 0)[centre, centre], flow=flow, flow_valid=flow_valid)
+        color.reshape(3, -1)[:, met] = shade(item, points, item.pose.to_body(points), -ray / norm(ray), sample,
+                                             samples**2, placed, world, time)
+    return Cast(color=color, depth=depth, owner=owner)
 
 
-def _rays(camera: Camera, samples: int) -> np.ndarray:
+def check_samples(samples: int) -> None:
+    """An even number has no middle ray, and with it no depth at the pixel's centre."""
+    if samples < 1 or samples % 2 == 0:
+        raise ValueError(f"samples: expected an odd number of rays along a pixel's side, found {samples}")
+
+
+def rays(camera: Camera, samples: int) -> np.ndarray:
     """World directions (3, H·samples, W·samples) of all rays, each of length 1 along the viewing axis."""
     x = ((np.arange(camera.width * samples) + 0.5) / samples - camera.cx) / camera.fx
     y = ((np.arange(camera.height * samples) + 0.5) / samples - camera.cy) / camera.fy
@@ -77,22 +102,24 @@ def _rays(camera: Camera, samples: int) -> np.ndarray:
     return x.astype(np.float32) * right + (y.astype(np.float32)[:, None] * down + forward)
 
 
-def _first_hits(eye: np.ndarray, rays: np.ndarray, placed: list[Placed],
-                blocks: list[tuple[slice, slice]]) -> tuple[np.ndarray, np.ndarray]:
-    """(depth, index of the body met) of each ray; inf and NOTHING for none."""
-    depth = np.full(rays.shape[1:], np.inf, dtype=np.float32)
-    owner = np.full(rays.shape[1:], NOTHING, dtype=np.int16)
-    for index, (item, block) in enumerate(zip(placed, blocks)):
-        direction = rays[:, *block]
+def first_hits(eye: np.ndarray, directions: np.ndarray, bodies: list[Placed], blocks: list[tuple[slice, slice]],
+               before: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """(depth, index of the body met) of each ray, where nearer than `before`; inf and NOTHING for none."""
+    shape = directions.shape[1:]
+    depth = np.full(shape, np.inf, dtype=np.float32) if before is None else before.copy()
+    owner = np.full(shape, NOTHING, dtype=np.int16)
+    for index, (item, block) in enumerate(zip(bodies, blocks)):
+        direction = directions[:, *block]
         distance = item.body.shape.intersect(item.pose.to_body(eye), item.pose.turn_to_body(direction.reshape(3, -1)))
         distance = distance.reshape(direction.shape[1:])
         nearer = (distance > 0) & (distance < depth[block])
         np.copyto(depth[block], distance, where=nearer)
         np.copyto(owner[block], index, where=nearer)
+    depth[owner == NOTHING] = np.inf
     return depth, owner
 
 
-def _screen_block(item: Placed, camera: Camera, samples: int) -> tuple[slice, slice]:
+def screen_block(item: Placed, camera: Camera, samples: int) -> tuple[slice, slice]:
     """Rows and columns of the rays that may meet the body: the image of its bounding sphere, boxed."""
     x, y, z = camera.world_to_cam[:3, :3] @ item.pose.position + camera.world_to_cam[:3, 3]
 
@@ -107,6 +134,12 @@ def _screen_block(item: Placed, camera: Camera, samples: int) -> tuple[slice, sl
     return bounds(y, camera.fy, camera.cy, camera.height), bounds(x, camera.fx, camera.cx, camera.width)
 
 
+def pool(values: np.ndarray, samples: int) -> np.ndarray:
+    """The mean over each pixel's samples × samples rays: (…, H·samples, W·samples) -> (…, H, W)."""
+    total = sum(values[..., i::samples, j::samples] for i in range(samples) for j in range(samples))
+    return total / np.float32(samples**2)
+
+
 def _flow(item: Placed, local: np.ndarray, x: np.ndarray, y: np.ndarray, camera: Camera,
           later: float) -> tuple[np.ndarray, np.ndarray]:
     """Movement (2, N) in pixels of body points (3, N) seen at the centres of pixels x, y; where it exists (N,)."""
@@ -117,9 +150,3 @@ def _flow(item: Placed, local: np.ndarray, x: np.ndarray, y: np.ndarray, camera:
     flow = np.stack([camera.fx * moved[0] / z + camera.cx - (x + 0.5),
                      camera.fy * moved[1] / z + camera.cy - (y + 0.5)])
     return np.where(valid, flow, 0), valid
-
-
-def _pool(values: np.ndarray, samples: int) -> np.ndarray:
-    """The mean over each pixel's samples × samples rays: (…, H·samples, W·samples) -> (…, H, W)."""
-    total = sum(values[..., i::samples, j::samples] for i in range(samples) for j in range(samples))
-    return total / np.float32(samples**2)

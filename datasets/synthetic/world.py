@@ -1,6 +1,7 @@
 """What a synthetic scene is made of: bodies with a motion and a material, lights, and the sky.
 
-World frame: z up, right-handed, everything within [-1.2, 1.2]³; time runs from 0 to 1.
+World frame: z up, right-handed. In the scenes in D-NeRF's layout everything lies within [-1.2, 1.2]³ and time runs
+from 0 to 1; in the filmed ones time is in seconds.
 """
 
 from __future__ import annotations
@@ -46,6 +47,7 @@ class Material:
     specular: float = 0.0  # strength of the highlight
     shininess: float = 40.0  # its exponent: larger is smaller and sharper
     glow: Callable[[float], np.ndarray] | None = None  # RGB at a time, added without light; None: none
+    is_lit: bool = True  # False: the texture is the colour, whatever the light (a sky)
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,7 @@ class Body:
     material: Material
     motion: Motion
     casts_shadow: bool = True
+    changes: bool = False  # it moves or glows by time: film.py traces it anew for each frame, and all others once
 
 
 @dataclass(frozen=True)

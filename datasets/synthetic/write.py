@@ -7,38 +7,24 @@
 
 from __future__ import annotations
 
-import json
-import os
-import tempfile
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
 from datasets.synthetic.camera_path import ANGLE_X, Shot
+from datasets.synthetic.draft import draft_of, write_json
 from datasets.synthetic.trace import Traced, trace
 from datasets.synthetic.world import World
 from rasterizer.camera import Camera
 
 
 def write_scene(world: World, shots: dict[str, list[Shot]], size: int, meta: dict, folder: Path) -> Path:
-    """Traces every shot of every split ("train", "val", "test") at size × size pixels into `folder`.
-
-    Written beside it first and renamed at the end: a killed run leaves no half scene, and of two processes that
-    make the same scene the first one's stands.
-    """
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}-") as temporary:
-        draft = Path(temporary) / folder.name  # a plain folder: the temporary one is private to its owner
-        draft.mkdir()
+    """Traces every shot of every split ("train", "val", "test") at size × size pixels into `folder`."""
+    with draft_of(folder) as draft:
         for split, split_shots in shots.items():
             _write_split(world, split, split_shots, size, meta["flow_dt"], draft)
-        _write_json(draft / "meta.json", meta)
-        try:
-            os.rename(draft, folder)
-        except OSError:
-            if not (folder / "meta.json").is_file():  # not another process's finished copy
-                raise
+        write_json(draft / "meta.json", meta)
     return folder
 
 
@@ -75,8 +61,4 @@ def _write_split(world: World, split: str, shots: list[Shot], size: int, flow_dt
         if world.is_static:
             del frame["time"]
         frames.append(frame)
-    _write_json(folder / f"transforms_{split}.json", {"camera_angle_x": ANGLE_X, "frames": frames})
-
-
-def _write_json(path: Path, content: dict) -> None:
-    path.write_text(json.dumps(content, indent=1) + "\n")
+    write_json(folder / f"transforms_{split}.json", {"camera_angle_x": ANGLE_X, "frames": frames})

@@ -7,7 +7,8 @@ Data flows one way, a module a step:
     aggregate   frames             -> mean ± std over seeds, standard errors, ablation verdicts
     paper       results/paper/     -> the paper's numbers, as printed
     tables      both               -> the paper's tables with our rows beside (run_tables: our own)
-    plots, strips                  -> curves (SVG) and render | truth | difference images (PNG)
+    structure   runs               -> what COLMAP found of each scene
+    plots, strips                  -> curves (SVG) and render | truth | difference images (WebP)
     export, page                   -> Markdown, CSV, LaTeX; one self-contained HTML page
 
 The report reads run folders only. It never imports torch, trains nothing and edits nothing that a run wrote.

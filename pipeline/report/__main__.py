@@ -16,6 +16,7 @@ from .page import CurvePlot, render_page
 from .plots import DARK, curve_scenes, plot_scene
 from .run_tables import run_tables
 from .strips import make_strips
+from .structure import Structure, structure_from_motion
 from .summary import summarise, summary_markdown
 from .tables import paper_tables
 from .variants import name_variants
@@ -43,11 +44,12 @@ def main(arguments: list[str] | None = None) -> int:
 def write_report(runs_dir: Path, out: Path, no_pictures: tuple[str, ...] = ()) -> None:
     """Reads `runs_dir`, writes everything under `out`, prints the summary and the tables that compare.
 
-    no_pictures: scenes or families of scenes without strips.
+    no_pictures: scenes or families of scenes without strips and without a picture of their points.
     """
     collection = name_variants(collect(runs_dir))
     strips, strip_warnings = make_strips(collection.runs, no_pictures)
-    summary = summarise(collection, strip_warnings)
+    structure, structure_warnings = structure_from_motion(collection.runs, no_pictures)
+    summary = summarise(collection, strip_warnings + structure_warnings)
     for line in (*summary.left_out, *summary.warnings):
         print(f"warning: {line}", file=sys.stderr)
 
@@ -58,11 +60,13 @@ def write_report(runs_dir: Path, out: Path, no_pictures: tuple[str, ...] = ()) -
     ]
 
     _clear(out)
-    for table in (*of_paper, *ours):
+    of_points = [structure.table] if structure else []
+    for table in (*of_paper, *ours, *of_points):
         write_all(table, out / "tables")
+    pictures = (*strips, *(structure.pictures if structure else ()))
     for name, content in [
         (f"plots/{plot.scene.replace('/', '_')}.svg", plot.light.encode()) for plot in plots
-    ] + [(f"strips/{strip.filename}", strip.webp) for strip in strips]:
+    ] + [(f"strips/{picture.filename}", picture.webp) for picture in pictures]:
         (out / name).parent.mkdir(parents=True, exist_ok=True)
         (out / name).write_bytes(content)
     verdicts, *others = ours
@@ -74,18 +78,29 @@ def write_report(runs_dir: Path, out: Path, no_pictures: tuple[str, ...] = ()) -
                 summary_markdown(summary),
                 "## Training curves\n",
                 curves,
+                *_structure_markdown(structure),
                 "## Tables\n",
                 *(markdown(table) for table in (verdicts, *of_paper, *others)),
             ]
         ),
         encoding="utf-8",
     )
-    (out / "report.html").write_text(render_page(summary, of_paper, ours, plots, strips), encoding="utf-8")
+    page = render_page(summary, of_paper, ours, plots, strips, structure)
+    (out / "report.html").write_text(page, encoding="utf-8")
 
     print(summary_markdown(summary))
-    for table in (verdicts, *of_paper, *(t for t in others if t.slug.startswith("scenes_"))):
+    shown = [table for table in others if table.slug.startswith("scenes_") or table.slug == "batches"]
+    for table in (verdicts, *of_paper, *shown, *of_points):
         print(markdown(table))
     print(f"Page: {out / 'report.html'}   tables: {out / 'tables'}   plots: {out / 'plots'}")
+
+
+def _structure_markdown(structure: Structure | None) -> list[str]:
+    """A section of report.md; nothing where no run started from structure from motion."""
+    if structure is None:
+        return []
+    pictures = [f"![points and cameras of {p.scene}](strips/{p.filename})\n" for p in structure.pictures]
+    return ["## Structure from motion\n", markdown(structure.table), *pictures]
 
 
 def _clear(out: Path) -> None:

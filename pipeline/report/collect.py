@@ -26,6 +26,7 @@ QUALITY = (
     "dssim2",
     "lpips_alex",
     "lpips_vgg",
+    "flicker",
     "fps_raster",
     "fps_render",
 )
@@ -54,7 +55,7 @@ class Collection:
     runs:     one row a run: run (its path under RUNS_DIR), folder, scene, ablation, train, seed, machine,
               date, git_commit, command, *_note, and the metrics as `final.psnr`, `best_on_test.psnr`,
               `n_gaussians` … (floats; NaN: not measured). `*.dssim_ms` = (1 - MS-SSIM) / 2 is the paper's
-              DSSIM
+              DSSIM; `*.flicker_levels` is flicker in levels of 255
     curves:   one row an evaluation: run, scene, ablation, train, seed, train_seconds (s), iteration,
               psnr (dB), n_gaussians
     settings: run -> its resolved config, flattened to `train.densify.every` style keys
@@ -148,6 +149,7 @@ def read_metrics(path: Path) -> dict[str, Any]:
         for key in QUALITY + (("iteration",) if protocol == "best_on_test" else ()):
             row[f"{protocol}.{key}"] = _number(part.get(key), f"{protocol}.{key}")
         row[f"{protocol}.dssim_ms"] = (1 - row[f"{protocol}.ms_ssim"]) / 2
+        row[f"{protocol}.flicker_levels"] = 255 * row[f"{protocol}.flicker"]
     for key in COST:
         row[key] = _number(data.get(key), key)
     for key in REQUIRED:

@@ -39,7 +39,8 @@ def equal_time(collection: Collection) -> Table | None:
                 def over(metric: str, decimals: int, name: str = name) -> Cell:
                     return measured(over_seeds(runs, scene, ablation, name, metric), decimals)
 
-                at_shared = estimate(psnr_at(run, shared) for _, run in compared[compared["train"] == name].groupby("run"))
+                mine = compared[compared["train"] == name]
+                at_shared = estimate(psnr_at(run, shared) for _, run in mine.groupby("run"))
                 rows.append(Row({
                     "scene": text(scene), "ablation": text(ablation), "train": text(name),
                     "iterations": over("iterations", 0), "train_seconds": over("train_seconds", 0),

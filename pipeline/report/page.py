@@ -10,6 +10,7 @@ from pathlib import Path
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from .strips import DIFFERENCE_GAIN, Strip
+from .structure import Structure
 from .summary import Summary
 from .table import Table
 
@@ -29,8 +30,9 @@ def render_page(
     our_tables: Sequence[Table],
     plots: Sequence[CurvePlot],
     strips: Sequence[Strip],
+    structure: Structure | None = None,
 ) -> str:
-    """HTML text. Text is escaped by the template engine; images become data URIs."""
+    """HTML text. Text is escaped by the template engine; images become data URIs. Without `structure` no section."""
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent),
         autoescape=True,
@@ -46,6 +48,8 @@ def render_page(
         paper_tables=paper_tables,
         verdicts=own["ablation_verdicts"],
         scene_tables=[t for t in our_tables if t.slug.startswith("scenes_")],
+        comparisons=[own[slug] for slug in ("equal_time", "batches") if slug in own],
+        structure=structure,
         raw_tables=[own["all_runs"], own["provenance"]],
         plots=plots,
         strips=_by_group(strips),

@@ -1,34 +1,23 @@
-"""Our own tables: ablation verdicts, each family's scenes, every run, where each number comes from."""
+"""Our own tables: ablation verdicts, comparisons (their own modules), every run, where each number comes from."""
 
 from __future__ import annotations
 
 import pandas as pd
 
 from . import scenes
-from .aggregate import FORMULA, Verdict, over_seeds, select, trains, verdict
+from .aggregate import FORMULA, Verdict, select, trains, verdict
+from .batches import batches
 from .collect import PROTOCOLS, Collection
 from .equal_time import equal_time
+from .our_rows import PROTOCOL_NOTE, gap_notes
+from .scene_tables import scene_tables
 from .table import Cell, Column, Row, Table, measured, number, text
-from .tables import PROTOCOL_NOTE
-
-_FAMILY_TITLE = {
-    "synthetic": "Synthetic suite",
-    "dnerf": "D-NeRF per scene",
-    "plenoptic": "Plenoptic Video in detail",
-    "other": "Other scenes",
-}
-
 
 def run_tables(collection: Collection) -> list[Table]:
-    """All, in reading order; a family without runs is left out, except D-NeRF: its rows are empty."""
+    """All, in reading order; comparisons that there are no runs for are left out."""
     runs = collection.runs
-    families = [
-        scene_table(runs, family)
-        for family in _FAMILY_TITLE
-        if family == "dnerf" or (runs["scene"].map(scenes.family) == family).any()
-    ]
-    compared = equal_time(collection)
-    return [verdicts(runs), *families, *([compared] if compared else []), all_runs(runs), provenance(runs)]
+    compared = [table for table in (equal_time(collection), batches(collection)) if table is not None]
+    return [verdicts(runs), *scene_tables(runs), *compared, all_runs(runs), provenance(runs)]
 
 
 def verdicts(runs: pd.DataFrame) -> Table:
@@ -95,73 +84,9 @@ def _sentence(found: Verdict) -> str:
     }[found.word]
 
 
-def scene_table(runs: pd.DataFrame, family: str) -> Table:
-    """Every scene of a family × schedule × ablation, `final` and `best on test` side by side."""
-    columns = (
-        Column("scene", "Scene", False),
-        Column("train", "Schedule", False),
-        Column("ablation", "Ablation", False),
-        Column("seeds", "Seeds"),
-        Column("final_psnr", "PSNR ↑ final"),
-        Column("best_psnr", "PSNR ↑ best on test"),
-        Column("full_minus", "full − this, PSNR"),
-        Column("two_se", "2 SE"),
-        Column("verdict", "vs full", False),
-        Column("final_ssim", "SSIM ↑ final"),
-        Column("best_ssim", "SSIM ↑ best on test"),
-        Column("final_lpips_vgg", "LPIPS-VGG ↓ final"),
-        Column("n_gaussians", "Gaussians"),
-        Column("train_seconds", "Train s"),
-    )
-    present = runs[runs["scene"].map(scenes.family) == family]
-    listed = scenes.DNERF if family == "dnerf" else scenes.in_order(present["scene"])
-    rows = []
-    for scene in listed:
-        of_scene = present[present["scene"] == scene]
-        if of_scene.empty:
-            rows.append(Row({"scene": text(scene)}))
-        for train in sorted(of_scene["train"].unique()):
-            names = of_scene[of_scene["train"] == train]["ablation"]
-            for name in scenes.ablations_in_order(names):
-                rows.append(
-                    Row(
-                        {"scene": text(scene), "train": text(train), "ablation": text(name)}
-                        | _scene_cells(of_scene, scene, name, train)
-                    )
-                )
-    notes = [PROTOCOL_NOTE, *_gap_notes(present)]
-    if any("verdict" in row.cells for row in rows):
-        notes.append(("", "vs full: final PSNR, by the rule of the ablation verdicts."))
-    return Table(f"scenes_{family}", _FAMILY_TITLE[family], columns, tuple(rows), notes=tuple(notes))
-
-
-def _scene_cells(runs: pd.DataFrame, scene: str, ablation: str, train: str) -> dict[str, Cell]:
-    def cell(metric: str, decimals: int) -> Cell:
-        return measured(over_seeds(runs, scene, ablation, train, metric), decimals)
-
-    cells = {
-        "seeds": number(len(select(runs, scene, ablation, train)), 0),
-        "final_psnr": cell("final.psnr", 2),
-        "best_psnr": cell("best_on_test.psnr", 2),
-        "final_ssim": cell("final.ssim", 3),
-        "best_ssim": cell("best_on_test.ssim", 3),
-        "final_lpips_vgg": cell("final.lpips_vgg", 3),
-        "n_gaussians": cell("n_gaussians", 0),
-        "train_seconds": cell("train_seconds", 0),
-    }
-    found = verdict(runs, scene, ablation, train, "final.psnr") if ablation != "full" else None
-    if found is None:
-        dash = text("·")  # nothing to compare: this is `full`, or `full` has no run
-        return cells | {"full_minus": dash, "two_se": dash, "verdict": dash}
-    return cells | {
-        "full_minus": number(found.difference),
-        "two_se": number(2 * found.standard_error),
-        "verdict": text(found.word),
-    }
-
-
 def all_runs(runs: pd.DataFrame) -> Table:
     """One row a run: quality and cost."""
+    filmed = runs["final.flicker"].notna().any()
     columns = (
         Column("run", "Run", False),
         Column("final_psnr", "PSNR final"),
@@ -173,6 +98,7 @@ def all_runs(runs: pd.DataFrame) -> Table:
         Column("final_dssim2", "DSSIM2"),
         Column("final_lpips_alex", "LPIPS-Alex"),
         Column("final_lpips_vgg", "LPIPS-VGG"),
+        *([Column("final_flicker", "Flicker, levels of 255")] if filmed else []),
         Column("fps_raster", "FPS raster"),
         Column("fps_render", "FPS render"),
         Column("iterations", "Iterations"),
@@ -193,6 +119,7 @@ def all_runs(runs: pd.DataFrame) -> Table:
         "final_dssim2": ("final.dssim2", 4),
         "final_lpips_alex": ("final.lpips_alex", 3),
         "final_lpips_vgg": ("final.lpips_vgg", 3),
+        "final_flicker": ("final.flicker_levels", 2),
         "fps_raster": ("final.fps_raster", 1),
         "fps_render": ("final.fps_render", 1),
         "iterations": ("iterations", 0),
@@ -218,7 +145,7 @@ def all_runs(runs: pd.DataFrame) -> Table:
         columns,
         rows,
         notes=(
-            *_gap_notes(runs),
+            *gap_notes(runs),
             (
                 "",
                 "FPS raster: blending alone; FPS render: with slicing, sorting. Train s: without evaluation.",
@@ -248,13 +175,3 @@ def provenance(runs: pd.DataFrame) -> Table:
             for row in runs.to_dict("records")
         ),
     )
-
-
-def _gap_notes(runs: pd.DataFrame) -> list[tuple[str, str]]:
-    """Why LPIPS or MS-SSIM is missing, as the runs say."""
-    return [
-        ("", f"{name}: {note}")
-        for name, column in (("LPIPS", "lpips_note"), ("MS-SSIM", "ms_ssim_note"))
-        for note in sorted(set(runs[column]))
-        if note
-    ]

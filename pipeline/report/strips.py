@@ -39,8 +39,7 @@ class Strip:
     @property
     def filename(self) -> str:
         """Unique among strips, safe in any file system."""
-        words = (self.scene, self.ablation, self.train, f"seed{self.seed}", self.why, self.view)
-        return "".join(c if c.isalnum() or c in "-_." else "_" for c in "__".join(words)) + ".webp"
+        return webp_name(self.scene, self.ablation, self.train, f"seed{self.seed}", self.why, self.view)
 
 
 def make_strips(runs: pd.DataFrame, no_pictures: tuple[str, ...] = ()) -> tuple[list[Strip], list[str]]:
@@ -51,7 +50,7 @@ def make_strips(runs: pd.DataFrame, no_pictures: tuple[str, ...] = ()) -> tuple[
     strips: list[Strip] = []
     warnings: list[str] = []
     for scene in scenes.in_order(runs["scene"]):
-        if scene in no_pictures or scene.split("/")[0] in no_pictures:
+        if kept_back(scene, no_pictures):
             warnings.append(f"{scene}: pictures left out, as asked (--no-pictures)")
             continue
         for train in sorted(runs[runs["scene"] == scene]["train"].unique()):
@@ -76,6 +75,16 @@ def make_strips(runs: pd.DataFrame, no_pictures: tuple[str, ...] = ()) -> tuple[
     return strips, warnings
 
 
+def webp_name(*words: str) -> str:
+    """A file's name of the words, safe in any file system."""
+    return "".join(c if c.isalnum() or c in "-_." else "_" for c in "__".join(words)) + ".webp"
+
+
+def kept_back(scene: str, no_pictures: tuple[str, ...]) -> bool:
+    """Is the scene or its family among those whose pictures may not be passed on?"""
+    return scene in no_pictures or scene.split("/")[0] in no_pictures
+
+
 def choose_views(renders: Path, psnr_of: dict[str, float]) -> list[tuple[str, str]]:
     """(why, view): median and worst by PSNR; without PSNRs the middle one by name; [] without images."""
     views = sorted(p.name.removesuffix("_render.png") for p in renders.glob("*_render.png"))
@@ -86,13 +95,13 @@ def choose_views(renders: Path, psnr_of: dict[str, float]) -> list[tuple[str, st
     return [("median", median)] + ([("worst", worst)] if worst != median else [])
 
 
-def compose(paths: list[Path]) -> bytes:
-    """The images side by side as WebP, gaps transparent; a view larger than 512 pixels is shrunk."""
+def compose(paths: list[Path], max_side: int = _MAX_SIDE) -> bytes:
+    """The images side by side as WebP, gaps transparent; one larger than `max_side` pixels is shrunk."""
     images = []
     for path in paths:
         with Image.open(path) as image:
             images.append(image.convert("RGB"))
-    scale = min(1.0, _MAX_SIDE / max(images[0].size))
+    scale = min(1.0, max_side / max(images[0].size))
     size = (max(1, round(images[0].width * scale)), max(1, round(images[0].height * scale)))
     strip = Image.new("RGBA", (len(images) * size[0] + (len(images) - 1) * _GAP, size[1]), (0, 0, 0, 0))
     for i, image in enumerate(images):

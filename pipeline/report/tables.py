@@ -5,21 +5,18 @@ A mean over fewer scenes than the paper's says over how many ("mean of 1 of 8").
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import pandas as pd
 
 from . import paper, scenes
-from .aggregate import over_scenes, over_seeds, trains
-from .collect import PROTOCOLS
-from .table import NO_RUN, Cell, Column, Row, Table, measured, printed, text
+from .aggregate import over_scenes, trains
+from .our_rows import PROTOCOL_NOTE, gap_notes, our_mean_rows, our_rows, scene_cell
+from .table import Cell, Column, Row, Table, measured, printed, text
 
 THIS_PAPER = "4DGS (this paper)"
-PROTOCOL_NAME = {"final": "final", "best_on_test": "best on test"}
-PROTOCOL_NOTE = (
+PLENOPTIC_NOTE = (
     "",
-    "final: the last iteration. best on test: the best of all test evaluations (the release's "
-    "protocol, which picks on the test set).",
+    "Ours: runs of the scenes named plenoptic/<name>, at the size, length and held-out camera that the scene's "
+    "configuration has; whatever a command changed stands in brackets after the schedule's name.",
 )
 
 
@@ -58,7 +55,7 @@ def plenoptic(runs: pd.DataFrame) -> Table:
             **{key: printed(printed_row.get(key, "")) for key in metric_of},
         }
         rows.append(Row(cells, _kind(printed_row["method"]), mark))
-    rows += _our_mean_rows(runs, scenes.PLENOPTIC, metric_of)
+    rows += our_mean_rows(runs, scenes.PLENOPTIC, metric_of)
     return Table(
         "table1_plenoptic",
         "Table 1 · Plenoptic Video, mean over scenes",
@@ -71,7 +68,9 @@ def plenoptic(runs: pd.DataFrame) -> Table:
                 "DSSIM = (1 − MS-SSIM)/2, the paper's. DSSIM1 and DSSIM2 = (1 − SSIM)/2 with data range "
                 "1 and 2; the literature mixes all three.",
             ),
+            PLENOPTIC_NOTE,
             PROTOCOL_NOTE,
+            *gap_notes(runs[runs["scene"].isin(scenes.PLENOPTIC)]),
         ),
     )
 
@@ -95,19 +94,19 @@ def plenoptic_per_scene(runs: pd.DataFrame) -> Table:
 
     def ours(train: str, protocol: str) -> dict[str, Cell]:
         cells = {
-            scenes.short(s): _scene_cell(runs, s, "full", train, f"{protocol}.psnr") for s in scenes.PLENOPTIC
+            scenes.short(s): scene_cell(runs, s, "full", train, f"{protocol}.psnr") for s in scenes.PLENOPTIC
         }
         mean, count = over_scenes(runs, scenes.PLENOPTIC, "full", train, f"{protocol}.psnr")
         # A mean of fewer scenes stands in Table 1 with its count, not beside means of six.
         return cells | ({"mean": measured(mean)} if count == len(scenes.PLENOPTIC) else {})
 
-    rows += _our_rows(trains(runs, scenes.PLENOPTIC, "full"), ours)
+    rows += our_rows(trains(runs, scenes.PLENOPTIC, "full"), ours)
     return Table(
         "table1_per_scene",
         "Table 1 per scene · Plenoptic Video, PSNR",
         columns,
         tuple(rows),
-        notes=(*paper.footnotes(marks), PROTOCOL_NOTE),
+        notes=(*paper.footnotes(marks), PLENOPTIC_NOTE, PROTOCOL_NOTE),
     )
 
 
@@ -140,7 +139,7 @@ def dnerf(runs: pd.DataFrame) -> Table:
             "lpips": printed(""),
         }
         rows.append(Row(cells, "other", retrained["note"]))
-    rows += _our_mean_rows(runs, scenes.DNERF, metric_of)
+    rows += our_mean_rows(runs, scenes.DNERF, metric_of)
     return Table(
         "table2_dnerf",
         "Table 2 · D-NeRF, mean over scenes",
@@ -188,6 +187,7 @@ def ablation(runs: pd.DataFrame) -> Table:
         notes=(
             *paper.footnotes(marks),
             ("", "The paper's means are computed here from its two scenes."),
+            PLENOPTIC_NOTE,
             PROTOCOL_NOTE,
         ),
     )
@@ -199,7 +199,7 @@ def _our_ablation_rows(runs: pd.DataFrame, name: str) -> list[Row]:
     def cells_of(train: str, protocol: str) -> dict[str, Cell]:
         mean, count = over_scenes(runs, scenes.TABLE3, name, train, f"{protocol}.psnr")
         cells = {
-            f"{scenes.short(scene)}_{metric}": _scene_cell(
+            f"{scenes.short(scene)}_{metric}": scene_cell(
                 runs, scene, name, train, f"{protocol}.{metric}", decimals
             )
             for scene in scenes.TABLE3
@@ -207,47 +207,8 @@ def _our_ablation_rows(runs: pd.DataFrame, name: str) -> list[Row]:
         }
         return cells | ({"mean_psnr": measured(mean)} if count == len(scenes.TABLE3) else {})
 
-    rows = _our_rows(trains(runs, scenes.TABLE3), cells_of)
+    rows = our_rows(trains(runs, scenes.TABLE3), cells_of)
     return [Row(row.cells | {"ablation": text(name)}, row.kind) for row in rows]
-
-
-def _our_rows(our_trains: list[str], cells_of: Callable[[str, str], dict[str, Cell]]) -> list[Row]:
-    """A `final` and a `best on test` row for each schedule; without any run the same two, empty."""
-    if not our_trains:
-        return [Row({"method": text(f"Ours, {PROTOCOL_NAME[p]}")}) for p in PROTOCOLS]
-    return [
-        Row({"method": text(f"Ours, {train}, {PROTOCOL_NAME[p]}"), **cells_of(train, p)})
-        for train in our_trains
-        for p in PROTOCOLS
-    ]
-
-
-def _our_mean_rows(
-    runs: pd.DataFrame, of: tuple[str, ...], metric_of: dict[str, tuple[str, int]]
-) -> list[Row]:
-    """Means over the scenes `of`, column key -> (metric, decimals)."""
-
-    def cells(train: str, protocol: str) -> dict[str, Cell]:
-        means = {
-            key: over_scenes(runs, of, "full", train, f"{protocol}.{metric}")
-            for key, (metric, _) in metric_of.items()
-        }
-        count = max(n for _, n in means.values())
-        said = str(len(of)) if count == len(of) else f"mean of {count} of {len(of)}"
-        return {
-            "scenes": text(said),
-            **{key: measured(means[key][0], metric_of[key][1]) for key in metric_of},
-        }
-
-    return _our_rows(trains(runs, of, "full"), cells)
-
-
-def _scene_cell(
-    runs: pd.DataFrame, scene: str, ablation: str, train: str, metric: str, decimals: int = 2
-) -> Cell:
-    """Empty without a run, n/a where the run lacks the metric."""
-    mine = runs[(runs["scene"] == scene) & (runs["ablation"] == ablation) & (runs["train"] == train)]
-    return NO_RUN if mine.empty else measured(over_seeds(runs, scene, ablation, train, metric), decimals)
 
 
 def _kind(method: str) -> str:

@@ -1,7 +1,8 @@
 """Tells runs apart that carry one name but not one set of settings.
 
-`train=fast train.iterations=600` is still called `fast` in its run folder. Here it is `fast (iterations=600)`: the
-report takes what the command changed into the name, so that no schedule passes for another. Settings can differ
+`train=fast train.iterations=600` is still called `fast` in its run folder. Here it is `fast (iterations=600)`, and with
+`scene.frames=30` it is `fast (scene.frames=30)`: the report takes what the command changed into the name, so that no
+schedule passes for another and no part of a scene for the whole. Settings can differ
 without the command saying so (an edited file), so inside a scene all runs with one `train` name (and one `ablation`
 name) are compared key by key too; those that differ from most get the differing keys in their name.
 """
@@ -27,12 +28,14 @@ _FREE = (
     "out",
     "threads",
     "resume",
+    "estimate",
     "scene.cache",
     "train.checkpoint_every",
     "train.checkpoint_keep_moments",
     "evaluate",
     "hydra",
 )
+_TYPED = ("train.", "scene.", "init.", "background=")  # what a command changes, of these, goes into the name
 _SHOWN = 3  # differing keys spelled out in a name
 
 
@@ -41,7 +44,7 @@ def name_variants(collection: Collection) -> Collection:
     runs, settings = collection.runs, collection.settings
     runs = runs.assign(train=[_as_typed(name, command) for name, command in zip(runs["train"], runs["command"])])
     runs = runs.assign(
-        train=_distinct_names(runs, "train", {run: _of_schedule(settings[run]) for run in runs["run"]}),
+        train=_distinct_names(runs, "train", {run: schedule_settings(settings[run]) for run in runs["run"]}),
         ablation=_distinct_names(runs, "ablation", {run: _of_ablation(settings[run]) for run in runs["run"]}),
     )
 
@@ -63,12 +66,13 @@ def name_variants(collection: Collection) -> Collection:
 
 
 def _as_typed(name: str, command: str) -> str:
-    """`name`, plus the train.* settings that the run's command line changed."""
+    """`name`, plus the settings of schedule, scene and start that the run's command line changed."""
     try:
         words = shlex.split(command)
     except ValueError:
         words = []  # not a command line
-    changed = [w.removeprefix("train.") for w in words if w.startswith("train.") and w.split("=")[0] not in _FREE]
+    free = (*_FREE, "scene.path", "scene.name")  # of the folder, schedule_settings compares the name
+    changed = [w.removeprefix("train.") for w in words if w.startswith(_TYPED) and w.split("=")[0] not in free]
     return f"{name} ({', '.join(changed)})" if changed else name
 
 
@@ -87,7 +91,8 @@ def _distinct_names(runs: pd.DataFrame, column: str, settings: dict[str, dict[st
     return runs["run"].map(names)
 
 
-def _of_schedule(settings: dict[str, Any]) -> dict[str, Any]:
+def schedule_settings(settings: dict[str, Any]) -> dict[str, Any]:
+    """What a run's result depends on besides its ablation and its seed."""
     kept = {
         key: value
         for key, value in settings.items()

@@ -1,0 +1,72 @@
+"""Reads the Plenoptic Video layout, and bare videos that lack poses.
+
+    DIR/cam00.mp4, cam01.mp4, …     synchronised videos, one a camera
+    DIR/poses_bounds.npy            their poses (poses.py)
+
+or what the released program's converter makes of them, DIR/images and DIR/transforms_*.json (images.py). Where a
+folder holds both, the videos are read. Every frame is decoded once, into a store under the cache (decode.py).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from datasets.plenoptic.decode import Undistortion, fingerprint
+from datasets.plenoptic.footage import Footage, Reading
+from datasets.plenoptic.images import camera_number, read_camera, read_entries, sequences
+from datasets.plenoptic.poses import read_poses
+from datasets.plenoptic.sync import choose, common_frames
+from datasets.plenoptic.videos import VideoFile, find_cameras, find_footage, probe
+from datasets.scene import Scene, SceneError
+
+__all__ = ["Footage", "Reading", "Undistortion", "read_footage", "read_plenoptic"]
+
+VIDEO_PART = 1 << 20  # bytes at a video's beginning and at its end that tell whether it is the same
+IMAGE_PART = 1 << 12  # there are thousands of images; a PNG ends in checksums of its pixels
+
+
+def read_plenoptic(path: str | Path, **options: Any) -> Scene:
+    """The scene in folder `path`, in either form of the layout; decodes what is not in the store yet.
+
+    options: the fields of Reading. Raises SceneError for anything that is not as the layout promises, before a frame
+    is decoded unless only decoding shows it.
+    """
+    root, reading = Path(path), Reading(**options)
+    if not root.is_dir():
+        raise SceneError(root, "a folder in the Plenoptic Video layout", "a file" if root.exists() else "nothing there")
+    files, poses, transforms = find_cameras(root), root / "poses_bounds.npy", root / "transforms_train.json"
+    if files and (poses.exists() or not transforms.exists()):
+        footage = _footage(root, files, reading)
+        found = read_poses(poses, [file.name for file in files], footage.names, footage.size)
+        return footage.to_scene(found.cameras, unit=found.unit, init_box=found.init_box)
+    if transforms.exists():
+        return _read_images(root, reading)
+    raise SceneError(root, "cam00.mp4 … and poses_bounds.npy, or images and transforms_train.json", "neither")
+
+
+def read_footage(path: str | Path, **options: Any) -> Footage:
+    """The videos in folder `path`, whatever their names, without poses. options: the fields of Reading."""
+    root = Path(path)
+    return _footage(root, find_footage(root), Reading(**options))
+
+
+def _footage(root: Path, files: Sequence[VideoFile], reading: Reading) -> Footage:
+    keep = choose([file.number for file in files], root, reading.test_cameras, reading.drop_cameras)
+    videos = probe(files, keep, reading.drop_cameras)
+    count = common_frames(videos, reading.first_frame, reading.frames, reading.drop_cameras)
+    return Footage(root, videos, count, fingerprint([file.path for file in files], VIDEO_PART), reading)
+
+
+def _read_images(root: Path, reading: Reading) -> Scene:
+    entries = read_entries(root)
+    keep = choose([camera_number(name) for name in entries], root, reading.test_cameras, reading.drop_cameras)
+    found = sequences(entries, keep, reading.background)
+    count = common_frames(found, reading.first_frame, reading.frames, reading.drop_cameras)
+    files = [entry.image_path for camera in entries.values() for entry in camera]
+    content = f"{fingerprint(files, IMAGE_PART)} over {reading.background}"
+    footage = Footage(root, found, count, content, reading)
+    posed = {name: read_camera(entries[name], footage.size) for name in footage.names}
+    return footage.to_scene({name: camera for name, (camera, _) in posed.items()},
+                            {name: lens for name, (_, lens) in posed.items()})

@@ -1,0 +1,211 @@
+"""Fills the decoded-frame store: every camera once, several side by side, going on where a killed run stopped.
+
+    <cache>/<scene>-<hash>/<camera>.npy, <camera>.json     see datasets/frames.py
+
+The hash is that of everything the frames follow from, but not of the place the data lie in or the cameras that are
+left out: a copied data set, or one with a camera dropped, finds its frames.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import hashlib
+import json
+import math
+import os
+import shutil
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+import cv2
+import numpy as np
+
+from datasets.frames import TEMPORARY, StoredFrame, read_frames, write_frames
+from datasets.plenoptic.display import DecodingDisplay, Say
+from datasets.scene import SceneError
+from rasterizer.camera import Camera
+
+STORE_VERSION = 1  # raised whenever the same input would give other frames
+
+
+class Stream(Protocol):
+    """One camera's images in order of time, all of one size."""
+
+    name: str  # "cam00"; unique, names its file in the store
+    number: int  # as in scene.test_cameras and scene.drop_cameras
+    path: Path  # the video, or what stands for it in a message
+    size: tuple[int, int]  # (width, height)
+    rate: float  # frames a second
+    count: int  # frames its header promises
+    start: float  # when the first frame was taken, in frames
+
+    def read(self, first: int, count: int, threads: int) -> Iterator[np.ndarray]:
+        """Frames first … first + count - 1, each (height, width, 3) uint8 RGB; SceneError if one cannot be had."""
+        ...
+
+
+@dataclass(frozen=True)
+class Undistortion:
+    """A lens to be straightened. The image keeps its size, focal lengths and principal point: those of the Camera."""
+
+    fx: float  # pixels, as all intrinsics here: centres of pixels lie at integer + 0.5
+    fy: float
+    cx: float
+    cy: float
+    coefficients: tuple[float, ...]  # OpenCV's: k1, k2, p1, p2, k3[, k4, k5, k6]
+
+    @classmethod
+    def of(cls, camera: Camera, *coefficients: float) -> Undistortion:
+        """The lens of a camera; coefficients that are left out are 0."""
+        return cls(camera.fx, camera.fy, camera.cx, camera.cy, coefficients + (0.0,) * (5 - len(coefficients)))
+
+    def maps(self, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+        """Where each pixel of the straight image (width, height) is taken from, as cv2.remap wants it."""
+        # OpenCV's pixel centres lie at integers.
+        matrix = np.array([[self.fx, 0, self.cx - 0.5], [0, self.fy, self.cy - 0.5], [0, 0, 1]])
+        return cv2.initUndistortRectifyMap(matrix, np.array(self.coefficients), None, matrix, size, cv2.CV_16SC2)
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What is done to every camera."""
+
+    first_frame: int
+    frames: int
+    downscale: int
+
+
+def reduce_image(image: np.ndarray, downscale: int) -> np.ndarray:
+    """(H, W, 3) uint8 -> (H // downscale, W // downscale, 3): area average, less what fills no block at the end."""
+    if downscale == 1:
+        return image
+    height, width = image.shape[0] // downscale, image.shape[1] // downscale
+    whole = image[:height * downscale, :width * downscale]
+    return cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)
+
+
+def reduce_camera(camera: Camera, downscale: int) -> Camera:
+    """The camera of `reduce_image`: first the part that is kept (intrinsics from the top left stay), then its scale."""
+    width, height = camera.width // downscale, camera.height // downscale
+    return replace(camera, width=width * downscale, height=height * downscale).resized(width, height)
+
+
+def store_folder(cache: Path, scene: str, content: str, recipe: Recipe, undistortion: Mapping[str, Undistortion]
+                 ) -> Path:
+    """Where a scene's frames lie.
+
+    content: hash of the videos or images, all in the folder, whether left out or not.
+    """
+    parts = (STORE_VERSION, content, vars(recipe), {name: vars(lens) for name, lens in undistortion.items()})
+    digest = hashlib.blake2b(json.dumps(parts, sort_keys=True).encode(), digest_size=6).hexdigest()
+    return cache / f"{scene.replace('/', '_')}-{digest}"
+
+
+def fingerprint(paths: Sequence[Path], part: int) -> str:
+    """Hash of each file's name, size, and first and last `part` bytes: a copy has the same, an edited file another."""
+    digest = hashlib.blake2b(digest_size=16)
+    for path in paths:
+        try:
+            with open(path, "rb") as file:
+                size = file.seek(0, os.SEEK_END)
+                digest.update(f"{path.name}\n{size}\n".encode())
+                file.seek(0)
+                digest.update(file.read(part))
+                file.seek(max(size - part, 0))
+                digest.update(file.read(part))
+        except OSError as error:
+            raise SceneError(path, "a readable file", str(error)) from None
+    return digest.hexdigest()
+
+
+def decode(streams: Sequence[Stream], folder: Path, recipe: Recipe, undistortion: Mapping[str, Undistortion],
+           threads: int, say: Say) -> dict[str, tuple[StoredFrame, ...]]:
+    """Camera -> its frames in `folder`, decoded now unless they are there. All streams are of one size.
+
+    threads: cameras decoded side by side. Another process that decodes into the same folder is waited for. Raises
+    SceneError for a video that cannot be decoded as promised, or a disk without room.
+    """
+    width, height = streams[0].size
+    shape = (recipe.frames, height // recipe.downscale, width // recipe.downscale, 3)
+    found = {stream.name: read_frames(folder, stream.name, shape) for stream in streams}
+    if None in found.values():
+        folder.mkdir(parents=True, exist_ok=True)
+        with _locked(folder, say):
+            for leftover in folder.glob(f"{TEMPORARY}*"):
+                leftover.unlink()
+            missing = [stream for stream in streams if read_frames(folder, stream.name, shape) is None]
+            _check_space(folder, len(missing) * math.prod(shape))
+            with DecodingDisplay(len(missing), recipe.frames, say) as display:
+                _decode_missing(missing, folder, shape, recipe, undistortion, threads, display)
+        found = {stream.name: read_frames(folder, stream.name, shape) for stream in streams}
+    return found
+
+
+def _decode_missing(streams: Sequence[Stream], folder: Path, shape: tuple[int, int, int, int], recipe: Recipe,
+                    undistortion: Mapping[str, Undistortion], threads: int, display: DecodingDisplay) -> None:
+    stop = threading.Event()  # an error, or Ctrl-C, must not wait for minutes of decoding in the other threads
+    each = max(1, threads // max(1, len(streams)))  # threads of one decoder
+
+    def one(stream: Stream) -> None:
+        images = _prepared(stream, recipe, undistortion.get(stream.name), each, stop, display)
+        facts = {"source": stream.path.name, "rate": stream.rate, "first_frame": recipe.first_frame,
+                 "downscale": recipe.downscale, "store_version": STORE_VERSION}
+        try:
+            write_frames(folder, stream.name, shape, images, facts)
+        except OSError as error:
+            if error.errno in (errno.ENOSPC, errno.EDQUOT):
+                raise _no_space(folder, math.prod(shape), shutil.disk_usage(folder).free) from None
+            raise
+        display.camera(stream.name)
+
+    with ThreadPoolExecutor(max_workers=max(1, threads)) as pool:
+        futures = [pool.submit(one, stream) for stream in streams]
+        try:
+            for future in as_completed(futures):
+                future.result()
+        except BaseException:
+            stop.set()
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+def _prepared(stream: Stream, recipe: Recipe, lens: Undistortion | None, threads: int, stop: threading.Event,
+              display: DecodingDisplay) -> Iterator[np.ndarray]:
+    """A camera's frames as they are stored."""
+    maps = lens.maps(stream.size) if lens else None
+    for image in stream.read(recipe.first_frame, recipe.frames, threads):
+        if stop.is_set():
+            raise RuntimeError("decoding was stopped")  # seen by nobody: the error that stopped it is raised
+        if maps is not None:
+            # Where the straight image reaches beyond what was seen, the edge goes on: there is no truth to show.
+            image = cv2.remap(image, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        yield reduce_image(image, recipe.downscale)
+        display.frame()
+
+
+def _check_space(folder: Path, needed: int) -> None:
+    free = shutil.disk_usage(folder).free
+    if free < needed:
+        raise _no_space(folder, needed, free)
+
+
+def _no_space(folder: Path, needed: int, free: int) -> SceneError:
+    return SceneError(folder, f"{needed / 1e9:.1f} GB free for the decoded frames",
+                      f"{free / 1e9:.1f} GB; scene.cache=DIR puts them elsewhere, scene.downscale makes them smaller")
+
+
+@contextmanager
+def _locked(folder: Path, say: Say) -> Iterator[Any]:
+    with open(folder / ".lock", "w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            say(f"waiting for another process that decodes into {folder}")
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        yield lock

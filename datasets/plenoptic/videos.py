@@ -1,0 +1,125 @@
+"""Videos: which there are, what their headers promise, and their frames."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from datasets.plenoptic.sync import drop_advice
+from datasets.scene import SceneError
+
+FOOTAGE_SUFFIXES = (".mp4", ".mov", ".mkv", ".avi")
+PLENOPTIC_NAME = re.compile(r"cam(\d+)\.mp4")
+
+# What is wrong with a video is said in one line of ours: FFmpeg's and OpenCV's own lines would stand before it.
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # AV_LOG_QUIET; read when the first video is opened
+
+
+@dataclass(frozen=True)
+class VideoFile:
+    """A camera's video, not opened yet."""
+
+    name: str
+    number: int
+    path: Path
+
+
+@dataclass(frozen=True)
+class Video:
+    """A camera's video and what its header promises: a decode.Stream."""
+
+    name: str
+    number: int
+    path: Path
+    size: tuple[int, int]  # (width, height)
+    rate: float  # frames a second
+    count: int
+    start: float  # when the first frame is shown, in frames
+    advice: str  # how to do without this camera
+
+    def read(self, first: int, count: int, threads: int) -> Iterator[np.ndarray]:
+        """Frames first … first + count - 1, each (height, width, 3) uint8 RGB.
+
+        Frames before the first are decoded and thrown away: seeking is not exact in every file.
+        """
+        capture = open_video(self.path, threads, self.advice)
+        try:
+            for index in range(first + count):
+                if not capture.grab():
+                    raise SceneError(self.path, f"{self.count} frames as its header promises",
+                                     f"{index}, a truncated video; {self.advice}")
+                if index >= first:
+                    yield self._retrieve(capture, index)
+        finally:
+            capture.release()
+
+    def _retrieve(self, capture: cv2.VideoCapture, index: int) -> np.ndarray:
+        decoded, image = capture.retrieve()
+        if not decoded or image.shape != (self.size[1], self.size[0], 3):
+            raise SceneError(f"{self.path}: frame {index}", "{} x {} pixels in colour".format(*self.size),
+                             "{1} x {0}".format(*image.shape) if decoded else "none: damaged")
+        return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+
+
+def find_cameras(root: Path) -> list[VideoFile]:
+    """cam00.mp4, cam01.mp4, … of a folder by name; the number in the name is the camera's. Gaps are allowed."""
+    found = sorted((path.name, path) for path in root.iterdir() if PLENOPTIC_NAME.fullmatch(path.name))
+    return [VideoFile(path.stem, int(PLENOPTIC_NAME.fullmatch(name)[1]), path) for name, path in found]
+
+
+def find_footage(root: Path) -> list[VideoFile]:
+    """All videos of a folder by name, whatever their names; a camera's number is its place in that order, from 0."""
+    if not root.is_dir():
+        raise SceneError(root, "a folder of videos", "a file" if root.exists() else "nothing there")
+    # Hidden ones are what file managers leave behind.
+    paths = sorted(path for path in root.iterdir()
+                   if path.suffix.lower() in FOOTAGE_SUFFIXES and not path.name.startswith("."))
+    if not paths:
+        raise SceneError(root, f"videos ({', '.join(FOOTAGE_SUFFIXES)})", "none")
+    stems = [path.stem for path in paths]
+    for path in paths:
+        if stems.count(path.stem) > 1:
+            raise SceneError(path, "one video a camera", f"several called {path.stem}")
+    return [VideoFile(path.stem, number, path) for number, path in enumerate(paths)]
+
+
+def probe(files: Sequence[VideoFile], keep: Collection[int], drop: Collection[int]) -> tuple[Video, ...]:
+    """The videos of the cameras `keep`, each opened for a look at its header and its first frame.
+
+    drop: the cameras left out already, for the advice that goes with a bad video.
+    """
+    return tuple(_probe(file, drop_advice(file.number, drop)) for file in files if file.number in keep)
+
+
+def open_video(path: Path, threads: int, advice: str) -> cv2.VideoCapture:
+    """threads: that decode it."""
+    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, threads])
+    finally:
+        cv2.utils.logging.setLogLevel(level)
+    if not capture.isOpened():
+        raise SceneError(path, "a video", f"a file that cannot be opened as one; {advice}")
+    return capture
+
+
+def _probe(file: VideoFile, advice: str) -> Video:
+    capture = open_video(file.path, 1, advice)
+    try:
+        width, height, count = (int(capture.get(key)) for key in (
+            cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT, cv2.CAP_PROP_FRAME_COUNT))
+        rate = capture.get(cv2.CAP_PROP_FPS)
+        if not (math.isfinite(rate) and rate > 0 and count > 0 and capture.grab()):
+            raise SceneError(file.path, "a length, a rate and a first frame that can be decoded",
+                             f"{count} frames at {rate:g} a second, and no first frame; {advice}")
+        start = capture.get(cv2.CAP_PROP_PTS)
+    finally:
+        capture.release()
+    return Video(file.name, file.number, file.path, (width, height), rate, count, start, advice)

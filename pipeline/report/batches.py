@@ -1,0 +1,127 @@
+"""Runs that differ in what a batch is made of: is a batch over time worth it, and does it flicker less?
+
+The paper claims that batches over time make films flicker less. So PSNR and flicker stand side by side for each
+sampler and batch size that was tried on a scene, everything else being equal, and the flicker of each is compared
+with that of the paper's batches: `pairs`, the largest batch of the comparison.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import Any
+
+import pandas as pd
+
+from . import scenes
+from .aggregate import Estimate, compare, estimate
+from .collect import Collection
+from .our_rows import FLICKER_HEADER, FLICKER_NOTE
+from .table import Cell, Column, Row, Table, measured, number, text
+from .variants import schedule_settings
+
+KEYS = ("train.sampler", "train.batch")
+_IN_NAME = re.compile(r"\b(sampler|batch)=\w+")  # as variants.py writes them into a schedule's name
+SAMPLER_NOTE = (
+    "",
+    "pairs: any camera at any moment. views_at_one_time: cameras at one moment. times_of_one_view: moments of one "
+    "camera. At equal iterations a batch of 4 sees four times the images of a batch of 1.",
+)
+VERDICT_NOTE = (
+    "",
+    "The paper's batches: pairs, the largest batch of the comparison. Verdict: final flicker, by the rule of the "
+    "ablation verdicts; worse is more.",
+)
+
+
+def batches(collection: Collection) -> Table | None:
+    """A row for each sampler × batch size where a scene, ablation and schedule has two at least; else None."""
+    settings = collection.settings
+    runs = collection.runs
+    runs = runs[[all(key in settings[run] for key in KEYS) for run in runs["run"]]]
+    runs = runs.assign(
+        schedule=[without_batch(name) for name in runs["train"]],
+        sampler=[str(settings[run][KEYS[0]]) for run in runs["run"]],
+        batch=[int(settings[run][KEYS[1]]) for run in runs["run"]],
+        rest=[_rest(settings[run]) for run in runs["run"]],
+    )
+    rows = []
+    for scene in scenes.in_order(runs["scene"]):
+        of_scene = runs[runs["scene"] == scene]
+        for ablation in scenes.ablations_in_order(of_scene["ablation"]):
+            of_ablation = of_scene[of_scene["ablation"] == ablation]
+            for (schedule, _), group in of_ablation.groupby(["schedule", "rest"]):
+                made_of = group.groupby(["sampler", "batch"])
+                if len(made_of) < 2:
+                    continue
+                head = {"scene": text(scene), "ablation": text(ablation), "train": text(schedule)}
+                of_paper = max((key for key in made_of.groups if key[0] == "pairs"), default=None)
+                rows += [
+                    Row(head | {"sampler": text(key[0]), "batch": number(key[1], 0)} | _cells(same)
+                        | _verdict_cells(same, None if key == of_paper else group, of_paper))
+                    for key, same in made_of
+                ]
+    if not rows:
+        return None
+    columns = (
+        Column("scene", "Scene", False),
+        Column("ablation", "Ablation", False),
+        Column("train", "Schedule", False),
+        Column("sampler", "Sampler", False),
+        Column("batch", "Batch"),
+        Column("seeds", "Seeds"),
+        Column("iterations", "Iterations"),
+        Column("train_seconds", "Train s"),
+        Column("final_psnr", "PSNR ↑ final"),
+        Column("best_psnr", "PSNR ↑ best on test"),
+        Column("final_flicker", FLICKER_HEADER),
+        Column("more_flicker", "this − paper's batches, flicker"),
+        Column("two_se", "2 SE"),
+        Column("verdict", "vs paper's batches", False),
+    )
+    notes = (SAMPLER_NOTE, FLICKER_NOTE, VERDICT_NOTE)
+    return Table("batches", "Batches and flicker", columns, tuple(rows), notes=notes)
+
+
+def without_batch(train: str) -> str:
+    """`fast (batch=1, iterations=600)` -> `fast (iterations=600)`: the schedule but for what a batch is made of."""
+    name, bracket, inside = train.partition(" (")
+    kept = [part for part in inside.removesuffix(")").split(", ") if part and not _IN_NAME.fullmatch(part)]
+    return f"{name}{bracket}{', '.join(kept)})" if kept else name
+
+
+def _rest(settings: dict[str, Any]) -> str:
+    """All other settings, as one text to compare."""
+    kept = {key: value for key, value in schedule_settings(settings).items() if key not in KEYS}
+    return json.dumps(kept, sort_keys=True, default=str)
+
+
+def _verdict_cells(runs: pd.DataFrame, group: pd.DataFrame | None, of_paper: tuple[str, int] | None
+                   ) -> dict[str, Cell]:
+    """`runs` against those of the group that were made as the paper's; group None: they are those."""
+    dash = text("·")
+    nothing = {"more_flicker": dash, "two_se": dash, "verdict": dash}
+    if group is None or of_paper is None:
+        return nothing
+    same = (group["sampler"] == of_paper[0]) & (group["batch"] == of_paper[1])
+    theirs, ours = _less_is_more(group[same]), _less_is_more(runs)
+    if theirs is None or ours is None:
+        return nothing
+    found = compare(theirs, ours)
+    return {"more_flicker": number(found.difference), "two_se": number(2 * found.standard_error),
+            "verdict": text(found.word)}
+
+
+def _less_is_more(runs: pd.DataFrame) -> Estimate | None:
+    """Of minus the flicker: `compare` takes more for better."""
+    return estimate(-runs.drop_duplicates("seed")["final.flicker_levels"])
+
+
+def _cells(runs: pd.DataFrame) -> dict[str, Cell]:
+    """Of runs that differ in their seed; a seed that was run under two spellings of one setting counts once."""
+    runs = runs.drop_duplicates("seed")
+    of = {"iterations": ("iterations", 0), "train_seconds": ("train_seconds", 0), "final_psnr": ("final.psnr", 2),
+          "best_psnr": ("best_on_test.psnr", 2), "final_flicker": ("final.flicker_levels", 2)}
+    return {"seeds": number(len(runs), 0)} | {
+        key: measured(estimate(runs[metric]), decimals) for key, (metric, decimals) in of.items()
+    }

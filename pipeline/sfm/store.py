@@ -1,0 +1,90 @@
+"""Keeps reconstructions, so that seeds, ablations and schedules of a scene share one.
+
+    <cache>/sfm-<hash>/result.npz, result.json, sfm.json (the summary), sfm.png (the picture)
+
+The hash is of everything the result follows from. A folder is written beside its name and renamed: it is whole or it
+is not there.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import tempfile
+from collections.abc import Sequence
+from dataclasses import asdict
+from importlib import metadata
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.config import InitConfig
+from pipeline.sfm.photograph import Lens, Photograph, Reconstruction
+from pipeline.sfm.picture import draw
+from pipeline.sfm.run import reconstruct
+from rasterizer.camera import Camera
+
+VERSION = 1  # of what this program makes of COLMAP's points
+# Settings of InitConfig that come after structure from motion.
+_LATER = ("source", "min_points", "sphere_points", "sphere_radius")
+
+
+def reconstruct_once(photographs: Sequence[Photograph], cfg: InitConfig, unit: float, source: Path,
+                     cache: Path) -> tuple[Reconstruction, Path]:
+    """`run.reconstruct`, or what it gave before; and the folder that holds it."""
+    folder = cache / f"sfm-{fingerprint(photographs, cfg, unit)}"
+    if not (folder / "result.json").is_file():
+        save(reconstruct(photographs, cfg, unit, source), folder)
+    result = load(folder)
+    if len(result.points) < cfg.min_points:  # kept by a run that asked for fewer
+        raise ValueError(f"{folder}: expected at least {cfg.min_points} points (init.min_points), found "
+                         f"{len(result.points)}")
+    return result, folder
+
+
+def fingerprint(photographs: Sequence[Photograph], cfg: InitConfig, unit: float) -> str:
+    """Twelve hexadecimal digits for photographs, poses and settings."""
+    settings = {key: value for key, value in asdict(cfg).items() if key not in _LATER}
+    versions = [VERSION, metadata.version("pycolmap")]
+    digest = hashlib.blake2b(json.dumps([settings, unit, versions], sort_keys=True).encode(), digest_size=6)
+    for photograph in photographs:
+        c = photograph.camera
+        described = None if c is None else (c.fx, c.fy, c.cx, c.cy, c.world_to_cam.tolist())
+        digest.update(repr((photograph.name, photograph.held_out, photograph.image.shape, described)).encode())
+        if c is None or not photograph.held_out:  # with its pose known a held-out photograph is not looked at
+            digest.update(np.ascontiguousarray(photograph.image))
+    return digest.hexdigest()
+
+
+def save(result: Reconstruction, folder: Path) -> None:
+    """Write the folder, whole or not at all. Of two processes that make the same, the first one's stands."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}-") as temporary:
+        draft = Path(temporary) / folder.name
+        draft.mkdir()
+        np.savez(draft / "result.npz", points=result.points, colors=result.colors, errors=result.errors,
+                 track_lengths=result.track_lengths)
+        lenses = {name: _described(lens) for name, lens in result.lenses.items()}
+        rest = {"poses": result.poses, "photographs": result.photographs, "seconds": result.seconds, "lenses": lenses}
+        (draft / "result.json").write_text(json.dumps(rest))
+        (draft / "sfm.json").write_text(json.dumps(result.summary(), indent=2) + "\n")
+        draw(result, draft / "sfm.png")
+        try:
+            os.rename(draft, folder)
+        except OSError:
+            if not (folder / "result.json").is_file():
+                raise
+
+
+def load(folder: Path) -> Reconstruction:
+    rest = json.loads((folder / "result.json").read_text())
+    lenses = {name: Lens(Camera(**described["camera"]), described["radial"])
+              for name, described in rest.pop("lenses").items()}
+    with np.load(folder / "result.npz") as arrays:
+        return Reconstruction(**arrays, lenses=lenses, **rest)
+
+
+def _described(lens: Lens) -> dict:
+    camera = asdict(lens.camera)
+    return {"camera": {**camera, "world_to_cam": camera["world_to_cam"].tolist()}, "radial": lens.radial}
