@@ -116,12 +116,12 @@ def choose_growth(model: Model, statistics: Statistics, cfg: DensifyConfig, exte
     if cfg.use_time_gradient and time_split and model.kind.dims == 4:
         urgency = torch.maximum(urgency, time / cfg.time_gradient)
     transparent = _transparent(model, cfg)
-    here = torch.ones_like(transparent) if model.sphere is None else ~model.sphere
-    selected = (urgency >= 1) & here & ~transparent
+    others = torch.ones_like(transparent) if model.sphere is None else ~model.sphere
+    selected = (urgency >= 1) & others & ~transparent
     big = _spatial_scale(model) > cfg.split_scale * extent
     added = torch.where(big, cfg.split_count - 1, 1)  # a split replaces its parent
 
-    room = cfg.max_gaussians - int((here & ~transparent).sum())
+    room = cfg.max_gaussians - int((others & ~transparent).sum())
     if int(added[selected].sum()) > room:
         order = torch.sort(urgency.masked_fill(~selected, -1.0), descending=True, stable=True).indices
         order = order[: int(selected.sum())]

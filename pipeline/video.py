@@ -12,7 +12,7 @@ import numpy as np
 from pipeline.film import camera_name
 from pipeline.run_folder import replacing
 
-# x264's measure of loss, 0 to 51: its authors' choice for what looks lossless. Numbers come from the images.
+# x264's measure of loss, 0 to 51: to the eye there is none. No number is taken from a video.
 QUALITY = 18
 
 # The matrix is named in the file, or players guess one by the size of the image. What one thread writes does not depend
