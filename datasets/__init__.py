@@ -12,7 +12,8 @@ if TYPE_CHECKING:  # the readers know nothing of configs; only this dispatch doe
     from datasets.plenoptic import Footage
     from pipeline.config import SceneConfig
 
-__all__ = ["Footage", "Scene", "SceneError", "View", "load_footage", "load_scene", "validate_scene"]
+__all__ = ["Footage", "Scene", "SceneError", "View", "is_filmed", "load_footage", "load_scene",
+           "validate_scene"]
 
 Say = Callable[[str], None]  # takes a line of text for the user
 
@@ -34,11 +35,26 @@ def load_scene(cfg: SceneConfig, *, threads: int = 0, say: Say = print) -> Scene
 
 
 def load_footage(cfg: SceneConfig, *, threads: int = 0, say: Say = print) -> Footage:
-    """The videos of the reader `video`, checked but not decoded; Footage.to_scene makes the scene, given cameras."""
-    if cfg.reader != "video":
-        raise SceneError("scene.reader", "video", repr(cfg.reader))
-    from datasets.plenoptic import read_footage
-    return read_footage(_path(cfg), **_filming(cfg, threads, say))
+    """The videos a config names, checked but not decoded; what a run will cost can be told from them.
+
+    Of the reader `video` this is all there is until cameras are known for it: Footage.to_scene makes the scene.
+    """
+    if cfg.reader == "video":
+        from datasets.plenoptic import read_footage
+        return read_footage(_path(cfg), **_filming(cfg, threads, say))
+    if not is_filmed(cfg):
+        raise SceneError("scene.reader", "plenoptic, video or a synthetic scene that is filmed", repr(cfg.reader))
+    from datasets.plenoptic import open_plenoptic
+    path = _make_synthetic(cfg) if cfg.reader == "synthetic" else _path(cfg)
+    return open_plenoptic(path, **_filming(cfg, threads, say)).footage
+
+
+def is_filmed(cfg: SceneConfig) -> bool:
+    """Did several cameras film it at once? Then frames are decoded into a store, and points come from COLMAP."""
+    if cfg.reader == "synthetic":
+        from datasets.synthetic import FILMED
+        return _synthetic_name(cfg) in FILMED
+    return cfg.reader in ("plenoptic", "video")
 
 
 def __getattr__(name: str) -> Any:
@@ -49,14 +65,21 @@ def __getattr__(name: str) -> Any:
 
 
 def _load_synthetic(cfg: SceneConfig, threads: int, say: Say) -> Scene:
-    from datasets.synthetic import FILMED, make_scene
-    name = cfg.name.rpartition("/")[2]
-    path = make_scene(name, cfg.cache, seed=cfg.seed, size=cfg.size, train_views=cfg.train_views,
-                      test_views=cfg.test_views, cameras=cfg.cameras, frames=cfg.frames)
-    if name not in FILMED:
+    path = _make_synthetic(cfg)
+    if not is_filmed(cfg):
         return _load_dnerf(cfg, path)
     from datasets.plenoptic import read_plenoptic
     return read_plenoptic(path, **_filming(cfg, threads, say))
+
+
+def _make_synthetic(cfg: SceneConfig) -> Path:
+    from datasets.synthetic import make_scene
+    return make_scene(_synthetic_name(cfg), cfg.cache, seed=cfg.seed, size=cfg.size, train_views=cfg.train_views,
+                      test_views=cfg.test_views, cameras=cfg.cameras, frames=cfg.frames)
+
+
+def _synthetic_name(cfg: SceneConfig) -> str:
+    return cfg.name.rpartition("/")[2]
 
 
 def _load_dnerf(cfg: SceneConfig, path: Path) -> Scene:

@@ -68,6 +68,10 @@ def run_one(composed: DictConfig) -> None:
 
         keep_freed_memory()
         torch.set_num_threads(1)  # the heavy work is the kernel's, which has threads of its own (cfg.threads)
+        if cfg.estimate:
+            from pipeline.estimate import estimate
+            print("\n  ".join([f"{_title(cfg)} would take", *estimate(cfg).lines(cfg)]), flush=True)
+            return
         metrics = run(cfg, command, say=lambda text: print(text, flush=True))
         (_report_line if job.mode == RunMode.MULTIRUN else _report)(cfg, metrics)
     except EXPECTED as error:

@@ -3,6 +3,8 @@ the scene has an open background, more on a sphere round it."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 from scipy.spatial import cKDTree
@@ -12,9 +14,13 @@ from pipeline.background import sphere_points
 from pipeline.config import Config
 from pipeline.model import Model, kind_of
 from pipeline.sfm.photograph import Reconstruction
+from rasterizer import Camera
 
 # 3DGS: squared distances are kept above this, so that coincident points still have a finite log scale.
 MIN_SQUARED_DISTANCE = 1e-7
+
+# A Gaussian of the sphere reaches about its distance to the next one, of 100,000 a hundredth of the radius.
+SIGHT_MARGIN = 0.1
 
 SH_C0 = 0.28209479177387814  # Y_00 = 1 / (2 √π)
 
@@ -29,14 +35,16 @@ def initialise(scene: Scene, cfg: Config, generator: np.random.Generator, cloud:
     points, sh_dc = _random_points(scene, cfg, generator) if cloud is None else (cloud.points, _sh_dc(cloud.colors))
     sphere = 0
     if cfg.background_model == "sphere":
-        sphere = cfg.init.sphere_points
-        places = np.concatenate([points, [view.camera.position for view in scene.train]])
-        around = sphere_points(sphere, *bounding_sphere(places, cfg.init.sphere_radius), generator)
+        cameras = list({view.camera.world_to_cam.tobytes(): view.camera for view in scene.train}.values())
+        places = np.concatenate([points, [camera.position for camera in cameras]])
+        around = sphere_points(cfg.init.sphere_points, *bounding_sphere(places, cfg.init.sphere_radius), generator)
+        around = around[in_sight(around, cameras)]
+        sphere = len(around)
         points, sh_dc = np.concatenate([points, around]), np.concatenate([sh_dc, _grey(sphere, generator)])
     margin = cfg.train.init_time_margin * scene.duration
     times = generator.uniform(scene.time_start - margin, scene.time_start + scene.duration + margin, size=len(points))
     model = from_points(points, times, sh_dc, scene, cfg)
-    if not sphere:
+    if cfg.background_model != "sphere":
         return model
     return Model(model.kind, model.parameters, sphere=torch.arange(len(points)) >= len(points) - sphere)
 
@@ -45,6 +53,21 @@ def bounding_sphere(places: np.ndarray, reach: float) -> tuple[np.ndarray, float
     """(centre (3,), radius): the middle of the box round `places` (N, 3), `reach` times the farthest one's distance."""
     centre = 0.5 * (places.min(axis=0) + places.max(axis=0))
     return centre, reach * float(np.linalg.norm(places - centre, axis=1).max())
+
+
+def in_sight(points: np.ndarray, cameras: Sequence[Camera]) -> np.ndarray:
+    """(N,) bool: which points (N, 3) appear in some camera's image, or beside it by less than SIGHT_MARGIN of its size.
+
+    What no training camera sees never has a gradient: it would stay as it is and cost memory and time.
+    """
+    seen = np.zeros(len(points), dtype=bool)
+    for c in cameras:
+        x, y, z = c.world_to_cam[:3, :3] @ points.T + c.world_to_cam[:3, 3:]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            column, row = (c.fx * x / z + c.cx) / c.width, (c.fy * y / z + c.cy) / c.height
+        low, high = -SIGHT_MARGIN, 1 + SIGHT_MARGIN
+        seen |= (z > 0) & (column > low) & (column < high) & (row > low) & (row < high)
+    return seen
 
 
 def _random_points(scene: Scene, cfg: Config, generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:

@@ -17,6 +17,7 @@ import numpy as np
 from datasets import Scene
 from pipeline import checkpoint as checkpoints
 from pipeline.config import Config
+from pipeline.estimate import estimate_if_large
 from pipeline.evaluate import Evaluation, evaluate, evaluate_and_show, quick_evaluate
 from pipeline.initialise import initialise
 from pipeline.machine import environment, peak_memory_mb, reset_peak_memory, usable_cores
@@ -36,6 +37,9 @@ def run(cfg: Config, command: str, say: Say) -> dict:
     command: what the user typed, for the record. say: takes a line of text for the user.
     """
     with RunFolder(Path(cfg.out), asdict(cfg), cfg.resume) as folder:
+        if folder.inputs_of("train") is None and (needs := estimate_if_large(cfg)):
+            for line in needs.lines(cfg):
+                say(line)
         data = prepare(cfg, say)
         inputs = stage_inputs(cfg, data)
         if folder.inputs_of("init") not in (None, inputs["init"]):

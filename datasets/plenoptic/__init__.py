@@ -9,7 +9,8 @@ folder holds both, the videos are read. Every frame is decoded once, into a stor
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +21,27 @@ from datasets.plenoptic.poses import read_poses
 from datasets.plenoptic.sync import choose, common_frames
 from datasets.plenoptic.videos import VideoFile, find_cameras, find_footage, probe
 from datasets.scene import Scene, SceneError
+from rasterizer.camera import Camera
 
-__all__ = ["Footage", "Reading", "Undistortion", "read_footage", "read_plenoptic"]
+__all__ = ["Footage", "Posed", "Reading", "Undistortion", "open_plenoptic", "read_footage", "read_plenoptic"]
 
 VIDEO_PART = 1 << 20  # bytes at a video's beginning and at its end that tell whether it is the same
 IMAGE_PART = 1 << 12  # there are thousands of images; a PNG ends in checksums of its pixels
+
+
+@dataclass(frozen=True)
+class Posed:
+    """Footage and where its cameras stood: all there is to know before a frame is decoded."""
+
+    footage: Footage
+    cameras: Mapping[str, Camera]  # of the full-size images
+    undistortion: Mapping[str, Undistortion] | None = None
+    unit: float = 1.0
+    init_box: tuple[float, float] | None = None
+
+    def to_scene(self) -> Scene:
+        """Decodes what is not in the store yet."""
+        return self.footage.to_scene(self.cameras, self.undistortion, self.unit, self.init_box)
 
 
 def read_plenoptic(path: str | Path, **options: Any) -> Scene:
@@ -33,6 +50,11 @@ def read_plenoptic(path: str | Path, **options: Any) -> Scene:
     options: the fields of Reading. Raises SceneError for anything that is not as the layout promises, before a frame
     is decoded unless only decoding shows it.
     """
+    return open_plenoptic(path, **options).to_scene()
+
+
+def open_plenoptic(path: str | Path, **options: Any) -> Posed:
+    """`read_plenoptic` up to the decoding."""
     root, reading = Path(path), Reading(**options)
     if not root.is_dir():
         raise SceneError(root, "a folder in the Plenoptic Video layout", "a file" if root.exists() else "nothing there")
@@ -40,9 +62,9 @@ def read_plenoptic(path: str | Path, **options: Any) -> Scene:
     if files and (poses.exists() or not transforms.exists()):
         footage = _footage(root, files, reading)
         found = read_poses(poses, [file.name for file in files], footage.names, footage.size)
-        return footage.to_scene(found.cameras, unit=found.unit, init_box=found.init_box)
+        return Posed(footage, found.cameras, unit=found.unit, init_box=found.init_box)
     if transforms.exists():
-        return _read_images(root, reading)
+        return _open_images(root, reading)
     raise SceneError(root, "cam00.mp4 … and poses_bounds.npy, or images and transforms_train.json", "neither")
 
 
@@ -59,7 +81,7 @@ def _footage(root: Path, files: Sequence[VideoFile], reading: Reading) -> Footag
     return Footage(root, videos, count, fingerprint([file.path for file in files], VIDEO_PART), reading)
 
 
-def _read_images(root: Path, reading: Reading) -> Scene:
+def _open_images(root: Path, reading: Reading) -> Posed:
     entries = read_entries(root)
     keep = choose([camera_number(name) for name in entries], root, reading.test_cameras, reading.drop_cameras)
     found = sequences(entries, keep, reading.background)
@@ -68,5 +90,5 @@ def _read_images(root: Path, reading: Reading) -> Scene:
     content = f"{fingerprint(files, IMAGE_PART)} over {reading.background}"
     footage = Footage(root, found, count, content, reading)
     posed = {name: read_camera(entries[name], footage.size) for name in footage.names}
-    return footage.to_scene({name: camera for name, (camera, _) in posed.items()},
-                            {name: lens for name, (_, lens) in posed.items()})
+    return Posed(footage, {name: camera for name, (camera, _) in posed.items()},
+                 {name: lens for name, (_, lens) in posed.items()})
