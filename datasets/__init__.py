@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 from datasets.scene import Scene, SceneError, View, validate_scene
 
 if TYPE_CHECKING:  # the readers know nothing of configs; only this dispatch does
-    from datasets.plenoptic import Footage
+    from datasets.plenoptic import Footage, Posed
     from pipeline.config import SceneConfig
 
-__all__ = ["Footage", "Scene", "SceneError", "View", "is_filmed", "load_footage", "load_scene",
-           "validate_scene"]
+__all__ = ["Footage", "Scene", "SceneError", "View", "is_filmed", "load_footage", "load_posed",
+           "load_scene", "validate_scene"]
 
 Say = Callable[[str], None]  # takes a line of text for the user
 
@@ -24,14 +24,24 @@ def load_scene(cfg: SceneConfig, *, threads: int = 0, say: Say = print) -> Scene
     threads: that decode; 0 for all. A reader's module is imported only when a config asks for it. Raises SceneError
     for bad data, and for the reader `video`: its cameras are known only after structure from motion, see load_footage.
     """
-    if cfg.reader == "synthetic":
-        return _load_synthetic(cfg, threads, say)
-    if cfg.reader == "dnerf":
-        return _load_dnerf(cfg, _path(cfg))
-    if cfg.reader == "plenoptic":
-        from datasets.plenoptic import read_plenoptic
-        return read_plenoptic(_path(cfg), **_filming(cfg, threads, say))
-    raise SceneError("scene.reader", "dnerf, plenoptic or synthetic, whose cameras are known", repr(cfg.reader))
+    if is_filmed(cfg):
+        return load_posed(cfg, threads=threads, say=say).to_scene()
+    if cfg.reader not in ("dnerf", "synthetic"):
+        raise SceneError("scene.reader", "dnerf, plenoptic or synthetic", repr(cfg.reader))
+    from datasets.dnerf import read_dnerf
+    path = _make_synthetic(cfg) if cfg.reader == "synthetic" else _path(cfg)
+    return read_dnerf(path, name=cfg.name, test_split=cfg.test_split, downscale=cfg.downscale,
+                      background=tuple(cfg.background), init_box=tuple(cfg.init_box))
+
+
+def load_posed(cfg: SceneConfig, *, threads: int = 0, say: Say = print) -> Posed:
+    """What several cameras filmed, and where they stood: checked but not decoded; Posed.to_scene makes the scene."""
+    if cfg.reader == "video" or not is_filmed(cfg):
+        raise SceneError("scene.reader", "several cameras with known poses: plenoptic, or a synthetic scene of that kind",
+                         repr(cfg.reader))
+    from datasets.plenoptic import open_plenoptic
+    path = _make_synthetic(cfg) if cfg.reader == "synthetic" else _path(cfg)
+    return open_plenoptic(path, **_filming(cfg, threads, say))
 
 
 def load_footage(cfg: SceneConfig, *, threads: int = 0, say: Say = print) -> Footage:
@@ -42,11 +52,7 @@ def load_footage(cfg: SceneConfig, *, threads: int = 0, say: Say = print) -> Foo
     if cfg.reader == "video":
         from datasets.plenoptic import read_footage
         return read_footage(_path(cfg), **_filming(cfg, threads, say))
-    if not is_filmed(cfg):
-        raise SceneError("scene.reader", "plenoptic, video or a synthetic scene that is filmed", repr(cfg.reader))
-    from datasets.plenoptic import open_plenoptic
-    path = _make_synthetic(cfg) if cfg.reader == "synthetic" else _path(cfg)
-    return open_plenoptic(path, **_filming(cfg, threads, say)).footage
+    return load_posed(cfg, threads=threads, say=say).footage
 
 
 def is_filmed(cfg: SceneConfig) -> bool:
@@ -64,14 +70,6 @@ def __getattr__(name: str) -> Any:
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
-def _load_synthetic(cfg: SceneConfig, threads: int, say: Say) -> Scene:
-    path = _make_synthetic(cfg)
-    if not is_filmed(cfg):
-        return _load_dnerf(cfg, path)
-    from datasets.plenoptic import read_plenoptic
-    return read_plenoptic(path, **_filming(cfg, threads, say))
-
-
 def _make_synthetic(cfg: SceneConfig) -> Path:
     from datasets.synthetic import make_scene
     return make_scene(_synthetic_name(cfg), cfg.cache, seed=cfg.seed, size=cfg.size, train_views=cfg.train_views,
@@ -80,12 +78,6 @@ def _make_synthetic(cfg: SceneConfig) -> Path:
 
 def _synthetic_name(cfg: SceneConfig) -> str:
     return cfg.name.rpartition("/")[2]
-
-
-def _load_dnerf(cfg: SceneConfig, path: Path) -> Scene:
-    from datasets.dnerf import read_dnerf
-    return read_dnerf(path, name=cfg.name, test_split=cfg.test_split, downscale=cfg.downscale,
-                      background=tuple(cfg.background), init_box=tuple(cfg.init_box))
 
 
 def _filming(cfg: SceneConfig, threads: int, say: Say) -> dict[str, Any]:

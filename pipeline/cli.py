@@ -95,6 +95,8 @@ def _report(cfg: Config, metrics: dict) -> None:
     table = Table(_title(cfg), "final", "best on test")
     for name, heading in _HEADINGS.items():
         table.add_row(heading, _cell(final[name]), _cell(best.get(name)))
+    if final.get("flicker") is not None:  # only where a held-out camera filmed
+        table.add_row("flicker, of 255", *(_cell(255 * model["flicker"]) if model else "–" for model in (final, best)))
     table.add_row("iteration", str(metrics["iterations"]), str(best.get("iteration", "–")))
     console.print(table)
     console.print(f"{metrics['n_gaussians']} Gaussians, {metrics['n_alive_mean']:.0f} alive a frame; "

@@ -72,11 +72,11 @@ class SceneConfig:
 class InitConfig:
     """Where the first points come from. COLMAP's part applies to readers with several cameras at one time."""
 
-    source: str = "auto"  # auto: sfm for plenoptic, video and synthetic/counter, otherwise random
+    source: str = "auto"  # auto: sfm where several cameras filmed at once, otherwise random
     refine_poses: bool = False  # let COLMAP adjust the poses the data came with
     seed: int = 0  # COLMAP's, apart from the run's: runs of several seeds share its result
     max_features: int = 8192  # an image
-    max_error_px: float = 1.0  # of reprojection; points above are dropped
+    max_error_px: float = 2.0  # of reprojection; points above are dropped
     min_track: int = 3  # images a point must be seen in; two agree on a wrong match too easily
     min_angle_deg: float = 1.5  # largest angle between two of its rays; below it the depth is a guess
     max_distance: float = 100.0  # from the cameras' centre, in normalised units (Scene.unit); farther points are dropped

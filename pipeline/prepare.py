@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from datasets import Scene, View, load_footage, load_scene
+from datasets import Scene, is_filmed, load_footage, load_posed, load_scene
 from pipeline.config import Config
 from pipeline.sfm.photograph import Photograph, Reconstruction
 from rasterizer.camera import Camera
 
 if TYPE_CHECKING:  # it brings a video decoder, which other scenes do without
-    from datasets.plenoptic import Footage
+    from datasets.plenoptic import Footage, Posed
 
 # Without bounds a scene's unit is so much of the depth that all but a twentieth of its points lie beyond, as
 # Plenoptic Video's is of its near bound (datasets/plenoptic).
@@ -40,40 +40,27 @@ def prepare(cfg: Config, say: Callable[[str], None]) -> Prepared:
     """Read the scene, run structure from motion where needed (or take its kept result). Raises ValueError."""
     if cfg.scene.reader == "video":
         return _from_videos(cfg, load_footage(cfg.scene, threads=cfg.threads, say=say), say)
-    scene = load_scene(cfg.scene, threads=cfg.threads, say=say)
-    if not wants_points(cfg, scene):
-        return Prepared(scene, None, None)
-    photographs = first_photographs(scene)
-    cloud, folder = _reconstruct(cfg, photographs, scene.unit, scene.source, say)
+    if is_filmed(cfg.scene) and cfg.init.source != "random":
+        return _from_posed(cfg, load_posed(cfg.scene, threads=cfg.threads, say=say), say)
+    if cfg.init.source == "sfm":
+        raise ValueError(f"init.source: expected auto or random for {cfg.scene.name}, which one camera saw at a time, "
+                         "found sfm")
+    return Prepared(load_scene(cfg.scene, threads=cfg.threads, say=say), None, None)
+
+
+def _from_posed(cfg: Config, posed: Posed, say: Callable[[str], None]) -> Prepared:
+    """Points seen by the training cameras: from whole frames, before the scene's own, smaller ones are decoded."""
+    cloud, folder = _reconstruct(cfg, training_photographs(posed), posed.unit, posed.footage.source, say)
     if cloud.poses == "refined":
-        scene = with_cameras(scene, {name: lens.camera for name, lens in cloud.lenses.items()})
-    return Prepared(scene, cloud, folder)
+        found = {name: lens.camera for name, lens in cloud.lenses.items()}
+        posed = replace(posed, cameras={**posed.cameras, **found})
+    return Prepared(posed.to_scene(), cloud, folder)
 
 
-def wants_points(cfg: Config, scene: Scene) -> bool:
-    """Do points come from structure from motion? By themselves for scenes that several cameras filmed."""
-    return cfg.init.source == "sfm" or (cfg.init.source == "auto" and scene.frame_rate is not None)
-
-
-def first_photographs(scene: Scene) -> list[Photograph]:
-    """The training views of the first moment, as photographs named after their cameras."""
-    first = min(view.time for view in scene.train)
-    return [Photograph(camera_name(view), np.asarray(view.image), view.camera)
-            for view in scene.train if view.time == first]
-
-
-def camera_name(view: View) -> str:
-    """"cam01" of "train/cam01_0000"; of a photograph, its whole name without the split."""
-    stem = view.name.rpartition("/")[2]
-    camera, underscore, frame = stem.rpartition("_")
-    return camera if underscore and frame.isdigit() else stem
-
-
-def with_cameras(scene: Scene, cameras: dict[str, Camera]) -> Scene:
-    """The scene with other cameras for the views of those named."""
-    def moved(views: tuple[View, ...]) -> tuple[View, ...]:
-        return tuple(replace(view, camera=cameras.get(camera_name(view), view.camera)) for view in views)
-    return replace(scene, train=moved(scene.train), test=moved(scene.test))
+def training_photographs(posed: Posed) -> list[Photograph]:
+    """The first frames of the cameras that are not held out, whole."""
+    return [Photograph(name, image, posed.cameras[name]) for name, image in posed.first_images().items()
+            if name not in posed.footage.held_out]
 
 
 def _from_videos(cfg: Config, footage: Footage, say: Callable[[str], None]) -> Prepared:
@@ -82,7 +69,7 @@ def _from_videos(cfg: Config, footage: Footage, say: Callable[[str], None]) -> P
     from datasets.plenoptic import Undistortion
 
     photographs = [Photograph(name, image, held_out=name in footage.held_out)
-                   for name, image in zip(footage.names, footage.first_images())]
+                   for name, image in footage.first_images().items()]
     cloud, folder = _reconstruct(cfg, photographs, 1.0, footage.source, say)
     trained = [lens.camera for name, lens in cloud.lenses.items() if name not in footage.held_out]
     scene = footage.to_scene({name: lens.camera for name, lens in cloud.lenses.items()},

@@ -27,18 +27,17 @@ def adam_step(param: Tensor, grad: Tensor, m: Tensor, v: Tensor, lr: float | Seq
 
 
 def sh_adam_step(sh: Tensor, gradients: Gradients, m: Tensor, v: Tensor, lr_dc: float, lr_rest: float, step: int,
-                 beta1: float = 0.9, beta2: float = 0.999, eps: float = 1e-15, sparse: bool = False,
-                 threads: int = 0) -> None:
+                 beta1: float = 0.9, beta2: float = 0.999, eps: float = 1e-15,
+                 sparse_rows: Tensor | None = None, threads: int = 0) -> None:
     """Update SH coefficients (N, K, 3) and moments in place from the batch's compact colour gradients.
 
     Degrees and Fourier orders that no view of the batch used are left alone: exact as long as they have had no gradient
-    before.
-    sparse: Gaussians that no view of the batch saw are left alone too.
+    before. sparse_rows: as `adam_step`.
     """
     coefficients, orders = split_coefficients(sh.shape[1])
     used_orders = 1 + max((view.fourier_order for view in gradients.views), default=0)
     used_coefficients = (1 + max((view.sh_degree for view in gradients.views), default=0)) ** 2
     kernel.adam_sh(sh=sh, m=m, v=v, coefficients=coefficients, orders=orders,
                    active_coefficients=min(used_coefficients, coefficients), active_orders=min(used_orders, orders),
-                   lr_dc=lr_dc, lr_rest=lr_rest, sparse=sparse, views=[view.as_tuple() for view in gradients.views],
+                   lr_dc=lr_dc, lr_rest=lr_rest, keep=sparse_rows, views=[view.as_tuple() for view in gradients.views],
                    beta1=beta1, beta2=beta2, epsilon=eps, step=step, threads=threads or default_threads())

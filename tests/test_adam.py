@@ -121,22 +121,26 @@ def test_sh_is_stepped_by_adam_on_the_dense_gradient(sh_degree: int, fourier_ord
         torch.testing.assert_close(found.double(), truth, rtol=1e-4, atol=1e-6 * truth.abs().max().item())
 
 
-def test_sparse_sh_leaves_alone_what_no_view_saw():
+@pytest.mark.parametrize("mask", ["seen", "random", "nobody"])
+def test_sh_rows_left_out_are_not_touched_and_the_others_are_stepped_as_ever(mask: str):
+    """Seen: those some view of the batch saw (sparse Adam). Random: any, as where Gaussians are frozen."""
     gaussians = random_gaussians(83, "full", generator(6)).to(torch.float32)
     gradients = batch(gaussians, [0.1, 0.15], 7)
     seen = torch.zeros(83, dtype=torch.bool)
     for view in gradients.views:
         seen[view.visible.long()] = True
     assert seen.any() and not seen.all()
+    chosen = torch.rand(83, generator=generator(9)) < 0.5
+    kept = {"seen": seen, "random": chosen, "nobody": torch.zeros_like(seen)}[mask]
+    assert mask != "random" or ((seen & ~kept).any() and (~seen & kept).any())
     start = [gaussians.sh, torch.full_like(gaussians.sh, 0.1), torch.full_like(gaussians.sh, 0.2)]
     dense, sparse = [tensor.clone() for tensor in start], [tensor.clone() for tensor in start]
     sh_adam_step(dense[0], gradients, dense[1], dense[2], 0.01, 0.002, 5)
-    sh_adam_step(sparse[0], gradients, sparse[1], sparse[2], 0.01, 0.002, 5, sparse=True)
+    sh_adam_step(sparse[0], gradients, sparse[1], sparse[2], 0.01, 0.002, 5, sparse_rows=kept.to(torch.uint8))
     for found, stepped, untouched in zip(sparse, dense, start):
-        assert torch.equal(found[~seen], untouched[~seen]) and not torch.equal(
-            stepped[~seen], untouched[~seen]
-        )
-        assert torch.equal(found[seen], stepped[seen])
+        assert torch.equal(found[~kept], untouched[~kept])
+        assert torch.equal(found[kept], stepped[kept])
+        assert not torch.equal(stepped[~kept], untouched[~kept])
 
 
 def test_degrees_and_orders_no_view_used_are_left_alone_and_the_others_stepped_as_ever():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import signal
+import subprocess
 from pathlib import Path
 
 import cv2
@@ -62,7 +63,7 @@ def test_killed_again_and_again_it_ends_the_same(finished: Path, shell: Shell) -
         try:
             process.communicate(timeout=delay)
             break
-        except Exception:  # subprocess.TimeoutExpired
+        except subprocess.TimeoutExpired:
             process.send_signal(signal.SIGKILL)
             process.communicate()
             delay, kills = 1.5 * delay, kills + 1

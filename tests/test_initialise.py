@@ -6,8 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from pipeline.config import AblationConfig, Config, SceneConfig, TrainConfig
+from datasets.scene import Scene
+from pipeline.background import sphere_points
+from pipeline.config import AblationConfig, Config, InitConfig, SceneConfig, TrainConfig
 from pipeline.initialise import from_points, initialise, nearest_distance
+from pipeline.sfm.photograph import Reconstruction
+from rasterizer.reference_sh import sh_basis
 from tiny import tiny_scene
 
 
@@ -70,3 +74,55 @@ def test_bad_point_clouds_are_refused_in_one_line(points: np.ndarray, found: str
     with pytest.raises(ValueError, match=found) as error:
         from_points(points, np.zeros(len(points)), np.zeros((len(points), 3)), tiny_scene(), cfg)
     assert "\n" not in str(error.value) and "tiny" in str(error.value)
+
+
+def cloud_of(points: np.ndarray, colors: np.ndarray) -> Reconstruction:
+    ones = np.ones(len(points))
+    return Reconstruction(points, colors, ones, 3 * ones, {}, "known", 3, 1.0)
+
+
+def test_points_of_structure_from_motion_keep_their_places_and_colours() -> None:
+    """A Gaussian that covers its pixel alone must show the point's colour, from anywhere and at any time."""
+    scene, rng = tiny_scene(), np.random.default_rng(3)
+    points, colors = rng.normal(size=(50, 3)), rng.integers(0, 256, (50, 3), dtype=np.uint8)
+    model = initialise(scene, config(), np.random.default_rng(0), cloud_of(points, colors))
+    np.testing.assert_allclose(model.parameters["mean"][:, :3], points, rtol=1e-6)
+    shown = 0.5 + sh_basis(torch.tensor([[0.6, 0.0, 0.8]]), 0)[0, 0] * model.parameters["sh"][:, 0]
+    np.testing.assert_allclose(shown, colors / 255, atol=1e-6)
+    assert not model.parameters["sh"][:, 1:].any()
+    t = model.parameters["mean"][:, 3]
+    assert 0 <= t.min() and t.max() <= 1 and t.std() > 0.2  # over all of the duration
+    assert model.sphere is None
+
+
+def test_the_sphere_stands_round_points_and_cameras_where_cameras_look() -> None:
+    scene = tiny_scene()  # cameras 4 before the origin, on an arc, looking along +z
+    cfg = Config(scene=SceneConfig(init_points=50), init=InitConfig(sphere_points=4000, sphere_radius=5.0),
+                 background="sphere")
+    model = initialise(scene, cfg, np.random.default_rng(0))
+    labelled, xyz = model.sphere, model.parameters["mean"][:, :3].double().numpy()
+    assert not labelled[:50].any() and labelled[50:].all()
+    places = np.concatenate([xyz[:50], [view.camera.position for view in scene.train]])
+    centre = (places.min(axis=0) + places.max(axis=0)) / 2
+    reach = np.linalg.norm(places - centre, axis=1).max()
+    np.testing.assert_allclose(np.linalg.norm(xyz[50:] - centre, axis=1), 5 * reach, rtol=1e-5)
+    # Of the whole sphere, those that one of the cameras has in its image, or beside it by a tenth; a naive loop.
+    whole = sphere_points(4000, centre, 5 * reach, _after_points(scene, cfg))
+    kept = []
+    for point in whole:
+        for view in scene.train:
+            c = view.camera
+            x, y, z = c.world_to_cam[:3, :3] @ point + c.world_to_cam[:3, 3]
+            if z > 0 and abs(c.fx * x / z) < 0.6 * c.width and abs(c.fy * y / z) < 0.6 * c.height:
+                kept.append(point)
+                break
+    assert 50 < len(kept) < 1000
+    np.testing.assert_allclose(xyz[50:], kept, rtol=1e-5, atol=1e-4)
+
+
+def _after_points(scene: Scene, cfg: Config) -> np.random.Generator:
+    """The generator as it is once the random points and their colours are drawn."""
+    generator = np.random.default_rng(0)
+    generator.uniform(size=(cfg.scene.init_points, 3))
+    generator.uniform(size=(cfg.scene.init_points, 3))
+    return generator

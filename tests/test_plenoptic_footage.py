@@ -52,7 +52,7 @@ def test_any_videos_are_taken_in_the_order_of_their_names(filmed: Path) -> None:
 
 def test_first_images_are_at_full_size_and_of_the_first_frame_in_use(filmed: Path, tmp_path: Path) -> None:
     footage = read(filmed, first_frame=2, drop_cameras=[1], cache=tmp_path / "cache")
-    for number, image in zip(footage.numbers, footage.first_images(), strict=True):
+    for number, image in zip(footage.numbers, footage.first_images().values(), strict=True):
         assert image.shape == (HEIGHT, WIDTH, 3) and image.dtype == np.uint8
         assert np.abs(inside(image).astype(int) - inside(picture(number, 2))).max() <= CODEC
     assert not (tmp_path / "cache").exists()  # nothing but these was decoded

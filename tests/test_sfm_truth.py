@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from datasets.plenoptic import Posed, open_plenoptic
+from datasets.scene import camera_extent
 from datasets.synthetic import build_scene
-from datasets.plenoptic import read_plenoptic
-from datasets.scene import Scene
 from pipeline.config import InitConfig
-from pipeline.prepare import camera_name, first_photographs, with_cameras
+from pipeline.prepare import training_photographs
 from pipeline.sfm.photograph import Photograph, Reconstruction
 from pipeline.sfm.run import reconstruct
 from rasterizer import Camera
@@ -28,21 +28,24 @@ def folder(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def scene(folder: Path) -> Scene:
-    return read_plenoptic(folder, name="counter", downscale=1, cache=folder.parent / "cache", say=lambda line: None)
+def posed(folder: Path) -> Posed:
+    return open_plenoptic(folder, name="counter", downscale=1, cache=folder.parent / "cache")
 
 
 @pytest.fixture(scope="module")
-def found(scene: Scene, folder: Path) -> Reconstruction:
-    return reconstruct(first_photographs(scene), CFG, scene.unit, folder)
+def found(posed: Posed, folder: Path) -> Reconstruction:
+    return reconstruct(training_photographs(posed), CFG, posed.unit, folder)
 
 
-def test_the_photographs_are_the_training_cameras_at_the_first_moment(scene: Scene) -> None:
-    photographs = first_photographs(scene)
+def test_the_photographs_are_the_training_cameras_at_the_first_moment(posed: Posed) -> None:
+    photographs = training_photographs(posed)
     assert [p.name for p in photographs] == [f"cam{i:02d}" for i in range(1, CAMERAS)]  # cam00 is held out
+    for photograph in photographs:
+        np.testing.assert_array_equal(photograph.image, posed.first_images()[photograph.name])
+        assert photograph.camera is posed.cameras[photograph.name]
 
 
-def test_points_lie_on_the_surfaces(found: Reconstruction, folder: Path, scene: Scene) -> None:
+def test_points_lie_on_the_surfaces(found: Reconstruction, folder: Path, posed: Posed) -> None:
     """Each point lies beside a surface: its depth in a camera that sees it is the tracer's there.
 
     A point behind something is not seen by that camera, so of all cameras the best one counts.
@@ -57,26 +60,25 @@ def test_points_lie_on_the_surfaces(found: Reconstruction, folder: Path, scene: 
         truth = depth[y[inside].astype(int), x[inside].astype(int)]
         off[inside] = np.minimum(off[inside], np.abs(seen[inside, 2] - truth))
     assert len(off) > 300 and np.isfinite(off).all()
-    assert np.median(off) < 0.01 * scene.extent
+    assert np.median(off) < 0.01 * camera_extent(list(posed.cameras.values()))
 
 
-def test_poses_estimated_from_nothing_are_the_true_ones_up_to_a_similarity(scene: Scene, folder: Path) -> None:
-    photographs = [replace(p, camera=None) for p in first_photographs(scene)]
-    held_out = scene.test[0]
-    photographs.append(Photograph("cam00", np.asarray(held_out.image), held_out=True))
+def test_poses_estimated_from_nothing_are_the_true_ones_up_to_a_similarity(posed: Posed, folder: Path) -> None:
+    photographs = [Photograph(name, image, held_out=name == "cam00") for name, image in posed.first_images().items()]
     found = reconstruct(photographs, CFG, 1.0, folder)
-    truth = {camera_name(view): view.camera.position for view in scene.train + scene.test}
+    truth = {name: camera.position for name, camera in posed.cameras.items()}
     ours = np.stack([found.lenses[name].camera.position for name in truth])
     # Half a per cent of the rig's width: a pixel's depth error at this size and baseline is about one per cent.
     assert distances_after_similarity(ours, np.stack(list(truth.values()))).max() < 0.02
 
 
-def test_refined_poses_come_nearer_to_the_truth_and_stay_in_its_frame(scene: Scene, folder: Path) -> None:
+def test_refined_poses_come_nearer_to_the_truth_and_stay_in_its_frame(posed: Posed, folder: Path) -> None:
     rng = np.random.default_rng(0)
-    true = {camera_name(view): view.camera for view in scene.train}
-    moved = with_cameras(scene, {name: shaken(camera, 0.01, rng) for name, camera in true.items()})
-    before = {camera_name(view): view.camera for view in moved.train}
-    found = reconstruct(first_photographs(moved), replace(CFG, refine_poses=True, max_error_px=4.0), scene.unit, folder)
+    photographs = training_photographs(posed)
+    true = {p.name: p.camera for p in photographs}
+    before = {name: shaken(camera, 0.01, rng) for name, camera in true.items()}
+    moved = [replace(p, camera=before[p.name]) for p in photographs]
+    found = reconstruct(moved, replace(CFG, refine_poses=True, max_error_px=4.0), posed.unit, folder)
     after = {name: lens.camera for name, lens in found.lenses.items()}
     assert found.poses == "refined"
 

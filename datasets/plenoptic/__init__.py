@@ -14,6 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from datasets.plenoptic.decode import Undistortion, fingerprint
 from datasets.plenoptic.footage import Footage, Reading
 from datasets.plenoptic.images import camera_number, read_camera, read_entries, sequences
@@ -38,6 +40,10 @@ class Posed:
     undistortion: Mapping[str, Undistortion] | None = None
     unit: float = 1.0
     init_box: tuple[float, float] | None = None
+
+    def first_images(self) -> dict[str, np.ndarray]:
+        """Name -> the first frame of each camera as `cameras` see it, full size."""
+        return self.footage.first_images(self.undistortion)
 
     def to_scene(self) -> Scene:
         """Decodes what is not in the store yet."""

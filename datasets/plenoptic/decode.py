@@ -72,6 +72,14 @@ class Undistortion:
         return cv2.initUndistortRectifyMap(matrix, np.array(self.coefficients), None, matrix, size, cv2.CV_16SC2)
 
 
+def straighten(image: np.ndarray, maps: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """The image as a pinhole would have taken it; maps: Undistortion.maps.
+
+    Where it then reaches beyond what was seen, the edge goes on: there is no truth to show.
+    """
+    return cv2.remap(image, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
+
 @dataclass(frozen=True)
 class Recipe:
     """What is done to every camera."""
@@ -183,8 +191,7 @@ def _prepared(stream: Stream, recipe: Recipe, lens: Undistortion | None, threads
         if stop.is_set():
             raise RuntimeError("decoding was stopped")  # seen by nobody: the error that stopped it is raised
         if maps is not None:
-            # Where the straight image reaches beyond what was seen, the edge goes on: there is no truth to show.
-            image = cv2.remap(image, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            image = straighten(image, maps)
         yield reduce_image(image, recipe.downscale)
         display.frame()
 

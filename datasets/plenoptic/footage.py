@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets.plenoptic.decode import Recipe, Stream, Undistortion, decode, reduce_camera, store_folder
+from datasets.plenoptic.decode import Recipe, Stream, Undistortion, decode, reduce_camera, store_folder, straighten
 from datasets.plenoptic.display import Say
 from datasets.plenoptic.sync import drop_advice
 from datasets.scene import Image, Scene, SceneError, View, camera_extent, validate_scene
@@ -79,13 +79,16 @@ class Footage:
         """Frames a second."""
         return self.streams[0].rate
 
-    def first_images(self) -> list[np.ndarray]:
-        """The first frame in use of each camera, (height, width, 3) uint8 RGB at full resolution."""
+    def first_images(self, undistortion: Mapping[str, Undistortion] | None = None) -> dict[str, np.ndarray]:
+        """Name -> the first frame in use of each camera, (height, width, 3) uint8 RGB at full resolution; straight
+        where there is a lens to straighten."""
         def first(stream: Stream) -> np.ndarray:
-            return next(iter(stream.read(self.reading.first_frame, 1, 1)))
+            image = next(iter(stream.read(self.reading.first_frame, 1, 1)))
+            lens = (undistortion or {}).get(stream.name)
+            return straighten(image, lens.maps(stream.size)) if lens and any(lens.coefficients) else image
 
         with ThreadPoolExecutor(self.reading.cores) as pool:
-            return list(pool.map(first, self.streams))
+            return dict(zip(self.names, pool.map(first, self.streams)))
 
     def to_scene(self, cameras: Mapping[str, Camera], undistortion: Mapping[str, Undistortion] | None = None,
                  unit: float = 1.0, init_box: tuple[float, float] | None = None) -> Scene:

@@ -154,7 +154,8 @@ def time_iteration(workload: Workload, threads: int, repeats: int, views: int = 
         t0 = clock()
         for name, p in parameters.items():  # with rate 0: the same work each time
             if name == "sh":
-                sh_adam_step(p, gradients, first[name], second[name], 0.0, 0.0, step, sparse=sparse, threads=threads)
+                sh_adam_step(p, gradients, first[name], second[name], 0.0, 0.0, step, sparse_rows=touched,
+                             threads=threads)
             else:
                 adam_step(p, getattr(gradients, name), first[name], second[name], 0.0, step, sparse_rows=touched,
                           threads=threads)

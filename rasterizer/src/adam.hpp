@@ -89,11 +89,11 @@ inline constexpr uint32_t kRowsAhead = 3;
 
 // Adam on SH coefficients [N, orders · coefficients, 3], their gradient expanded chunk by chunk and never
 // stored. Orders from `active_orders` on, and in each order coefficients from `active_coefficients` on, are
-// left alone: they have had no gradient yet, so their moments are zero. sparse: rows no view of the batch saw
-// are left alone too.
+// left alone: they have had no gradient yet, so their moments are zero. keep: as adam_rows.
 inline void adam_sh(float* sh, float* m, float* v, uint32_t count, int coefficients, int orders,
-                    int active_coefficients, int active_orders, float lr_dc, float lr_rest, bool sparse,
-                    const std::vector<ViewColors>& views, const AdamStep& a, int threads) {
+                    int active_coefficients, int active_orders, float lr_dc, float lr_rest,
+                    const uint8_t* keep, const std::vector<ViewColors>& views, const AdamStep& a,
+                    int threads) {
     const size_t order_stride = static_cast<size_t>(coefficients) * 3, row_stride = order_stride * orders;
     const Float rest(lr_rest * a.inverse_correction1);
     alignas(64) float first_lanes[16];
@@ -109,7 +109,7 @@ inline void adam_sh(float* sh, float* m, float* v, uint32_t count, int coefficie
             const uint32_t last = std::min(count, first + kShChunk);
             expand(views, first, last, chunk);
             for (uint32_t i = first; i < last; ++i) {
-                if (i + kRowsAhead < last && (!sparse || chunk.touched[i + kRowsAhead - first]))
+                if (i + kRowsAhead < last && (!keep || keep[i + kRowsAhead]))
                     for (int n = 0; n < active_orders; ++n)
                         for (int k = 0; k < 3 * active_coefficients; k += kLanes) {
                             const size_t at = row_stride * (i + kRowsAhead) + order_stride * n + k;
@@ -117,7 +117,7 @@ inline void adam_sh(float* sh, float* m, float* v, uint32_t count, int coefficie
                             __builtin_prefetch(sh + at), __builtin_prefetch(m + at),
                                 __builtin_prefetch(v + at);
                         }
-                if (sparse && !chunk.touched[i - first]) continue;
+                if (keep && !keep[i]) continue;
                 for (int n = 0; n < active_orders; ++n) {
                     const size_t at = row_stride * i + order_stride * n;
                     const ShRow& g = chunk.rows[static_cast<size_t>(i - first) * active_orders + n];

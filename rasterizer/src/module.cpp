@@ -155,13 +155,14 @@ void adam(Out p, In g, Out m, Out v, const std::vector<float>& lr, std::optional
 }
 
 void adam_sh(Out sh, Out m, Out v, int coefficients, int orders, int active_coefficients, int active_orders,
-             float lr_dc, float lr_rest, bool sparse, const std::vector<View>& views, double beta1,
-             double beta2, double epsilon, long step, int threads) {
+             float lr_dc, float lr_rest, std::optional<Array<const uint8_t>> keep,
+             const std::vector<View>& views, double beta1, double beta2, double epsilon, long step,
+             int threads) {
     const auto colors = view_colors(views);
     const uint32_t count = static_cast<uint32_t>(sh.shape(0));
     nb::gil_scoped_release release;
     splat::adam_sh(sh.data(), m.data(), v.data(), count, coefficients, orders, active_coefficients,
-                   active_orders, lr_dc, lr_rest, sparse, colors,
+                   active_orders, lr_dc, lr_rest, pointer(keep), colors,
                    splat::AdamStep(beta1, beta2, epsilon, step), threads);
 }
 
@@ -237,7 +238,7 @@ NB_MODULE(KERNEL_MODULE_NAME, m) {
           nb::arg("threads"));
     m.def("adam_sh", &adam_sh, nb::arg("sh"), nb::arg("m"), nb::arg("v"), nb::arg("coefficients"),
           nb::arg("orders"), nb::arg("active_coefficients"), nb::arg("active_orders"), nb::arg("lr_dc"),
-          nb::arg("lr_rest"), nb::arg("sparse"), nb::arg("views"), nb::arg("beta1"), nb::arg("beta2"),
+          nb::arg("lr_rest"), nb::arg("keep").none(), nb::arg("views"), nb::arg("beta1"), nb::arg("beta2"),
           nb::arg("epsilon"), nb::arg("step"), nb::arg("threads"));
     m.def("add_view", &add_view, nb::arg("id"), nb::arg("mean2d"), nb::arg("mean_t"), nb::arg("radius"),
           nb::arg("half_width"), nb::arg("half_height"), nb::arg("duration"), nb::arg("space"),

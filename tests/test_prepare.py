@@ -1,0 +1,62 @@
+"""What a run works on: which scenes get points from structure from motion, and what refined poses change."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets.synthetic import build_scene
+from pipeline.config import Config, InitConfig, SceneConfig
+from pipeline.prepare import Prepared, near_depth, prepare
+from rasterizer import Camera
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("prepare") / "scene"
+    return build_scene(folder, scene="counter", seed=2, size=160, cameras=5, frames=2)
+
+
+def prepared(folder: Path, **init) -> Prepared:
+    cfg = Config(scene=SceneConfig(name="plenoptic", reader="plenoptic", path=str(folder), downscale=2,
+                                   cache=str(folder.parent / "cache")),
+                 init=InitConfig(min_points=10, max_features=1000, **init), threads=1)
+    return prepare(cfg, lambda line: None)
+
+
+def test_points_come_from_whole_frames_whatever_size_is_trained_at(folder: Path) -> None:
+    data = prepared(folder)
+    assert data.scene.train[0].camera.width == 80
+    assert all(lens.camera.width == 160 for lens in data.cloud.lenses.values())
+    assert set(data.cloud.lenses) == {"cam01", "cam02", "cam03", "cam04"}  # cam00 is held out
+    assert (data.sfm_folder / "sfm.png").is_file()
+
+
+def test_random_points_need_none_of_it(folder: Path) -> None:
+    data = prepared(folder, source="random")
+    assert data.cloud is None and data.sfm_folder is None and len(data.scene.train) == 8
+
+
+def test_refined_poses_are_what_is_trained_with(folder: Path) -> None:
+    given, refined = prepared(folder).scene, prepared(folder, refine_poses=True)
+    for before, after in zip(given.train, refined.scene.train):
+        name = after.name.removeprefix("train/")[:5]
+        pose = refined.cloud.lenses[name].camera.world_to_cam
+        np.testing.assert_array_equal(after.camera.world_to_cam, pose)
+        assert 0 < np.abs(pose - before.camera.world_to_cam).max() < 0.05
+    for before, after in zip(given.test, refined.scene.test):  # no image of theirs may move them
+        np.testing.assert_array_equal(after.camera.world_to_cam, before.camera.world_to_cam)
+
+
+def test_photographs_of_one_camera_have_no_structure_from_motion() -> None:
+    cfg = Config(scene=SceneConfig(name="dnerf", reader="dnerf", path="anywhere"), init=InitConfig(source="sfm"))
+    with pytest.raises(ValueError, match="init.source: expected auto or random for dnerf"):
+        prepare(cfg, print)
+
+
+def test_the_near_depth_is_the_one_a_twentieth_of_the_points_lie_before() -> None:
+    points = np.stack([np.zeros(101), np.zeros(101), np.linspace(1, 101, 101)], axis=1)
+    points = np.concatenate([points, [[0, 0, -5]]])  # behind the camera: not seen
+    assert near_depth(points, [Camera(8, 8, 8, 8, 4, 4, np.eye(4))]) == pytest.approx(6.0)
