@@ -3,8 +3,8 @@
 `evaluate` is what tables are made of; `quick_evaluate` is the cheap look that training takes now and then.
 
 What is measured where: every metric on every test view, except LPIPS-VGG in large scenes (perceptual.py); flicker on
-every pair of consecutive frames. The cheap look takes `train.eval_views` views, the speed SPEED_VIEWS; both spread
-evenly, from the first to the last.
+every pair of consecutive frames. At 1352 × 1014 pixels a view takes 3 s of one core, LPIPS-Alex included. The cheap
+look takes `train.eval_views` views, the speed SPEED_VIEWS; both spread evenly, from the first to the last.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """LPIPS over a scene's test views: which networks there are, and on which views each is asked.
 
-AlexNet's is of every view. VGG's costs thirty times as much: 27 s of one core and 1.8 GB for 1352 × 1014 pixels, three
+AlexNet's is of every view. VGG's costs 27 times as much: 21 s of one core and 1.8 GB for 1352 × 1014 pixels, nearly two
 hours for the 300 frames of a Plenoptic Video scene. It is asked on views spread evenly, of VGG_PIXELS in all.
 """
 

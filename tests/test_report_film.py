@@ -193,6 +193,7 @@ def test_a_row_and_a_picture_a_scene(tmp_path) -> None:
         {"scene": scene, "poses": poses, "cameras": "20", "registered": "19", "points": "12,345",
          "mean_error_px": "0.625", "mean_track_length": "3.50", "seconds": seconds, "runs": runs}
         for scene, poses, seconds, runs in ((BEEF, "refined", "42.5", "1"), (SALMON, "known", "40.0", "3"))]
+    assert not any("seeds" in note for _, note in found.table.footnotes)  # COLMAP's seed is not theirs
     assert [picture.filename for picture in found.pictures] == ["plenoptic_cut_roasted_beef__sfm.webp",
                                                                 "plenoptic_flame_salmon__sfm.webp"]
     assert Image.open(io.BytesIO(found.pictures[0].webp)).size == (80, 60)

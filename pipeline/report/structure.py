@@ -114,4 +114,4 @@ def _table(rows: list[Row]) -> Table:
         Column("seconds", "Seconds"),
         Column("runs", "Runs"),
     )
-    return Table("structure", "Points and poses by COLMAP", columns, tuple(rows), notes=(_NOTE,))
+    return Table("structure", "Points and poses by COLMAP", columns, tuple(rows), notes=(_NOTE,), over_seeds=False)

@@ -54,6 +54,7 @@ class Table:
     rows: tuple[Row, ...]
     caption: str = ""
     notes: tuple[tuple[str, str], ...] = ()
+    over_seeds: bool = True  # our numbers are means over seeds
 
     def cell(self, row: Row, column: Column) -> Cell:
         """The cell of `row` under `column`."""
@@ -69,7 +70,8 @@ class Table:
             (NOT_MEASURED_NOTE, any(c == NOT_MEASURED for c in cells)),
             (
                 SEEDS_NOTE,
-                any(
+                self.over_seeds
+                and any(
                     row.kind == "ours" and c.value is not None
                     for row in self.rows
                     for c in row.cells.values()
