@@ -1,4 +1,4 @@
-"""A scene and a run folder so small that training takes seconds; also a program: `tiny.py OUT ITERATIONS BACKGROUND`."""
+"""A scene and a run folder so small that training takes seconds; a program too: `tiny.py OUT ITERATIONS BACKGROUND`."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def tiny_config(iterations: int = 60, background: str = "auto", **train_keys) ->
     keys = dict(iterations=iterations, batch=2, eval_every=10, checkpoint_every=7, sh_degree_every=15,
                 fourier_at=[30, 40], densify=densify, init_points=200, sphere_freeze_after=20, environment_until=20,
                 environment_height=12)
-    return Config(scene=SceneConfig(init_points=200), init=InitConfig(sphere_points=50, sphere_radius=2.0),
+    return Config(scene=SceneConfig(init_points=200), init=InitConfig(sphere_points=300, sphere_radius=2.0),
                   ablation=AblationConfig(), train=TrainConfig(**(keys | train_keys)), threads=1, background=background)
 
 
