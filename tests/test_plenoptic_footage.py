@@ -123,9 +123,9 @@ def test_bad_footage_is_refused(filmed: Path, tmp_path: Path, damage, message: s
 def test_a_config_names_it_and_load_scene_says_what_is_missing(filmed: Path, tmp_path: Path) -> None:
     cfg = SceneConfig(name="video", reader="video", path=str(filmed), cache=str(tmp_path), test_cameras=[1, 3])
     assert load_footage(cfg).held_out == ("b.cam", "right")
-    with pytest.raises(SceneError, match="scene.reader: expected dnerf, plenoptic or synthetic, .* found 'video'"):
+    with pytest.raises(SceneError, match="scene.reader: expected several cameras with known poses: .* found 'video'"):
         load_scene(cfg)
-    with pytest.raises(SceneError, match="scene.reader: expected video, found 'dnerf'"):
+    with pytest.raises(SceneError, match="scene.reader: expected several cameras with known poses: .* found 'dnerf'"):
         load_footage(SceneConfig(path=str(filmed)))
     with pytest.raises(SceneError, match="scene.path: expected the folder of the data"):
         load_footage(SceneConfig(reader="video"))
