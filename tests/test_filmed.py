@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
-from test_pipeline import Shell, result
+from shell import Shell, result
 
 TINY = ("train=smoke", "scene.downscale=1", "threads=1", "evaluate.lpips=false", "evaluate.renders=2",
         "init.min_points=20", "init.max_features=1000", "init.sphere_points=2000")

@@ -4,38 +4,17 @@ from __future__ import annotations
 
 import csv
 import json
-import os
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
 import pytest
 import yaml
 
-from pipeline.configure import CONFIG_DIR
+from shell import Shell, result
 
 TINY = ("scene=synthetic/wheel", "train=smoke", "scene.size=48", "scene.train_views=8", "scene.test_views=3",
         "threads=1", "evaluate.lpips=false")
-
-
-class Shell:
-    """Runs `python -m pipeline` in a folder of its own, scenes cached between runs."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self._environment = {**os.environ, "PYTHONPATH": str(CONFIG_DIR.parent), "OMP_NUM_THREADS": "1"}
-
-    def start(self, *arguments: str) -> subprocess.Popen:
-        return subprocess.Popen([sys.executable, "-m", "pipeline", *arguments], cwd=self.folder, text=True,
-                                stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=self._environment)
-
-    def __call__(self, *arguments: str, status: int = 0) -> tuple[str, str]:
-        process = self.start(*arguments)
-        out, err = process.communicate(timeout=120)
-        assert process.returncode == status, err
-        return out, err
 
 
 @pytest.fixture(scope="module")
@@ -54,17 +33,6 @@ def finished(shell: Shell) -> Path:
 def read_csv(path: Path) -> list[dict[str, str]]:
     with open(path) as file:
         return list(csv.DictReader(file))
-
-
-def result(folder: Path) -> dict:
-    """metrics.json without what depends on the machine's speed and the clock."""
-    metrics = json.loads((folder / "metrics.json").read_text())
-    for name in ("date", "train_seconds", "peak_rss_mb"):
-        del metrics[name]
-    for model in ("final", "best_on_test"):
-        for name in ("fps_raster", "fps_render"):
-            del metrics[model][name]
-    return metrics
 
 
 def test_a_run_folder_is_complete(finished: Path) -> None:
