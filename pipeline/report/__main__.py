@@ -31,10 +31,12 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, metavar="DIR", help="default: RUNS_DIR/../report")
     parser.add_argument("--no-pictures", nargs="*", default=[], metavar="SCENE",
                         help="scenes, or families of them (dnerf), whose images may not be passed on: no strips")
+    parser.add_argument("--psnr", nargs="*", type=float, default=[], metavar="DB",
+                        help="levels of the table of training seconds to a PSNR (default: by scene)")
     options = parser.parse_args(arguments)
     try:
         out = options.out or options.runs_dir.resolve().parent / "report"
-        write_report(options.runs_dir, out, tuple(options.no_pictures))
+        write_report(options.runs_dir, out, tuple(options.no_pictures), tuple(options.psnr))
     except (FileNotFoundError, PermissionError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
@@ -53,7 +55,7 @@ def write_report(runs_dir: Path, out: Path, no_pictures: tuple[str, ...] = ()) -
     for line in (*summary.left_out, *summary.warnings):
         print(f"warning: {line}", file=sys.stderr)
 
-    of_paper, ours = paper_tables(collection.runs), run_tables(collection)
+    of_paper, ours = paper_tables(collection.runs), run_tables(collection, levels)
     plots = [
         CurvePlot(scene, plot_scene(collection.curves, scene), plot_scene(collection.curves, scene, DARK))
         for scene in curve_scenes(collection.curves)

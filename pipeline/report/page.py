@@ -24,6 +24,9 @@ class CurvePlot:
     dark: str
 
 
+COMPARISONS = ("equal_time", "time_to_psnr", "batches")  # slugs of tables that set schedules side by side
+
+
 def render_page(
     summary: Summary,
     paper_tables: Sequence[Table],
@@ -48,7 +51,7 @@ def render_page(
         paper_tables=paper_tables,
         verdicts=own["ablation_verdicts"],
         scene_tables=[t for t in our_tables if t.slug.startswith("scenes_")],
-        comparisons=[own[slug] for slug in ("equal_time", "batches") if slug in own],
+        comparisons=[own[slug] for slug in COMPARISONS if slug in own],
         structure=structure,
         raw_tables=[own["all_runs"], own["provenance"]],
         plots=plots,

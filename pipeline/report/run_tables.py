@@ -12,12 +12,15 @@ from .equal_time import equal_time
 from .our_rows import PROTOCOL_NOTE, gap_notes
 from .scene_tables import scene_tables
 from .table import Cell, Column, Row, Table, measured, number, text
+from .time_to_psnr import time_to_psnr
 
-def run_tables(collection: Collection) -> list[Table]:
-    """All, in reading order; comparisons that there are no runs for are left out."""
+
+def run_tables(collection: Collection, levels: tuple[float, ...] = ()) -> list[Table]:
+    """All, in reading order; comparisons that there are no runs for are left out. levels: dB, see time_to_psnr."""
     runs = collection.runs
-    compared = [table for table in (equal_time(collection), batches(collection)) if table is not None]
-    return [verdicts(runs), *scene_tables(runs), *compared, all_runs(runs), provenance(runs)]
+    compared = equal_time(collection), time_to_psnr(collection, levels), batches(collection)
+    there = [table for table in compared if table is not None]
+    return [verdicts(runs), *scene_tables(runs), *there, all_runs(runs), provenance(runs)]
 
 
 def verdicts(runs: pd.DataFrame) -> Table:
