@@ -29,7 +29,7 @@ def load_scene(cfg: SceneConfig, *, threads: int = 0, say: Say = print) -> Scene
     if cfg.reader not in ("dnerf", "synthetic"):
         raise SceneError("scene.reader", "dnerf, plenoptic or synthetic", repr(cfg.reader))
     from datasets.dnerf import read_dnerf
-    path = _make_synthetic(cfg) if cfg.reader == "synthetic" else _path(cfg)
+    path = _make_synthetic(cfg, say) if cfg.reader == "synthetic" else _path(cfg)
     return read_dnerf(path, name=cfg.name, test_split=cfg.test_split, downscale=cfg.downscale,
                       background=tuple(cfg.background), init_box=tuple(cfg.init_box))
 
@@ -40,7 +40,7 @@ def load_posed(cfg: SceneConfig, *, threads: int = 0, say: Say = print) -> Posed
         raise SceneError("scene.reader", "several cameras with known poses: plenoptic, or a synthetic scene of that kind",
                          repr(cfg.reader))
     from datasets.plenoptic import open_plenoptic
-    path = _make_synthetic(cfg) if cfg.reader == "synthetic" else _path(cfg)
+    path = _make_synthetic(cfg, say) if cfg.reader == "synthetic" else _path(cfg)
     return open_plenoptic(path, **_filming(cfg, threads, say))
 
 
@@ -70,10 +70,11 @@ def __getattr__(name: str) -> Any:
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
-def _make_synthetic(cfg: SceneConfig) -> Path:
+def _make_synthetic(cfg: SceneConfig, say: Say) -> Path:
     from datasets.synthetic import make_scene
     return make_scene(_synthetic_name(cfg), cfg.cache, seed=cfg.seed, size=cfg.size, train_views=cfg.train_views,
-                      test_views=cfg.test_views, cameras=cfg.cameras, frames=cfg.frames)
+                      test_views=cfg.test_views, cameras=cfg.cameras, frames=cfg.frames,
+                      progress=lambda done, all_of_them: say(f"{cfg.name}: {done} of {all_of_them} cameras filmed"))
 
 
 def _synthetic_name(cfg: SceneConfig) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 from PIL import Image
 
 from datasets.synthetic.camera_path import ANGLE_X, Shot
-from datasets.synthetic.draft import draft_of, write_json
+from datasets.draft import draft_of, write_json
 from datasets.synthetic.trace import Traced, trace
 from datasets.synthetic.world import World
 from rasterizer.camera import Camera

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from datasets.scene import SceneError
-from datasets.synthetic.draft import draft_of, write_json
+from datasets.draft import draft_of, write_json
 from datasets.synthetic.film import depth_of, film
 from datasets.synthetic.rig import rig
 from datasets.synthetic.video import FRAME_RATE, write_video

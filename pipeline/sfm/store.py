@@ -10,8 +10,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-import tempfile
 from collections.abc import Sequence
 from dataclasses import asdict
 from importlib import metadata
@@ -19,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from datasets.draft import draft_of, write_json
 from pipeline.config import InitConfig
 from pipeline.sfm.photograph import Lens, Photograph, Reconstruction
 from pipeline.sfm.picture import draw
@@ -59,22 +58,14 @@ def fingerprint(photographs: Sequence[Photograph], cfg: InitConfig, unit: float)
 
 def save(result: Reconstruction, folder: Path) -> None:
     """Write the folder, whole or not at all. Of two processes that make the same, the first one's stands."""
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}-") as temporary:
-        draft = Path(temporary) / folder.name
-        draft.mkdir()
+    with draft_of(folder, proof="result.json") as draft:
         np.savez(draft / "result.npz", points=result.points, colors=result.colors, errors=result.errors,
                  track_lengths=result.track_lengths)
         lenses = {name: _described(lens) for name, lens in result.lenses.items()}
-        rest = {"poses": result.poses, "photographs": result.photographs, "seconds": result.seconds, "lenses": lenses}
-        (draft / "result.json").write_text(json.dumps(rest))
-        (draft / "sfm.json").write_text(json.dumps(result.summary(), indent=2) + "\n")
+        write_json(draft / "result.json", {"poses": result.poses, "photographs": result.photographs,
+                                           "seconds": result.seconds, "lenses": lenses})
+        write_json(draft / "sfm.json", result.summary())
         draw(result, draft / "sfm.png")
-        try:
-            os.rename(draft, folder)
-        except OSError:
-            if not (folder / "result.json").is_file():
-                raise
 
 
 def load(folder: Path) -> Reconstruction:

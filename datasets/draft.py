@@ -11,11 +11,11 @@ from pathlib import Path
 
 
 @contextmanager
-def draft_of(folder: Path) -> Iterator[Path]:
-    """A folder to write into, which becomes `folder` at the end; the last thing written is its meta.json.
+def draft_of(folder: Path, proof: str = "meta.json") -> Iterator[Path]:
+    """A folder to write into, which becomes `folder` at the end.
 
-    It lies beside it until then: a killed run leaves no half scene, and of two processes that make the same
-    scene the first one's stands.
+    It lies beside it until then: a killed run leaves no half folder, and of two processes that make the same one the
+    first one's stands. proof: a file that is in every finished one.
     """
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}-") as temporary:
@@ -25,7 +25,7 @@ def draft_of(folder: Path) -> Iterator[Path]:
         try:
             os.rename(draft, folder)
         except OSError:
-            if not (folder / "meta.json").is_file():  # not another process's finished copy
+            if not (folder / proof).is_file():  # not another process's finished copy
                 raise
 
 
