@@ -1,7 +1,7 @@
 # Everything starts here: `make` lists the targets, and each of them first sets up what it needs.
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help setup build test reproduce bench report clean
+.PHONY: help setup build test reproduce bench report sanitize clean
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 RUN := .venv/bin/python -m
@@ -32,6 +32,9 @@ bench: $(BUILT) ## time kernel, loss, optimiser and readable twin in one run; a 
 
 report: $(BUILT) ## tables, plots and the HTML page from the run folders under RUNS=results/runs
 	$(RUN) pipeline.report $(RUNS)
+
+sanitize: $(BUILT) ## the kernel's tests with every memory access and operation checked
+	.venv/bin/python tools/sanitize.py
 
 clean: ## remove the built kernel and caches; .venv and results stay
 	rm -rf build rasterizer/*.so .pytest_cache .hypothesis

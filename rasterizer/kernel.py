@@ -1,4 +1,7 @@
-"""Picks the compiled kernel: the best instruction set this processor has, or the one RASTERIZER_ISA names."""
+"""Picks the compiled kernel: the best instruction set this processor has, or the one RASTERIZER_ISA names.
+
+RASTERIZER_KERNELS names a folder of kernels built another way, which come first (tools/sanitize.py).
+"""
 
 from __future__ import annotations
 
@@ -6,9 +9,10 @@ import importlib
 import os
 from types import ModuleType
 
-from . import _cpu
+from . import __path__, _cpu
 
 ISA_VARIABLE = "RASTERIZER_ISA"
+FOLDER_VARIABLE = "RASTERIZER_KERNELS"
 
 
 def available_isas() -> list[str]:
@@ -26,4 +30,6 @@ def load_kernel(isa: str | None = None) -> ModuleType:
     return importlib.import_module(f"rasterizer._kernel_{isa}")
 
 
+if FOLDER_VARIABLE in os.environ:
+    __path__.insert(0, os.environ[FOLDER_VARIABLE])
 kernel = load_kernel(os.environ.get(ISA_VARIABLE) or None)
