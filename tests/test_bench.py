@@ -45,6 +45,10 @@ def test_the_command_measures_the_instruction_set_it_was_told(isa: str) -> None:
     assert w1["counts"]["visible"] == 63_657  # as the notes on performance say of W1: the same scene for everybody
     one = w1["threads"]["1"]
     assert one["total"]["median"] >= one["total"]["minimum"] >= one["forward"]["minimum"] > 0
+    assert (found["workload"], found["threads"]) == ("W1", 1)  # of one workload, the short form too
+    for part in ("forward", "backward", "total"):
+        assert found[f"{part}_ms"] == one[part]["minimum"]
+    assert found["stages"] == {stage: ms["minimum"] for stage, ms in one["stages"].items()}
     assert w1["bound_ms"] > 0 and found["rates"]["operations"] > 0 and set(one["stages"]) >= {"prepare", "blend"}
 
 

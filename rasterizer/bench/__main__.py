@@ -74,8 +74,18 @@ def main() -> None:
             from rasterizer.bench.roofline import write_roofline
             write_roofline(plot, rates, measured)
             say(f"roofline: {plot}")
+        if len(measured) == 1:
+            found |= in_short(options.workloads[0], found["workloads"][options.workloads[0]]["threads"])
     if options.json:
         print(json.dumps(found))
+
+
+def in_short(name: str, times: dict[str, dict]) -> dict:
+    """One workload's fastest times for scripts, at the first number of threads: flat, milliseconds."""
+    threads, time = next(iter(times.items()))
+    whole = {f"{part}_ms": time[part]["minimum"] for part in ("forward", "backward", "total", "expand_sh")}
+    return {"workload": name, "threads": int(threads), **whole,
+            "stages": {stage: ms["minimum"] for stage, ms in time["stages"].items()}}
 
 
 def shown(time: Time) -> str:
