@@ -28,7 +28,7 @@ from .variants import DEFAULT, all_variants
 def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m pipeline.work_precision", description=__doc__.splitlines()[0])
     parser.add_argument("--workload", choices=WORKLOADS, default="W1", help="times are of all of it (W1)")
-    parser.add_argument("--run", type=Path, metavar="FOLDER", help="instead: a trained run's model and middle test view")
+    parser.add_argument("--run", type=Path, metavar="FOLDER", help="instead: a trained run, its middle test view")
     parser.add_argument("--pixels", type=int, default=64, help="errors are of its middle, so many pixels square (64)")
     parser.add_argument("--rounds", type=int, default=12, help="how often all kernels are timed in turn (12)")
     parser.add_argument("--only", nargs="+", metavar="VARIANT", help="these and the default (default: all)")
@@ -59,9 +59,11 @@ def main(arguments: list[str] | None = None) -> int:
     options.pixels = min(options.pixels, workload.camera.width, workload.camera.height)
     points = measure(variants, kernels, workload, workload.cropped(options.pixels), options.rounds,
                      lambda line: print(line, flush=True))
-    made = environment(" ".join(["python -m pipeline.work_precision", *(sys.argv[1:] if arguments is None else arguments)]))
-    heading = (f"{what}, {len(workload.gaussians):,} Gaussians, instruction set {kernel.__name__.rsplit('_', 1)[1]}; errors of its middle "
-               f"{options.pixels}×{options.pixels} pixels. {made['machine']}; {made['date']}; commit {made['git_commit'][:10]}; "
+    typed = sys.argv[1:] if arguments is None else arguments
+    made = environment(" ".join(["python -m pipeline.work_precision", *typed]))
+    heading = (f"{what}, {len(workload.gaussians):,} Gaussians, {workload.camera.width}×{workload.camera.height}, "
+               f"instruction set {kernel.__name__.rsplit('_', 1)[1]}; errors of its middle "
+               f"{options.pixels}×{options.pixels} pixels. {made['machine']}; {made['date'][:16]}; commit {made['git_commit'][:10]}; "
                f"`{made['command']}`.")
     options.out.mkdir(parents=True, exist_ok=True)
     for suffix, content in (("csv", comma_separated(points)), ("md", markdown(points, heading)),

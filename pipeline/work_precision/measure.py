@@ -110,7 +110,8 @@ UNTIMED = Timing(*[math.nan] * 5)
 def time_kernels(kernels: Mapping[str, ModuleType], workload: Workload, rounds: int,
                  clock: Callable[[], float] = time.process_time) -> dict[str, Timing]:
     """Minimum over rounds of all kernels in turn, so that each meets the same quiet and busy minutes."""
-    gradients, d_color, request = Gradients.zeros_like(workload.gaussians), workload.image_gradient(), workload.request()
+    gradients, request = Gradients.zeros_like(workload.gaussians), workload.request()
+    d_color = workload.image_gradient()
     spent: dict[str, list[tuple[float, float]]] = {name: [] for name in kernels}
     counts: dict[str, tuple[int, int]] = {}
     for _ in range(rounds):
@@ -138,7 +139,7 @@ def time_kernels(kernels: Mapping[str, ModuleType], workload: Workload, rounds: 
 
 def measure(variants: Sequence[Variant], kernels: Mapping[str, ModuleType], workload: Workload, crop: Workload,
             rounds: int, say: Callable[[str], None] = lambda line: None) -> list[Point]:
-    """All variants, and the twin itself in float64 and float32 with the kernel's thresholds, whose time is not taken."""
+    """All variants, and the twin itself in float64 and float32 with the kernel's thresholds; its time is not taken."""
     twins, found = Twins(crop), {}
     for variant in variants:
         say(f"errors: {variant.name}")

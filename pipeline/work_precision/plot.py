@@ -28,7 +28,8 @@ def draw(points: Sequence[Point], title: str, theme: Theme = LIGHT) -> str:
         figure = Figure(figsize=(12.6, 5.2))
         FigureCanvasSVG(figure)
         figure.patch.set_facecolor("white")
-        axes = figure.subplots(1, 2, gridspec_kw={"left": 0.06, "right": 0.985, "bottom": 0.11, "top": 0.78, "wspace": 0.16})
+        axes = figure.subplots(
+            1, 2, gridspec_kw={"left": 0.06, "right": 0.985, "bottom": 0.11, "top": 0.78, "wspace": 0.16})
         for axis, (name, label), front in zip(axes, _PANELS, fronts(timed), strict=True):
             for trade, colour, marker in zip(trades, _COLOURS, _MARKERS, strict=False):
                 line = [p for p in timed if p.trade == trade]
@@ -43,8 +44,8 @@ def draw(points: Sequence[Point], title: str, theme: Theme = LIGHT) -> str:
             axis.plot(*zip(*best, strict=True), color=theme.ink, lw=1, drawstyle="steps-post", zorder=0,
                       label="Pareto front")
             default = next(p for p in timed if p.name == DEFAULT)
-            axis.plot(default.milliseconds, getattr(default.errors, name), "o", ms=13, mfc="none", mec=theme.ink, mew=1.6,
-                      label="default")
+            axis.plot(default.milliseconds, getattr(default.errors, name), "o", ms=13, mfc="none", mec=theme.ink,
+                      mew=1.6, label="default")
             axis.set(xscale="log", yscale="log", xlabel="forward and backward, CPU time of one thread, ms")
             axis.xaxis.set_major_formatter("{x:g}")
             axis.xaxis.set_minor_formatter("{x:g}")

@@ -13,11 +13,11 @@ from .pareto import beats, on_front
 from .variants import DEFAULT, TRADES
 
 _NOTES = (
-    "ms: forward and backward of the whole workload, CPU time of one thread, minimum; n/a: not measured. The twin keeps "
-    "every (pixel, Gaussian) pair, the whole image is beyond it. Narrow SH coefficients are rounded and then read as "
+    "ms: forward and backward of the whole workload, CPU time of one thread, minimum; n/a: not measured. The twin "
+    "keeps every (pixel, Gaussian) pair, the whole image is beyond it. Narrow SH coefficients are rounded and then read as "
     "float32: their error is real, a time would not be.",
-    "Error: of the middle of the image, against the float64 twin that leaves nothing out; image in [0, 1]. Gradients: RMS "
-    "error over RMS, root mean square over the parameters' fields.",
+    "Error: of the middle of the image, against the float64 twin that leaves nothing out; image in [0, 1]. Gradients: "
+    "RMS error over RMS, root mean square over the parameters' fields.",
     "Own: against the twin with the same thresholds but those of the trade-off, so the error of that choice alone (and "
     "of float32).",
     "Rounding: against the twin with the same thresholds. A contribution that falls on the other side of a threshold "
@@ -69,9 +69,9 @@ def markdown(points: Sequence[Point], heading: str) -> str:
         return "| " + " | ".join(c.ljust(w) if i in words else c.rjust(w)
                                  for i, (c, w) in enumerate(zip(cells, widths, strict=True))) + " |"
 
-    rule = "|" + "|".join(":" + "-" * (w + 1) if i in words else "-" * (w + 1) + ":" for i, w in enumerate(widths)) + "|"
-    return "\n".join(["### Work and precision of the kernel's choices", "", heading, "", line(head), rule,
-                      *map(line, body), "", *(f"- {note}" for note in _NOTES), "",
+    rules = (":" + "-" * (w + 1) if i in words else "-" * (w + 1) + ":" for i, w in enumerate(widths))
+    return "\n".join(["### Work and precision of the kernel's choices", "", heading, "",
+                      line(head), "|" + "|".join(rules) + "|", *map(line, body), "", *(f"- {note}" for note in _NOTES), "",
                       *(f"- {sentence}" for sentence in verdicts(points))]) + "\n"
 
 
@@ -112,6 +112,6 @@ def _verdict(what: str, points: Sequence[Point], errors: Sequence[Errors], noise
         best = min(better, key=lambda i: (measured[i], points[i].milliseconds))
         saved = 1 - points[best].milliseconds / time
         within = ", within the noise" if saved <= noise else ""
-        parts.append(f"not on the front of time and {name}: \"{points[best].label}\" takes {100 * saved:.1f} % less{within}, "
-                     f"its error is {measured[best]:.1e} against {own[1]:.1e}")
+        parts.append(f"not on the front of time and {name}: \"{points[best].label}\" takes {100 * saved:.1f} % less"
+                     f"{within}, its error is {measured[best]:.1e} against {own[1]:.1e}")
     return f"{what.capitalize()}: the default is {'; '.join(parts)}."
