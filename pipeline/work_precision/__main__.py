@@ -63,8 +63,8 @@ def main(arguments: list[str] | None = None) -> int:
     made = environment(" ".join(["python -m pipeline.work_precision", *typed]))
     heading = (f"{what}, {len(workload.gaussians):,} Gaussians, {workload.camera.width}×{workload.camera.height}, "
                f"instruction set {kernel.__name__.rsplit('_', 1)[1]}; errors of its middle "
-               f"{options.pixels}×{options.pixels} pixels. {made['machine']}; {made['date'][:16]}; commit {made['git_commit'][:10]}; "
-               f"`{made['command']}`.")
+               f"{options.pixels}×{options.pixels} pixels. {made['machine']}; {made['date'][:16]}; "
+               f"commit {made['git_commit'][:10]}; `{made['command']}`.")
     options.out.mkdir(parents=True, exist_ok=True)
     for suffix, content in (("csv", comma_separated(points)), ("md", markdown(points, heading)),
                             ("svg", draw(points, f"{what}, {made['machine']}, {made['date'][:10]}"))):

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from pipeline.report.plots import LIGHT, Theme
 
 from .measure import Point
-from .table import fronts
+from .pareto import on_front
 from .variants import DEFAULT
 
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#b5519b", "#e69f00", "#56b4e9", "#7a7f87")  # after Okabe, Ito
@@ -30,7 +30,7 @@ def draw(points: Sequence[Point], title: str, theme: Theme = LIGHT) -> str:
         figure.patch.set_facecolor("white")
         axes = figure.subplots(
             1, 2, gridspec_kw={"left": 0.06, "right": 0.985, "bottom": 0.11, "top": 0.78, "wspace": 0.16})
-        for axis, (name, label), front in zip(axes, _PANELS, fronts(timed), strict=True):
+        for axis, (name, label) in zip(axes, _PANELS, strict=True):
             for trade, colour, marker in zip(trades, _COLOURS, _MARKERS, strict=False):
                 line = [p for p in timed if p.trade == trade]
                 axis.plot([p.milliseconds for p in line], [getattr(p.errors, name) for p in line], marker, color=colour,
@@ -40,7 +40,8 @@ def draw(points: Sequence[Point], title: str, theme: Theme = LIGHT) -> str:
                         axis.annotate(p.label.split(",")[0] if trade != "several at once" else p.name,
                                       (p.milliseconds, getattr(p.errors, name)), xytext=(4, 4), fontsize=6.5,
                                       textcoords="offset points", color=colour)
-            best = sorted({(p.milliseconds, getattr(p.errors, name)) for p, on in zip(timed, front, strict=True) if on})
+            at = sorted({(p.milliseconds, getattr(p.errors, name)) for p in timed})
+            best = [point for point, on in zip(at, on_front(*zip(*at, strict=True)), strict=True) if on]
             axis.plot(*zip(*best, strict=True), color=theme.ink, lw=1, drawstyle="steps-post", zorder=0,
                       label="Pareto front")
             default = next(p for p in timed if p.name == DEFAULT)
