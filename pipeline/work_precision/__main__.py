@@ -30,7 +30,7 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--workload", choices=WORKLOADS, default="W1", help="times are of all of it (W1)")
     parser.add_argument("--run", type=Path, metavar="FOLDER", help="instead: a trained run, its middle test view")
     parser.add_argument("--pixels", type=int, default=64, help="errors are of its middle, so many pixels square (64)")
-    parser.add_argument("--rounds", type=int, default=12, help="how often all kernels are timed in turn (12)")
+    parser.add_argument("--rounds", type=int, default=20, help="how often all kernels are timed in turn (20)")
     parser.add_argument("--only", nargs="+", metavar="VARIANT", help="these and the default (default: all)")
     parser.add_argument("--out", type=Path, default=Path("results/work_precision"), help="(results/work_precision)")
     options = parser.parse_args(arguments)

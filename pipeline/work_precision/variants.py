@@ -83,8 +83,8 @@ def all_variants() -> list[Variant]:
     alphas = (("4/255", 4 / 255), ("2/255", 2 / 255), ("1/255", 1 / 255), ("1/510", 1 / 510), ("1/2550", 1 / 2550))
     masks = (("bounding rectangle, whole tiles", False, False), ("bounding rectangle, blocks", False, True),
              ("exact, whole tiles", True, False), ("exact, blocks", True, True))
-    several = (("coarse", 0.1, 2 / 255, 1e-3, 3), ("default", 0.05, 1 / 255, 1e-4, 4), ("fine", 0.01, 1 / 510, 1e-5, 4),
-               ("finest", 1e-4, 1 / 25500, 1e-6, 5))
+    several = (("coarse", 0.1, "2/255", 2 / 255, 1e-3, 3), ("default", 0.05, "1/255", 1 / 255, 1e-4, 4),
+               ("fine", 0.01, "1/510", 1 / 510, 1e-5, 4), ("finest", 1e-4, "1/25500", 1 / 25500, 1e-6, 5))
     precisions = (("bfloat16", torch.bfloat16), ("float16", torch.float16), ("float32", None))
     return [
         *_steps("temporal cut-off", "min_presence", "p(t) >= {}", 0.2, 0.1, 0.05, 0.02, 0.01, 1e-3, 1e-4),
@@ -96,9 +96,9 @@ def all_variants() -> list[Variant]:
           for label, exact, blocks in masks),
         *(Variant(f"sh_{name}" if narrow else DEFAULT, "SH precision", f"coefficients in {name}", sh_type=narrow)
           for name, narrow in precisions),
-        *(_row("several at once", name, f"p >= {p:g}, α' >= 1/{1 / alpha:g}, T >= {stop:g}, degree {degree}",
+        *(_row("several at once", name, f"p >= {p:g}, α' >= {label}, T >= {stop:g}, degree {degree}",
                min_presence=p, min_alpha=alpha, min_transmittance=stop, exp_degree=degree)
-          for name, p, alpha, stop, degree in several),
+          for name, p, label, alpha, stop, degree in several),
     ]
 
 
