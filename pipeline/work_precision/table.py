@@ -103,8 +103,8 @@ def verdicts(points: Sequence[Point]) -> list[str]:
     """
     timed = [p for p in points if p.milliseconds == p.milliseconds]
     margins = margins_of(timed)
-    said = [f"Noise of the times: {100 * margins[0]:.1f} % (nine in ten kernels differ by less between halves of the rounds).",
-            _verdict("all choices together", timed, [p.errors for p in timed], margins)]
+    said = [f"Noise of the times: {100 * margins[0]:.1f} % (nine in ten kernels differ by less between halves of the "
+            "rounds).", _verdict("all choices together", timed, [p.errors for p in timed], margins)]
     for trade in TRADES:
         group = [p for p in timed if p.trade == trade]
         if len(group) > 1 and trade != "several at once":
@@ -125,6 +125,7 @@ def _verdict(what: str, points: Sequence[Point], errors: Sequence[Errors],
             continue
         best = min(better, key=lambda i: (measured[i], points[i].milliseconds))
         saved = 1 - points[best].milliseconds / time
-        parts.append(f"not on the front of time and {name}: \"{points[best].label}\" takes {100 * saved:.1f} % less "
-                     f"time, its error is {measured[best]:.1e} against {own[1]:.1e}")
+        quicker = f"takes {100 * saved:.1f} % less time" if saved > margins[0] else "takes as long, within the noise"
+        parts.append(f"not on the front of time and {name}: \"{points[best].label}\" {quicker}, its error is "
+                     f"{measured[best]:.1e} against {own[1]:.1e}")
     return f"{what.capitalize()}: the default is {'; '.join(parts)}."
