@@ -1,7 +1,7 @@
 # Everything starts here: `make` lists the targets, and each of them first sets up what it needs.
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help setup build test reproduce bench report sanitize clean
+.PHONY: help setup build test reproduce bench work-precision report sanitize clean
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 RUN := .venv/bin/python -m
@@ -13,7 +13,7 @@ BUILT := build/.built
 KERNEL_SOURCES := CMakeLists.txt $(wildcard rasterizer/src/*)
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 setup: $(BUILT) ## make .venv, install what pyproject.toml asks for, build the kernel
 
@@ -29,6 +29,9 @@ reproduce: $(BUILT) ## set up, train the synthetic suite and its ablations, writ
 
 bench: $(BUILT) ## time kernel, loss, optimiser and readable twin in one run; a roofline plot in results/bench
 	$(RUN) rasterizer.bench W1 W2h W2 --all
+
+work-precision: $(BUILT) ## error against time of the kernel's numerical choices: table and plot in results/work_precision
+	$(RUN) pipeline.work_precision
 
 report: $(BUILT) ## tables, plots and the HTML page from the run folders under RUNS=results/runs
 	$(RUN) pipeline.report $(RUNS)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, field
+from types import ModuleType
 
 import numpy as np
 import torch
@@ -124,10 +125,13 @@ def check_float32(gaussians: Gaussians) -> None:
 class Frame:
     """Scratch memory of a view between its forward and its backward pass."""
 
-    def __init__(self, threads: int = 0) -> None:
-        """threads: 0 for as many as the process may use. Results are the same bits for any number."""
+    def __init__(self, threads: int = 0, kernel: ModuleType = kernel) -> None:
+        """threads: 0 for as many as the process may use. Results are the same bits for any number.
+
+        kernel: another build of it, for measurements.
+        """
         self.threads = threads or default_threads()
-        self._frame = kernel.Frame()
+        self._kernel, self._frame = kernel, kernel.Frame()
         self._model = self._request = None
         self._differentiable = False
 
@@ -145,10 +149,11 @@ class Frame:
         self.fourier_order = gaussians.fourier_order if request.fourier_order is None else request.fourier_order
         coefficients, orders = split_coefficients(gaussians.sh.shape[1])
         detached = {name: tensor.detach() for name, tensor in gaussians.tensors().items()}
-        self._model = kernel.Model(**{"quat_right": None, **detached}, coefficients=coefficients,
-                                   stored_order=orders - 1)
+        self._model = self._kernel.Model(**{"quat_right": None, **detached}, coefficients=coefficients,
+                                         stored_order=orders - 1)
         self._frame.set_view(
-            camera=kernel.Camera.make(camera.width, camera.height, intrinsics, camera.world_to_cam.astype(np.float32)),
+            camera=self._kernel.Camera.make(camera.width, camera.height, intrinsics,
+                                            camera.world_to_cam.astype(np.float32)),
             time=request.time, duration=request.duration, near=request.near, background=list(request.background),
             flow_dt=request.flow_dt or 0.0, sh_degree=self.sh_degree, fourier_order=self.fourier_order,
             extras=tuple(name in request.outputs for name in _EXTRAS), differentiable=differentiable,

@@ -6,7 +6,9 @@ RASTERIZER_KERNELS names a folder of kernels built another way, which come first
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import os
+from pathlib import Path
 from types import ModuleType
 
 from . import __path__, _cpu
@@ -28,6 +30,14 @@ def load_kernel(isa: str | None = None) -> ModuleType:
     if isa not in isas:
         raise ValueError(f"{ISA_VARIABLE}: expected one of {', '.join(isas)} (what this processor has), found {isa!r}")
     return importlib.import_module(f"rasterizer._kernel_{isa}")
+
+
+def load_kernel_at(path: Path) -> ModuleType:
+    """A kernel built outside the package, <module name>.<suffix>: the same source with other numerical choices."""
+    specification = importlib.util.spec_from_file_location(path.name.split(".")[0], path)
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    return module
 
 
 if FOLDER_VARIABLE in os.environ:

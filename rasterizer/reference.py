@@ -21,10 +21,9 @@ from .arguments import Request, check_finite
 from .camera import Camera
 from .gaussians import Gaussians
 from .output import RenderOutput
-from .reference_blend import Splats, blend
+from .reference_blend import MIN_PRESENCE, Splats, blend
 from .reference_sh import sh_color
 
-MIN_PRESENCE = 0.05  # p(t) below this takes no part: 2.4 σ from its moment (SPEC 1)
 FRUSTUM_MARGIN = 1.3  # the perspective's linearisation degenerates far outside the image (3DGS)
 DILATION = 0.3  # px²: no splat thinner than about a pixel, so that none falls between pixel centres (3DGS)
 FEATURE_CHANNELS = {"color": 3, "depth": 1, "flow": 2, "stats": 2}  # what Σ w · is taken of
@@ -168,11 +167,11 @@ def conic(projected_factor: Tensor) -> Tensor:
 
 
 @torch.no_grad()
-def blending_order(gaussians: Gaussians, request: Request) -> Tensor:
+def blending_order(gaussians: Gaussians, request: Request, min_presence: float = MIN_PRESENCE) -> Tensor:
     """Rows (V,) of the Gaussians with p(t) >= 0.05 and depth z > near, nearest first; equal depths by row."""
     sliced = slice_in_time(gaussians, request.time)
     depth = world_to_camera(sliced.mean, request.camera)[:, 2]
-    taking_part = torch.nonzero((sliced.presence >= MIN_PRESENCE) & (depth > request.near)).squeeze(1)
+    taking_part = torch.nonzero((sliced.presence >= min_presence) & (depth > request.near)).squeeze(1)
     return taking_part[torch.argsort(depth[taking_part], stable=True)]
 
 
@@ -196,9 +195,9 @@ def displacement(sliced: Slice, request: Request) -> Tensor:
     return project_point(later, camera) - project_point(now, camera)
 
 
-def make_splats(gaussians: Gaussians, request: Request) -> Splats:
+def make_splats(gaussians: Gaussians, request: Request, min_presence: float = MIN_PRESENCE) -> Splats:
     """Slice, project and colour the Gaussians in view; features as asked, in FEATURE_CHANNELS order."""
-    index = blending_order(gaussians, request)
+    index = blending_order(gaussians, request, min_presence)
     rows = {name: tensor[index] for name, tensor in gaussians.tensors().items()}
     gaussians = Gaussians(**{"quat_right": None, **rows})
     sliced = slice_in_time(gaussians, request.time)

@@ -16,7 +16,17 @@ from .camera import Camera
 MAX_ALPHA = 0.99  # keeps 1 - α' away from zero (3DGS)
 MIN_ALPHA = 1 / 255  # an 8-bit image cannot show less (3DGS)
 MIN_TRANSMITTANCE = 1e-4  # what lies behind is invisible (3DGS)
+MIN_PRESENCE = 0.05  # p(t) below this takes no part: 2.4 σ from its moment (SPEC 1)
 CHUNK_ELEMENTS = 2**22  # splats × pixels blended at once: bounds the memory where no gradient is recorded
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """What is left out of the sum over Gaussians because it is small; all zero: nothing is."""
+
+    min_presence: float = MIN_PRESENCE
+    min_alpha: float = MIN_ALPHA
+    min_transmittance: float = MIN_TRANSMITTANCE
 
 
 @dataclass(frozen=True)
@@ -30,16 +40,16 @@ class Splats:
     features: Tensor  # (V, C) what is averaged: colour, depth, …, as asked
 
 
-def splat_alpha(splats: Splats, pixels: Tensor) -> Tensor:
+def splat_alpha(splats: Splats, pixels: Tensor, min_alpha: float = MIN_ALPHA) -> Tensor:
     """α' (V, P) of splats at pixels (P, 2): min(0.99, α p(t) exp(-½ dᵀ Σ2d⁻¹ d)), skipped under 1/255."""
     dx, dy = (pixels[None] - splats.center[:, None]).unbind(-1)
     xx, xy, yy = splats.conic[:, :, None].unbind(1)
     distance_squared = xx * dx * dx + 2 * xy * dx * dy + yy * dy * dy
     alpha = (splats.opacity[:, None] * torch.exp(-0.5 * distance_squared)).clamp(max=MAX_ALPHA)
-    return torch.where(alpha < MIN_ALPHA, 0, alpha)
+    return torch.where(alpha < min_alpha, 0, alpha)
 
 
-def blending_weights(alpha: Tensor) -> tuple[Tensor, Tensor]:
+def blending_weights(alpha: Tensor, min_transmittance: float = MIN_TRANSMITTANCE) -> tuple[Tensor, Tensor]:
     """From α' (V, P), front to back: w_i = α'_i Π_j<i (1 - α'_j) (V, P) and the transmittance T left over
     (P,).
 
@@ -48,7 +58,7 @@ def blending_weights(alpha: Tensor) -> tuple[Tensor, Tensor]:
     """
     after = torch.cumprod(1 - alpha, dim=0)
     before = torch.cat([torch.ones_like(after[:1]), after[:-1]]) if len(alpha) else after
-    blended = after >= MIN_TRANSMITTANCE
+    blended = after >= min_transmittance
     weight = torch.where(blended, alpha * before, 0)
     return weight, torch.where(blended, 1 - alpha, 1).prod(dim=0)
 
@@ -59,12 +69,13 @@ def pixel_centers(camera: Camera, dtype: torch.dtype) -> Tensor:
     return torch.stack([columns, rows], dim=-1).to(dtype) + 0.5
 
 
-def blend(splats: Splats, camera: Camera) -> tuple[Tensor, Tensor]:
+def blend(splats: Splats, camera: Camera, thresholds: Thresholds = Thresholds()) -> tuple[Tensor, Tensor]:
     """Σ w · features (C, H, W) and the transmittance left (H, W), a band of rows at a time."""
     band = max(1, CHUNK_ELEMENTS // max(1, len(splats.index) * camera.width))
     sums, transmittances = [], []
     for pixels in pixel_centers(camera, splats.center.dtype).split(band):
-        weight, transmittance = blending_weights(splat_alpha(splats, pixels.reshape(-1, 2)))
+        alpha = splat_alpha(splats, pixels.reshape(-1, 2), thresholds.min_alpha)
+        weight, transmittance = blending_weights(alpha, thresholds.min_transmittance)
         sums.append((splats.features.T @ weight).reshape(-1, *pixels.shape[:2]))
         transmittances.append(transmittance.reshape(pixels.shape[:2]))
     return torch.cat(sums, dim=1), torch.cat(transmittances)

@@ -19,7 +19,7 @@ namespace splat {
 // Bit b: the largest alpha over the pixel centres' square of block b is at least 1/255.
 // ln alpha is concave, so over a rectangle it is largest on the side facing the mean: try the nearest column
 // and the nearest row, each at its best point.
-SPLAT_INLINE unsigned touched_blocks(const Splat& s, float tile_x, float tile_y) {
+SPLAT_INLINE unsigned blocks_under_ellipse(const Splat& s, float tile_x, float tile_y) {
     const Float x0 = Float::load(kBlockCorner.x) + Float(tile_x - s.x),
                 y0 = Float::load(kBlockCorner.y) + Float(tile_y - s.y);
     const Float x1 = x0 + Float(kBlock - 1.f), y1 = y0 + Float(kBlock - 1.f);
@@ -30,6 +30,21 @@ SPLAT_INLINE unsigned touched_blocks(const Splat& s, float tile_x, float tile_y)
     const Float column = dx * (dx * xx + y_best * xy) + y_best * y_best * yy;
     const Float row = x_best * (x_best * xx + dy * xy) + dy * dy * yy;
     return bits(max(column, row) >= Float(kLog2MinAlpha - s.log2_opacity));
+}
+
+// Bit b: the rectangle round the alpha >= 1/255 ellipse touches block b's pixel centres.
+SPLAT_INLINE unsigned blocks_under_rectangle(const Splat& s, float tile_x, float tile_y) {
+    const Float x0 = Float::load(kBlockCorner.x) + Float(tile_x - s.x),
+                y0 = Float::load(kBlockCorner.y) + Float(tile_y - s.y);
+    return bits((x0 <= Float(s.half_width)) & (x0 + Float(kBlock - 1.f) >= Float(-s.half_width)) &
+                (y0 <= Float(s.half_height)) & (y0 + Float(kBlock - 1.f) >= Float(-s.half_height)));
+}
+
+// The blocks to blend a splat into: a bit each, none if it does not touch the tile.
+SPLAT_INLINE unsigned touched_blocks(const Splat& s, float tile_x, float tile_y) {
+    const unsigned touched = kExactCulling ? blocks_under_ellipse(s, tile_x, tile_y)
+                                           : blocks_under_rectangle(s, tile_x, tile_y);
+    return kBlockMasks || !touched ? touched : 0xffff;
 }
 
 struct TileRange {

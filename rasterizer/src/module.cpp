@@ -246,6 +246,14 @@ NB_MODULE(KERNEL_MODULE_NAME, m) {
     m.def("mark_seen", &mark_seen, nb::arg("id"), nb::arg("seen"), nb::arg("threads"));
     m.def("set_to_zero", &set_to_zero, nb::arg("arrays"), nb::arg("threads"));
     m.def("all_finite", &all_finite, nb::arg("array"), nb::arg("threads"));
+    nb::dict choices;  // what this kernel was built with (choices.hpp)
+    choices["min_presence"] = splat::kMinPresence;
+    choices["min_alpha"] = splat::kMinAlpha;
+    choices["min_transmittance"] = RASTERIZER_MIN_TRANSMITTANCE;
+    choices["exp_degree"] = splat::kAlphaExpDegree;
+    choices["exact_culling"] = splat::kExactCulling;
+    choices["block_masks"] = splat::kBlockMasks;
+    m.attr("choices") = choices;
     m.def("measure_rates", [] {
         const splat::Rates rates = splat::measure_rates();
         return std::tuple{rates.fma_per_second, rates.copy_bytes_per_second};

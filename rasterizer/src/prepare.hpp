@@ -11,8 +11,6 @@
 
 namespace splat {
 
-inline constexpr float kMinusTwoLogMinMarginal = 5.99146455f;  // -2 ln 0.05: p(t) >= 0.05 ⟺ dt² <= it · Σtt
-
 // Ids of the chunk's Gaussians with p(t) >= 0.05, packed; returns how many. Only M's time row is computed.
 template <Motion motion>
 inline int cull_in_time(const Parameters& p, uint32_t first, uint32_t last, float time, uint32_t* alive) {
@@ -45,7 +43,7 @@ inline int cull_in_time(const Parameters& p, uint32_t first, uint32_t last, floa
             var_t = s * s;
         }
         Float dt = Float(time) - mean[3];
-        unsigned in_time = bits(dt * dt <= max(var_t, kMinTimeVariance) * Float(kMinusTwoLogMinMarginal));
+        unsigned in_time = bits(dt * dt <= max(var_t, kMinTimeVariance) * Float(kMinusTwoLogMinPresence));
         if (last - base < kLanes) in_time &= (1u << (last - base)) - 1;
         n += pack_kept(ids, in_time, alive + n);
     }

@@ -4,14 +4,13 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "choices.hpp"
+
 namespace splat {
 
-inline constexpr float kMinMarginal = 0.05f;   // p(t) below this takes no part in the frame
 inline constexpr float kDilation = 0.3f;       // px² added to the 2D covariance's diagonal
 inline constexpr float kFrustumMargin = 1.3f;  // x/z and y/z are clamped to so many half fields of view
 inline constexpr float kMaxAlpha = 0.99f;
-inline constexpr float kLog2MinAlpha = -7.99435344f;  // log2(1/255): fainter contributions are skipped
-inline constexpr float kMinTransmittance = 1e-4f;     // a pixel ends before it falls below
 
 inline constexpr int kTile = 16;  // a tile is 16×16 pixels ...
 inline constexpr int kBlock =

@@ -1,6 +1,7 @@
 // Inverse, exp2, log2 and cosines of sixteen lanes: polynomials with their error beside them.
 #pragma once
 
+#include "choices.hpp"
 #include "vec.hpp"
 
 namespace splat {
@@ -31,22 +32,24 @@ SPLAT_INLINE Float fast_inverse(const Float& a) {
     return r;
 }
 
-// 2^f by the minimax polynomial of degree 4 or 5: relative error 2.7e-6 or 2e-7. f is a native vector's
-// distance from the integer below (AVX-512, where one instruction gives it) or from the nearest one.
+// 2^f by the minimax polynomial of degree 3, 4 or 5: relative error 7.5e-5, 2.7e-6 or 2e-7. f is a native
+// vector's distance from the integer below (AVX-512, where one instruction gives it) or from the nearest one.
 template <int degree>
 SPLAT_INLINE NativeFloat exp2_of_fraction(NativeFloat f) {
-    static_assert(degree == 4 || degree == 5);
+    static_assert(degree >= 3 && degree <= 5);
 #if SPLAT_AVX512
-    constexpr float c[2][6] = {
+    constexpr float c[3][6] = {
+        {0.999925219f, 0.695833543f, 0.226067146f, 0.0780245302f, 0.f, 0.f},
         {1.00000259f, 0.693003834f, 0.241442758f, 0.0520114586f, 0.0135341689f, 0.f},
         {0.999999925f, 0.693153072f, 0.240153621f, 0.0558263126f, 0.00898934306f, 0.0018775763f}};
 #else
-    constexpr float c[2][6] = {
+    constexpr float c[3][6] = {
+        {0.999928073f, 0.693260985f, 0.242611125f, 0.0551716703f, 0.f, 0.f},
         {0.999999261f, 0.693121815f, 0.240247448f, 0.0559178603f, 0.00957010208f, 0.f},
         {1.00000007f, 0.693146967f, 0.240221198f, 0.0555071287f, 0.00967554032f, 0.00132765996f}};
 #endif
-    NativeFloat p = f * c[degree - 4][degree] + c[degree - 4][degree - 1];
-    for (int k = degree - 2; k >= 0; --k) p = p * f + c[degree - 4][k];
+    NativeFloat p = f * c[degree - 3][degree] + c[degree - 3][degree - 1];
+    for (int k = degree - 2; k >= 0; --k) p = p * f + c[degree - 3][k];
     return p;
 }
 
@@ -68,8 +71,8 @@ SPLAT_INLINE Float exp2_poly(const Float& x) {
     return r;
 }
 SPLAT_INLINE Float exp2(const Float& x) { return exp2_poly<5>(x); }
-// For alpha: 2.7e-6 of it is under a thousandth of the smallest step that an 8-bit image shows.
-SPLAT_INLINE Float exp2_fast(const Float& x) { return exp2_poly<4>(x); }
+// For alpha.
+SPLAT_INLINE Float exp2_fast(const Float& x) { return exp2_poly<kAlphaExpDegree>(x); }
 
 // e^x with x clamped to ±80: large enough for every scale and logit that means something in float32.
 SPLAT_INLINE Float exp(const Float& x) { return exp2(clamp(x, -80.f, 80.f) * Float(kLog2E)); }

@@ -1,0 +1,1 @@
+"""How much accuracy each of the kernel's numerical choices gives up, and how much time it saves."""

@@ -1,0 +1,173 @@
+"""A variant's errors, on a crop that the twin can afford, and its time, on the whole workload."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import ModuleType
+
+import torch
+from torch import Tensor
+
+from rasterizer import Frame, Gradients
+from rasterizer.bench.workloads import Workload
+from rasterizer.reference_blend import Thresholds
+
+from .truth import Rendered, render_twin
+from .variants import TRADES, Variant
+
+TOGETHER = 4  # frames of one variant in a row: the first after another variant finds strange caches
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Of an image in [0, 1] and of a loss's gradients.
+
+    Gradients are relative, for the fields differ in unit: the fields' RMS error over the truth's RMS, and largest error
+    over the truth's largest, of which the root mean square and the largest over the fields are given.
+    """
+
+    image_max: float
+    image_rms: float
+    psnr: float  # dB, inf where nothing differs
+    gradient_rms: float
+    gradient_max: float
+
+    @classmethod
+    def of(cls, found: Rendered, truth: Rendered) -> Errors:
+        difference = found.color.double() - truth.color.double()
+        mean_square = difference.square().mean().item()
+        rms, largest = [], []
+        for name, gradient in truth.gradients.items():
+            off, size = found.gradients[name].double() - gradient.double(), gradient.double()
+            if size.any():  # else the loss does not depend on it
+                rms.append((off.norm() / size.norm()).item())
+                largest.append((off.abs().max() / size.abs().max()).item())
+        return cls(difference.abs().max().item(), math.sqrt(mean_square),
+                   -10 * math.log10(mean_square) if mean_square else math.inf,
+                   math.sqrt(sum(r * r for r in rms) / len(rms)), max(largest))
+
+
+@dataclass(frozen=True)
+class Point:
+    """One line of the table. Times and counts are NaN where they were not measured."""
+
+    name: str
+    trade: str
+    label: str
+    milliseconds: float  # forward and backward of the whole workload, CPU time of one thread, minimum
+    forward_ms: float
+    noise: float  # (minimum of the worse half of the rounds - minimum) / minimum
+    alive: float  # Gaussians with p(t) above the cut-off, whole workload
+    pairs: float  # (pixel, Gaussian) evaluated, whole workload
+    errors: Errors  # against the twin without any threshold
+    own: Errors  # against the twin without the thresholds that this trade-off is about
+    rounding: Errors  # against the twin with the same thresholds
+
+
+class Twins:
+    """The twin's renderings of one workload, each made once."""
+
+    def __init__(self, workload: Workload) -> None:
+        self.workload, self.d_color = workload, workload.image_gradient()
+        self._made: dict[Thresholds, Rendered] = {}
+
+    def __call__(self, thresholds: Thresholds) -> Rendered:
+        if thresholds not in self._made:
+            self._made[thresholds] = render_twin(self.workload, self.d_color, thresholds)
+        return self._made[thresholds]
+
+
+def render_kernel(kernel: ModuleType, workload: Workload, d_color: Tensor) -> Rendered:
+    frame, gradients = Frame(1, kernel), Gradients.zeros_like(workload.gaussians)
+    color = frame.render(workload.gaussians, workload.request()).color
+    frame.backward(gradients, d_color=d_color)
+    return Rendered(color, gradients.dense() | {"sh": gradients.sh()})
+
+
+def rounded(workload: Workload, sh_type: torch.dtype | None) -> Workload:
+    """With the coefficients rounded to a narrower type; the kernel still reads them as float32."""
+    if sh_type is None:
+        return workload
+    g = workload.gaussians
+    return replace(workload, gaussians=replace(g, sh=g.sh.to(sh_type).to(g.sh.dtype)))
+
+
+@dataclass(frozen=True)
+class Timing:
+    milliseconds: float
+    forward_ms: float
+    noise: float
+    alive: float
+    pairs: float
+
+
+UNTIMED = Timing(*[math.nan] * 5)
+
+
+def time_kernels(kernels: Mapping[str, ModuleType], workload: Workload, rounds: int,
+                 clock: Callable[[], float] = time.process_time) -> dict[str, Timing]:
+    """Minimum over rounds of all kernels in turn, so that each meets the same quiet and busy minutes."""
+    gradients, request = Gradients.zeros_like(workload.gaussians), workload.request()
+    d_color = workload.image_gradient()
+    spent: dict[str, list[tuple[float, float]]] = {name: [] for name in kernels}
+    counts: dict[str, tuple[int, int]] = {}
+    for _ in range(rounds):
+        for name, kernel in kernels.items():
+            frame, best = Frame(1, kernel), (math.inf, math.inf)
+            for _ in range(TOGETHER):
+                gradients.zero_()
+                start = clock()
+                frame.render(workload.gaussians, request)
+                middle = clock()
+                frame.backward(gradients, d_color=d_color)
+                end = clock()
+                best = min(best[0], end - start), min(best[1], middle - start)
+            spent[name].append(best)
+            if name not in counts:
+                counts[name] = frame.alive, frame.count_pairs()[0]
+    found = {}
+    for name, times in spent.items():
+        total = [1e3 * both for both, _ in times]
+        halves = [min(total[0::2]), min(total[1::2] or total)]
+        found[name] = Timing(min(total), 1e3 * min(forward for _, forward in times), max(halves) / min(halves) - 1,
+                             *map(float, counts[name]))
+    return found
+
+
+def measure(variants: Sequence[Variant], kernels: Mapping[str, ModuleType], workload: Workload, crop: Workload,
+            rounds: int, say: Callable[[str], None] = lambda line: None) -> list[Point]:
+    """All variants, and the twin itself in float64 and float32 with the kernel's thresholds; its time is not taken."""
+    twins, found = Twins(crop), {}
+    for variant in variants:
+        say(f"errors: {variant.name}")
+        found[variant] = render_kernel(kernels[variant.name], rounded(crop, variant.sh_type), twins.d_color)
+    say("times")
+    # Rounded coefficients are read as float32 here: the time that narrower ones would take is not this kernel's.
+    times = time_kernels({v.name: kernels[v.name] for v in variants if v.sh_type is None}, workload, rounds)
+    points = []
+    for variant, rendered in found.items():
+        thresholds = variant.choices.thresholds()
+        free = without(thresholds, TRADES[variant.trade])
+        points.append(_point(variant.name, variant.trade, variant.label, times.get(variant.name, UNTIMED), rendered,
+                             twins, thresholds, free))
+    own = Thresholds()
+    single = render_twin(crop, twins.d_color, own, torch.float32)
+    for name, rendered in (("float64", twins(own)), ("float32", single)):
+        points.append(_point(f"twin_{name}", "readable twin", f"readable twin, {name}", UNTIMED, rendered, twins, own,
+                             own))
+    return points
+
+
+def without(thresholds: Thresholds, trade: Thresholds) -> Thresholds:
+    """The variant's thresholds, except those that its trade-off sets to zero."""
+    return Thresholds(*(0 if getattr(trade, name) == 0 else getattr(thresholds, name)
+                        for name in Thresholds.__dataclass_fields__))
+
+
+def _point(name: str, trade: str, label: str, timing: Timing, rendered: Rendered, twins: Twins, same: Thresholds,
+           free: Thresholds) -> Point:
+    return Point(name, trade, label, **vars(timing), errors=Errors.of(rendered, twins(Thresholds(0, 0, 0))),
+                 own=Errors.of(rendered, twins(free)), rounding=Errors.of(rendered, twins(same)))

@@ -1,0 +1,106 @@
+"""Which numerical choices are compared: the kernel as it is, and with one of its choices made otherwise."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+
+import torch
+
+from rasterizer.reference_blend import Thresholds
+
+MACROS = {  # of rasterizer/src/choices.hpp
+    "min_presence": "RASTERIZER_MIN_PRESENCE",
+    "min_alpha": "RASTERIZER_MIN_ALPHA",
+    "min_transmittance": "RASTERIZER_MIN_TRANSMITTANCE",
+    "exp_degree": "RASTERIZER_EXP_DEGREE",
+    "exact_culling": "RASTERIZER_EXACT_CULLING",
+    "block_masks": "RASTERIZER_BLOCK_MASKS",
+}
+
+
+@dataclass(frozen=True)
+class Choices:
+    """What `rasterizer/src/choices.hpp` names, with its values; `kernel.choices` says what a kernel was built with."""
+
+    min_presence: float = 0.05
+    min_alpha: float = 1 / 255
+    min_transmittance: float = 1e-4
+    exp_degree: int = 4
+    exact_culling: bool = True
+    block_masks: bool = True
+
+    def definitions(self) -> list[str]:
+        """MACRO=value of what differs from the kernel's own."""
+        own = asdict(Choices())
+        return [f"{MACROS[name]}={int(value) if isinstance(value, bool) else repr(value)}"
+                for name, value in asdict(self).items() if value != own[name]]
+
+    def thresholds(self) -> Thresholds:
+        """The same cut-offs for the readable twin."""
+        return Thresholds(self.min_presence, self.min_alpha, self.min_transmittance)
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One point of the diagram."""
+
+    name: str  # also of its extension module: letters, digits, _
+    trade: str  # which trade-off it belongs to, in TRADES
+    label: str
+    choices: Choices = Choices()
+    sh_type: torch.dtype | None = None  # coefficients rounded to it before rendering; None: float32 as they are
+
+
+# A trade-off, and the twin's thresholds that its own error leaves standing: those that it sets are zero.
+TRADES = {
+    "temporal cut-off": Thresholds(min_presence=0),
+    "alpha cut-off": Thresholds(min_alpha=0),
+    "transmittance stop": Thresholds(min_transmittance=0),
+    "exp degree": Thresholds(),
+    "culling and masks": Thresholds(),
+    "SH precision": Thresholds(),
+    "several at once": Thresholds(0, 0, 0),
+}
+DEFAULT = "default"
+
+
+def _digits(value: float) -> str:
+    return f"{value:g}".replace(".", "_").replace("-", "m")
+
+
+def _row(trade: str, name: str, label: str, **choices: float) -> Variant:
+    """The kernel as it is, where that is what the choices say."""
+    made = Choices(**choices)
+    return Variant(DEFAULT if made == Choices() else name, trade, label, made)
+
+
+def _steps(trade: str, field: str, label: str, *values: float) -> list[Variant]:
+    return [_row(trade, f"{field}_{_digits(value)}", label.format(f"{value:g}"), **{field: value}) for value in values]
+
+
+def all_variants() -> list[Variant]:
+    """Trade-off by trade-off, the kernel as it is among them in each, from coarse to fine."""
+    alphas = (("4/255", 4 / 255), ("2/255", 2 / 255), ("1/255", 1 / 255), ("1/510", 1 / 510), ("1/2550", 1 / 2550))
+    masks = (("bounding rectangle, whole tiles", False, False), ("bounding rectangle, blocks", False, True),
+             ("exact, whole tiles", True, False), ("exact, blocks", True, True))
+    several = (("coarse", 0.1, "2/255", 2 / 255, 1e-3, 3), ("default", 0.05, "1/255", 1 / 255, 1e-4, 4),
+               ("fine", 0.01, "1/510", 1 / 510, 1e-5, 4), ("finest", 1e-4, "1/25500", 1 / 25500, 1e-6, 5))
+    precisions = (("bfloat16", torch.bfloat16), ("float16", torch.float16), ("float32", None))
+    return [
+        *_steps("temporal cut-off", "min_presence", "p(t) >= {}", 0.2, 0.1, 0.05, 0.02, 0.01, 1e-3, 1e-4),
+        *(_row("alpha cut-off", f"min_alpha_{label.replace('/', '_')}", f"α' >= {label}", min_alpha=value)
+          for label, value in alphas),
+        *_steps("transmittance stop", "min_transmittance", "T >= {}", 1e-2, 1e-3, 1e-4, 1e-5, 1e-6),
+        *_steps("exp degree", "exp_degree", "degree {}", 3, 4, 5),
+        *(_row("culling and masks", f"masks_{int(exact)}{int(blocks)}", label, exact_culling=exact, block_masks=blocks)
+          for label, exact, blocks in masks),
+        *(Variant(f"sh_{name}" if narrow else DEFAULT, "SH precision", f"coefficients in {name}", sh_type=narrow)
+          for name, narrow in precisions),
+        *(_row("several at once", name, f"p >= {p:g}, α' >= {label}, T >= {stop:g}, degree {degree}",
+               min_presence=p, min_alpha=alpha, min_transmittance=stop, exp_degree=degree)
+          for name, p, label, alpha, stop, degree in several),
+    ]
+
+
+def by_name(name: str) -> Variant:
+    return next(variant for variant in all_variants() if variant.name == name)
