@@ -52,8 +52,11 @@ class Camera:
 
     @property
     def position(self) -> np.ndarray:
-        """Camera centre in world coordinates, (3,): -Rᵀ t."""
-        return -self.world_to_cam[:3, :3].T @ self.world_to_cam[:3, 3]
+        """Camera centre in world coordinates, (3,): the point whose camera coordinates are 0.
+
+        That is -Rᵀ t, but a pose stored in float32 is a rotation only to 1e-7, and t may be large.
+        """
+        return -np.linalg.solve(self.world_to_cam[:3, :3], self.world_to_cam[:3, 3])
 
     def resized(self, width: int, height: int) -> Camera:
         """The same camera with its image resampled to width × height pixels."""
