@@ -1,7 +1,7 @@
 # Everything starts here: `make` lists the targets, and each of them first sets up what it needs.
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help setup build test reproduce bench report clean
+.PHONY: help setup build test reproduce bench stability report clean
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 RUN := .venv/bin/python -m
@@ -29,6 +29,9 @@ reproduce: $(BUILT) ## set up, train the synthetic suite and its ablations, writ
 
 bench: $(BUILT) ## time kernel, loss, optimiser and readable twin in one run; a roofline plot in results/bench
 	$(RUN) rasterizer.bench W1 W2h W2 --all
+
+stability: $(BUILT) ## hard cases in float32 against float64: a table in results/stability; fails where a bound is broken
+	$(RUN) pipeline.stability
 
 report: $(BUILT) ## tables, plots and the HTML page from the run folders under RUNS=results/runs
 	$(RUN) pipeline.report $(RUNS)

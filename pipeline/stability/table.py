@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -29,7 +30,8 @@ class Row:
         checks = (("image", found.image, case.image_bound), ("gradient", found.gradient, case.gradient_bound),
                   ("steps", found.steps, case.steps_bound), ("non-finite values", found.non_finite, 0),
                   ("indefinite covariances", found.indefinite, 0))
-        return [f"{name} {value:.1e} > {bound:g}" for name, value, bound in checks if not value <= bound]
+        return [f"{name} {value:.1e} > {bound:g}" for name, value, bound in checks
+                if not (value <= bound and math.isfinite(value))]
 
 
 def number(value: float) -> str:
