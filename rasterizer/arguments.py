@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -11,6 +11,16 @@ import torch
 from .camera import Camera
 from .gaussians import Gaussians
 from .output import OUTPUT_NAMES
+
+LARGEST_FLOAT32 = torch.finfo(torch.float32).max
+
+
+def _number(value: object) -> float:
+    """A float; NaN for what is no number, so that the check for finite values refuses it."""
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        return math.nan
 
 
 @dataclass(frozen=True)
@@ -28,18 +38,21 @@ class Request:
     fourier_order: int | None = None  # likewise
 
     def __post_init__(self) -> None:
+        for name in ("time", "duration", "near"):
+            object.__setattr__(self, name, _number(getattr(self, name)))
         if not math.isfinite(self.time):
             raise ValueError(f"time must be finite, got {self.time}")
         if not (math.isfinite(self.duration) and self.duration > 0):
             raise ValueError(f"duration must be finite and > 0, got {self.duration}")
         if not (math.isfinite(self.near) and self.near >= 0):
             raise ValueError(f"near must be finite and >= 0, got {self.near}")
-        if len(self.background) != 3 or not all(math.isfinite(value) for value in self.background):
+        values = tuple(_number(v) for v in self.background) if isinstance(self.background, Iterable) else ()
+        if len(values) != 3 or not all(abs(value) <= LARGEST_FLOAT32 for value in values):
             raise ValueError(f"background must be 3 finite numbers, got {self.background}")
         for name in self.outputs:
             if name not in OUTPUT_NAMES:
                 raise ValueError(f"outputs must be among {', '.join(OUTPUT_NAMES)}, got {name!r}")
-        if "flow" in self.outputs and (self.flow_dt is None or not math.isfinite(self.flow_dt)):
+        if "flow" in self.outputs and not math.isfinite(_number(self.flow_dt)):
             raise ValueError(f"flow_dt must be finite when outputs has 'flow', got {self.flow_dt}")
 
     def check_against(self, gaussians: Gaussians) -> None:
@@ -53,8 +66,10 @@ class Request:
 
 
 def check_finite(gaussians: Gaussians) -> None:
-    """Raise ValueError that names the first parameter, and its index, that is NaN or infinite."""
+    """Raise ValueError that names the first parameter, and its index, that is NaN or infinite, or no float at all."""
     for name, tensor in gaussians.tensors().items():
+        if not tensor.is_floating_point():
+            raise ValueError(f"{name} must be floating point, got {str(tensor.dtype).removeprefix('torch.')}")
         # One fast pass: a sum is finite only if every entry is. It can overflow without one, hence the second look.
         if math.isfinite(tensor.detach().sum().item()):
             continue

@@ -48,7 +48,7 @@ def rasterize(gaussians: Gaussians, camera: Camera, time: float = 0.0, duration:
     `rasterizer.reference.rasterize` is the same function in plain PyTorch. Raises ValueError for wrong shapes, types
     and values that are not finite.
     """
-    request = Request(camera, float(time), float(duration), tuple(background), tuple(dict.fromkeys(outputs)),
+    request = Request(camera, time, duration, background, tuple(dict.fromkeys(outputs)),
                       flow_dt, near, sh_degree, fourier_order)
     check_float32(gaussians)
     check_finite(gaussians)

@@ -31,6 +31,9 @@ class Camera:
     world_to_cam: np.ndarray  # (4, 4)
 
     def __post_init__(self) -> None:
+        for name in ("width", "height"):
+            if not isinstance(getattr(self, name), (int, np.integer)):
+                raise ValueError(f"camera: {name} must be a whole number of pixels, got {getattr(self, name)!r}")
         if self.width < 1 or self.height < 1:
             raise ValueError(f"camera: width and height must be >= 1, got {self.width} x {self.height}")
         pose = np.array(self.world_to_cam, dtype=np.float64)
@@ -38,6 +41,8 @@ class Camera:
             raise ValueError(f"camera: world_to_cam must be (4, 4), got {pose.shape}")
         if not np.isfinite(pose).all():
             raise ValueError("camera: world_to_cam must be finite, got NaN or Inf")
+        if np.linalg.matrix_rank(pose[:3, :3]) < 3:
+            raise ValueError(f"camera: world_to_cam must hold a rotation, got rows {pose[:3, :3].tolist()}")
         intrinsics = (self.fx, self.fy, self.cx, self.cy)
         if not np.isfinite(intrinsics).all() or self.fx <= 0 or self.fy <= 0:
             raise ValueError(f"camera: fx, fy must be > 0 and all intrinsics finite, got {intrinsics}")
@@ -52,8 +57,11 @@ class Camera:
 
     @property
     def position(self) -> np.ndarray:
-        """Camera centre in world coordinates, (3,): -Rᵀ t."""
-        return -self.world_to_cam[:3, :3].T @ self.world_to_cam[:3, 3]
+        """Camera centre in world coordinates, (3,): the point whose camera coordinates are 0.
+
+        That is -Rᵀ t, but a pose stored in float32 is a rotation only to 1e-7, and t may be large.
+        """
+        return -np.linalg.solve(self.world_to_cam[:3, :3], self.world_to_cam[:3, 3])
 
     def resized(self, width: int, height: int) -> Camera:
         """The same camera with its image resampled to width × height pixels."""

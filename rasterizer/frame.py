@@ -11,7 +11,6 @@ import os
 from dataclasses import dataclass, field
 from types import ModuleType
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -152,8 +151,8 @@ class Frame:
         self._model = self._kernel.Model(**{"quat_right": None, **detached}, coefficients=coefficients,
                                          stored_order=orders - 1)
         self._frame.set_view(
-            camera=self._kernel.Camera.make(camera.width, camera.height, intrinsics,
-                                            camera.world_to_cam.astype(np.float32)),
+            camera=self._kernel.Camera.make(camera.width, camera.height, intrinsics, camera.world_to_cam,
+                                            list(camera.position)),
             time=request.time, duration=request.duration, near=request.near, background=list(request.background),
             flow_dt=request.flow_dt or 0.0, sh_degree=self.sh_degree, fourier_order=self.fourier_order,
             extras=tuple(name in request.outputs for name in _EXTRAS), differentiable=differentiable,

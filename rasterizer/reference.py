@@ -26,6 +26,8 @@ from .reference_sh import sh_color
 
 FRUSTUM_MARGIN = 1.3  # the perspective's linearisation degenerates far outside the image (3DGS)
 DILATION = 0.3  # px²: no splat thinner than about a pixel, so that none falls between pixel centres (3DGS)
+LARGEST_EXPONENT = 80.0  # e^80 is 5e34: float32 holds it and its inverse
+LARGEST_INVERSE = 1e30  # of a quaternion's length, in gradients
 FEATURE_CHANNELS = {"color": 3, "depth": 1, "flow": 2, "stats": 2}  # what Σ w · is taken of
 
 
@@ -36,12 +38,16 @@ def normalise_quaternion(quat: Tensor) -> Tensor:
     """Unit quaternions (N, 4); a zero quaternion is read as the identity (1, 0, 0, 0) and gets no gradient.
 
     Dividing by the largest component first keeps the squares from under- or overflowing. The result does not
-    depend on that divisor, so it is treated as a constant.
+    depend on that divisor, so it is treated as a constant. The gradient is as large as 1/|q|, which is cut off at
+    1e30: for a denormal quaternion float32 could not hold it.
     """
     largest = quat.detach().abs().amax(dim=-1, keepdim=True)
     identity = torch.tensor([1, 0, 0, 0], dtype=quat.dtype, device=quat.device)
     quat = torch.where(largest > 0, quat / torch.where(largest > 0, largest, 1), identity)
-    return quat / quat.norm(dim=-1, keepdim=True)
+    norm = quat.norm(dim=-1, keepdim=True)
+    unit = quat / norm
+    passed = (largest * norm.detach() * LARGEST_INVERSE).clamp(max=1)
+    return torch.where(passed < 1, unit.detach() + passed * (unit - unit.detach()), unit)
 
 
 def rotation_4d(quat_left: Tensor, quat_right: Tensor) -> Tensor:
@@ -195,6 +201,14 @@ def displacement(sliced: Slice, request: Request) -> Tensor:
     return project_point(later, camera) - project_point(now, camera)
 
 
+def opacity(logit: Tensor) -> Tensor:
+    """sigmoid(logit) (N,); beyond ±80 it changes no more, as its gradient is too small for float32.
+
+    torch.sigmoid's own gradient, σ (1 - σ), is zero from 37 on, where 1 - σ is no longer seen in float64.
+    """
+    return F.logsigmoid(logit.clamp(-LARGEST_EXPONENT, LARGEST_EXPONENT)).exp()
+
+
 def make_splats(gaussians: Gaussians, request: Request, min_presence: float = MIN_PRESENCE) -> Splats:
     """Slice, project and colour the Gaussians in view; features as asked, in FEATURE_CHANNELS order."""
     index = blending_order(gaussians, request, min_presence)
@@ -215,7 +229,7 @@ def make_splats(gaussians: Gaussians, request: Request, min_presence: float = MI
         index=index,
         center=project_point(mean_cam, request.camera),
         conic=conic(project_factor(sliced.factor, mean_cam, request.camera)),
-        opacity=torch.sigmoid(gaussians.opacity_logit) * sliced.presence,
+        opacity=opacity(gaussians.opacity_logit) * sliced.presence,
         features=torch.cat(features, dim=-1),
     )
 

@@ -1,11 +1,4 @@
-"""Small Gaussians and cameras for the rasterizer's tests, and where a rendered image is smooth.
-
-Rendering has jumps: a Gaussian takes part or not (p(t) = 0.05, the near plane), a contribution is skipped
-or not (α' = 1/255), a pixel ends or not (T = 1e-4), two Gaussians swap in depth. Next to one, two correct
-programs that round differently differ by a whole contribution, and no finite difference converges. So tests
-drop the few Gaussians (`away_from_jumps`) and mask the few pixels (`smooth_pixels`) that lie next to one,
-and compare all the others tightly.
-"""
+"""Small Gaussians and cameras for the rasterizer's tests, and their images and gradients."""
 
 from __future__ import annotations
 
@@ -17,12 +10,10 @@ import torch
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from rasterizer import reference
 from rasterizer.arguments import Request
 from rasterizer.camera import Camera
 from rasterizer.gaussians import Gaussians, Motion
 from rasterizer.output import RenderOutput
-from rasterizer.reference_blend import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, pixel_centers
 
 ALL_OUTPUTS = ("color", "alpha", "depth", "flow", "stats")
 
@@ -93,53 +84,6 @@ def camera_looking_at(
 def off_centre_camera() -> Camera:
     """Sides that are no multiples of a tile's 16 nor of a block's 4, the principal point off the centre."""
     return camera_looking_at((0.6, -0.8, -3.0), principal=(19.3, 21.7))
-
-
-def rows(gaussians: Gaussians, index: Tensor) -> Gaussians:
-    return Gaussians(**{"quat_right": None, **{name: t[index] for name, t in gaussians.tensors().items()}})
-
-
-def away_from_jumps(gaussians: Gaussians, request: Request, margin: float = 1e-3) -> Gaussians:
-    """Without the rows next to a jump or kink that a whole Gaussian has: p(t) = 0.05, z = near, a colour
-    channel or the Jacobian at the edge of its clamp, a depth shared with another."""
-    sliced = reference.slice_in_time(gaussians, request.time)
-    mean_cam = reference.world_to_camera(sliced.mean, request.camera)
-    raised = gaussians.sh.clone()
-    raised[:, 0] += 1e3  # lifts every colour off its clamp at zero
-    lift = 1e3 * 0.5 / np.sqrt(np.pi)
-    color = reference.colors(replace(gaussians, sh=raised), sliced, request) - lift
-    z, camera = mean_cam[:, 2], request.camera
-    close = ((sliced.presence - reference.MIN_PRESENCE).abs() < margin) | ((z - request.near).abs() < margin)
-    close |= (color.abs() < margin).any(dim=1)
-    for slope, focal, low, size in (
-        (mean_cam[:, 0] / z, camera.fx, camera.cx, camera.width),
-        (mean_cam[:, 1] / z, camera.fy, camera.cy, camera.height),
-    ):
-        for edge in (-low, size - low):
-            close |= (slope - reference.FRUSTUM_MARGIN * edge / focal).abs() < margin
-    order = torch.argsort(z)
-    gap = torch.full_like(z, torch.inf)
-    gap[order[1:]] = z[order[1:]] - z[order[:-1]]
-    return rows(gaussians, torch.nonzero(~close & (gap > 1e-5)).squeeze(1))
-
-
-@torch.no_grad()
-def smooth_pixels(gaussians: Gaussians, request: Request, margin: float = 2e-3) -> Tensor:
-    """(H, W) True where no α' is next to 1/255 or 0.99 and T never next to 1e-4.
-
-    The margin, relative, is some times what float32 loses in α'; T accumulates such errors, so it has 10
-    times that.
-    """
-    splats = reference.make_splats(gaussians, request)
-    pixels = pixel_centers(request.camera, splats.center.dtype).reshape(-1, 2)
-    offset = pixels[None] - splats.center[:, None]
-    inverse = splats.conic[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
-    exponent = -0.5 * torch.einsum("vpi,vij,vpj->vp", offset, inverse, offset)
-    alpha = splats.opacity[:, None] * exponent.exp()
-    next_to = ((alpha / MIN_ALPHA - 1).abs() < margin) | ((alpha - MAX_ALPHA).abs() < margin * 0.1)
-    kept = torch.where(alpha < MIN_ALPHA, 0, alpha.clamp(max=MAX_ALPHA))
-    next_to |= (torch.cumprod(1 - kept, dim=0) / MIN_TRANSMITTANCE - 1).abs() < 10 * margin
-    return ~next_to.any(dim=0).reshape(request.camera.height, request.camera.width)
 
 
 def output_weights(request: Request, mask: Tensor, rng: torch.Generator) -> dict[str, Tensor]:

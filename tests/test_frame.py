@@ -10,17 +10,15 @@ import torch
 from torch import Tensor
 
 from builders import (
-    away_from_jumps,
     generator,
     off_centre_camera,
     output_weights,
     outputs_of,
     random_gaussians,
     render_and_gradients,
-    rows,
-    smooth_pixels,
 )
 from rasterizer import Frame, Gaussians, Gradients, Request, ViewGradient, rasterize, reference
+from rasterizer.jumps import away_from_jumps, rows, smooth_pixels
 from rasterizer.reference_blend import blend
 
 MOTIONS = ("full", "separable", "static")

@@ -20,7 +20,6 @@ from torch import Tensor
 
 from builders import (
     ALL_OUTPUTS,
-    away_from_jumps,
     camera_looking_at,
     generator,
     off_centre_camera,
@@ -29,9 +28,9 @@ from builders import (
     random_gaussians,
     render,
     render_and_gradients,
-    smooth_pixels,
 )
 from rasterizer import Gaussians, RenderOutput, Request, rasterize, reference
+from rasterizer.jumps import away_from_jumps, smooth_pixels
 from rasterizer.kernel import available_isas
 
 MOTIONS = ("full", "separable", "static")

@@ -14,16 +14,15 @@ import pytest
 import torch
 
 from builders import (
-    away_from_jumps,
     generator,
     off_centre_camera,
     random_gaussians,
     render,
     render_and_gradients,
     rotated_world,
-    smooth_pixels,
 )
 from rasterizer import Camera, Gaussians, Request, rasterize, reference
+from rasterizer.jumps import away_from_jumps, smooth_pixels
 
 MOTIONS = ("full", "separable", "static")
 IMAGE_TOLERANCE = 3e-5

@@ -17,7 +17,6 @@ import torch
 
 from builders import (
     ALL_OUTPUTS,
-    away_from_jumps,
     camera_looking_at,
     generator,
     off_centre_camera,
@@ -27,13 +26,13 @@ from builders import (
     render,
     render_and_gradients,
     rotated_world,
-    smooth_pixels,
     uniform,
 )
 from rasterizer import reference
 from rasterizer.arguments import Request
 from rasterizer.camera import Camera
 from rasterizer.gaussians import Gaussians
+from rasterizer.jumps import away_from_jumps, smooth_pixels
 from rasterizer.reference_sh import sh_basis
 
 MOTIONS = ("full", "separable", "static")

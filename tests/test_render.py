@@ -6,12 +6,13 @@ import pytest
 import torch
 from torch import Tensor
 
-from builders import away_from_jumps, generator, off_centre_camera, random_gaussians, smooth_pixels
+from builders import generator, off_centre_camera, random_gaussians
 from builders import render as render_with
 from pipeline.environment import EnvironmentMap
 from pipeline.model import Model
 from pipeline.render import backward, render, render_image
 from rasterizer import Frame, Gaussians, Gradients, Request
+from rasterizer.jumps import away_from_jumps, smooth_pixels
 from rasterizer.reference import rasterize as reference
 from test_environment import naive_look_up
 

@@ -12,7 +12,6 @@
 
 #include "blocks.hpp"
 #include "frame.hpp"
-#include "vec_math.hpp"
 
 namespace splat {
 
@@ -20,16 +19,16 @@ namespace splat {
 // ln alpha is concave, so over a rectangle it is largest on the side facing the mean: try the nearest column
 // and the nearest row, each at its best point.
 SPLAT_INLINE unsigned blocks_under_ellipse(const Splat& s, float tile_x, float tile_y) {
-    const Float x0 = Float::load(kBlockCorner.x) + Float(tile_x - s.x),
-                y0 = Float::load(kBlockCorner.y) + Float(tile_y - s.y);
+    const Float x0 = Float::load(kBlockCorner.x) + Float(tile_x), y0 = Float::load(kBlockCorner.y) + Float(tile_y);
     const Float x1 = x0 + Float(kBlock - 1.f), y1 = y0 + Float(kBlock - 1.f);
-    const Float dx = clamp(0.f, x0, x1), dy = clamp(0.f, y0, y1);
-    const Float y_best = clamp(dx * Float(-0.5f * s.xy / s.yy), y0, y1),
-                x_best = clamp(dy * Float(-0.5f * s.xy / s.xx), x0, x1);
-    const Float xx(s.xx), xy(s.xy), yy(s.yy);
-    const Float column = dx * (dx * xx + y_best * xy) + y_best * y_best * yy;
-    const Float row = x_best * (x_best * xx + dy * xy) + dy * dy * yy;
-    return bits(max(column, row) >= Float(kLog2MinAlpha - s.log2_opacity));
+    const Float px = clamp(s.x, x0, x1), py = clamp(s.y, y0, y1);
+    // On column px: across k (px - x₀ + k py) + along (py - y) = 0. On row py: px - x₀ + k py = 0.
+    const float lean_across = s.lean * s.across, inverse = 1.f / (lean_across * s.lean + s.along);
+    const Float start = px - Float(s.intercept);
+    const Float y_best = clamp((Float(s.along * s.y) - start * Float(lean_across)) * Float(inverse), y0, y1),
+                x_best = clamp(Float(s.intercept) - py * Float(s.lean), x0, x1);
+    const Float most = max(log2_alpha(s, px, y_best), log2_alpha(s, x_best, py));
+    return bits(most >= Float(kLog2MinAlpha));
 }
 
 // Bit b: the rectangle round the alpha >= 1/255 ellipse touches block b's pixel centres.

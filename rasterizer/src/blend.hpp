@@ -16,11 +16,6 @@
 
 namespace splat {
 
-// log2 of alpha before its cap, at (dx, dy) from the splat's mean.
-SPLAT_INLINE Float log2_alpha(const Splat& s, const Float& dx, const Float& dy) {
-    return dx * (dx * Float(s.xx) + dy * Float(s.xy)) + (dy * dy * Float(s.yy) + Float(s.log2_opacity));
-}
-
 struct TileSpan {
     int x, y;             // first pixel
     uint32_t begin, end;  // entries
@@ -45,7 +40,7 @@ SPLAT_INLINE int blend_block(const Splat* splats, const float* extras, const uin
     Mask open = state.open;
     for (int k = 0; k < 3 + extra; ++k) C[k] = state.channel[k];
     auto alpha_of = [&](const Splat& s) {
-        const Float power = log2_alpha(s, px - Float(s.x), py - Float(s.y));
+        const Float power = log2_alpha(s, px, py);
         return zero_unless(power >= Float(kLog2MinAlpha), min(exp2_fast(power), kMaxAlpha));
     };
     int used = -1;

@@ -70,12 +70,13 @@ inline void blend_backward_tile(Frame& f, int tile, const InputPlanes& rendered,
         const float* value = f.extras.data() + static_cast<size_t>(place) * kExtraStride;
         Float sum[4 * kGroups];
         for (auto& v : sum) v = 0.f;
-        const Float dx0 = lane_x + Float(span.x - s.x), dy0 = lane_y + Float(span.y - s.y);
+        const Float px0 = lane_x + Float(static_cast<float>(span.x)), py0 = lane_y + Float(static_cast<float>(span.y));
         unsigned blocks = f.entry_mask[e] & bits(last > Float(static_cast<float>(e - span.begin)));
         for (; blocks; blocks &= blocks - 1) {
             const int b = __builtin_ctz(blocks);
-            const Float dx = dx0 + Float(kBlockCorner.x[b]), dy = dy0 + Float(kBlockCorner.y[b]);
-            const Float power = log2_alpha(s, dx, dy), T = u.transmittance[b], peak = exp2_fast(power);
+            const Float px = px0 + Float(kBlockCorner.x[b]), py = py0 + Float(kBlockCorner.y[b]);
+            const Float across = across_of(s, px, py), along_axis = py - Float(s.y);
+            const Float power = log2_alpha_of(s, across, along_axis), T = u.transmittance[b], peak = exp2_fast(power);
             Float alpha = zero_unless(power >= Float(kLog2MinAlpha), min(peak, kMaxAlpha));
             const Float through = Float(1.f) - alpha, next = T * through;
             const Mask live = next >= Float(kMinTransmittance);
@@ -89,16 +90,16 @@ inline void blend_backward_tile(Frame& f, int tile, const InputPlanes& rendered,
             const Float d_alpha = T * along - rest * fast_inverse(through);
             const Float d_power =
                 zero_unless(live & (Float(kMaxAlpha) >= peak), alpha * d_alpha);  // of ln alpha
-            const Float mx = d_power * dx, my = d_power * dy;
+            const Float m_across = d_power * across, m_along = d_power * along_axis;
             sum[kSlotR] += w * u.gradient[0][b];
             sum[kSlotG] += w * u.gradient[1][b];
             sum[kSlotB] += w * u.gradient[2][b];
             sum[kSlotPower] += d_power;
-            sum[kSlotX] += mx;
-            sum[kSlotY] += my;
-            sum[kSlotXX] += mx * dx;
-            sum[kSlotXY] += mx * dy;
-            sum[kSlotYY] += my * dy;
+            sum[kSlotAcross] += m_across;
+            sum[kSlotAlong] += m_along;
+            sum[kSlotAcross2] += m_across * across;
+            sum[kSlotBoth] += m_across * along_axis;
+            sum[kSlotAlong2] += m_along * along_axis;
             for (int k = 0; k < extra; ++k) sum[kSlotExtra + k] += w * u.gradient[3 + k][b];
         }
         sum_lanes<kGroups>(sum).stream(f.slots[f.entry_slot[e]].value);

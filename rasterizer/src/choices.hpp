@@ -38,6 +38,7 @@ constexpr double constant_ln(double x) {
 inline constexpr double kMinPresence = RASTERIZER_MIN_PRESENCE;
 // As it is tested: p(t) >= 0.05 ⟺ dt² <= this · Σtt, no exponential needed.
 inline constexpr float kMinusTwoLogMinPresence = static_cast<float>(-2 * constant_ln(kMinPresence));
+inline constexpr float kLog2MinPresence = static_cast<float>(constant_ln(kMinPresence) / 0.69314718055994531);
 
 // Fainter contributions are skipped: a step of an 8-bit image (3D Gaussian Splatting). It bounds every splat,
 // so it decides how many (pixel, Gaussian) pairs there are.

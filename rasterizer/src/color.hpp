@@ -12,15 +12,15 @@ namespace splat {
 struct Viewing {
     Float direction[3];  // unit, camera centre to μ(t)
     Float inverse_distance;
-    Float turns;  // (t - μt)/T
+    Float turns;  // (t - μt)/T less the nearest integer
 };
 
-SPLAT_INLINE Viewing viewing(const Float (&offset)[3], const Float& dt, float duration) {
+SPLAT_INLINE Viewing viewing(const Float (&offset)[3], const Float& turns) {
     Viewing v;
     Float norm2 = offset[0] * offset[0] + offset[1] * offset[1] + offset[2] * offset[2];
     v.inverse_distance = Float(1.f) / sqrt(max(norm2, 1e-30f));
     for (int i = 0; i < 3; ++i) v.direction[i] = offset[i] * v.inverse_distance;
-    v.turns = dt * Float(1.f / duration);
+    v.turns = turns;
     return v;
 }
 

@@ -10,6 +10,7 @@
 
 #include "buffer.hpp"
 #include "types.hpp"
+#include "vec_math.hpp"
 
 namespace splat {
 
@@ -18,6 +19,7 @@ inline constexpr int kChunk =
 
 struct Frame {
     Camera camera;
+    CameraOf<double> exact_camera;  // the same, for the Gaussians that need it (exact.hpp)
     Settings settings;
 
     // prepare: chunk c stages its visible Gaussians at places [c·kChunk, c·kChunk + chunk_count[c]), in order
@@ -76,5 +78,17 @@ private:
     double& slot_;
     Clock::time_point start_;
 };
+
+// How far a pixel lies from the ellipse's leaning axis, along its row.
+SPLAT_INLINE Float across_of(const Splat& s, const Float& px, const Float& py) {
+    return (px - Float(s.intercept)) + py * Float(s.lean);
+}
+// log2 of alpha before its cap, at a pixel.
+SPLAT_INLINE Float log2_alpha_of(const Splat& s, const Float& across, const Float& along) {
+    return across * (across * Float(s.across)) + (along * along * Float(s.along) + Float(s.log2_opacity));
+}
+SPLAT_INLINE Float log2_alpha(const Splat& s, const Float& px, const Float& py) {
+    return log2_alpha_of(s, across_of(s, px, py), py - Float(s.y));
+}
 
 }  // namespace splat

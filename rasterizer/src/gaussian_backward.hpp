@@ -46,65 +46,57 @@ inline void backward_sixteen(const Frame& f, const Parameters& p, uint32_t place
     Float slot[16];
     sum_slots(f, place, count, slot);
 
-    const Stored<motion> stored = Stored<motion>::load(p, ids);
-    const Slice<motion> g = slice_in_time(stored, s.time);
-    const Projection<motion> q = project(g, f.camera);
-
-    // blending: moments of the pixel offsets → pixel position and conic
-    ProjectionGradient d;
-    d.pixel[0] = q.conic_xx * slot[kSlotX] + q.conic_xy * slot[kSlotY];
-    d.pixel[1] = q.conic_yy * slot[kSlotY] + q.conic_xy * slot[kSlotX];
-    d.conic_xx = Float(-0.5f) * slot[kSlotXX];
-    d.conic_xy = -slot[kSlotXY];
-    d.conic_yy = Float(-0.5f) * slot[kSlotYY];
-    const Float d_pixel[2] = {d.pixel[0], d.pixel[1]};
+    const Stored<motion, Float> stored = Stored<motion, Float>::load(p, ids);
+    const Slice<motion, Float> g = slice_in_time(stored, f.camera);
+    const Projection<motion, Float> q = project(g, f.camera);
 
     // colour: through its slopes; the coefficients' own gradient is left as a ColorGradient
-    Float offset[3], d_rgb[3], d_offset[3], d_dt(0.f), dt(0.f), slope[16];
+    Collected<Float> in;
+    Float d_rgb[3], slope[16];
+    for (int k = 0; k < 16; ++k) in.slot[k] = slot[k];
     for (int l = 0; l < kLanes; ++l)
         slope[l] = Float::load(&f.color_slope[place + std::min(l, count - 1)].by_offset[0][0]);
     transpose(slope);
-    for (int k = 0; k < 3; ++k) {
-        offset[k] = g.mean[k] - Float(f.camera.position[k]);
-        d_rgb[k] = slot[kSlotR + k] * slope[12 + k];
-    }
+    for (int k = 0; k < 3; ++k) d_rgb[k] = slot[kSlotR + k] * slope[12 + k];
     for (int i = 0; i < 3; ++i)
-        d_offset[i] = d_rgb[0] * slope[i] + d_rgb[1] * slope[3 + i] + d_rgb[2] * slope[6 + i];
-    if constexpr (order > 0) d_dt = d_rgb[0] * slope[9] + d_rgb[1] * slope[10] + d_rgb[2] * slope[11];
-    if constexpr (motion != Motion::kStatic) dt = g.dt;
-    const Viewing view = viewing(offset, dt, s.duration);
-
-    // extras
-    int extra = kSlotExtra;
-    d.depth = s.depth ? slot[extra++] : Float(0.f);
-    SliceGradient<motion> d_slice;
-    Float d_mean_flow[3] = {0.f, 0.f, 0.f};
-    for (auto& v : d_slice.velocity) v = 0.f;
-    if (s.flow) {
-        if constexpr (motion == Motion::kFull) {
-            const Float d_flow[2] = {slot[extra], slot[extra + 1]};
-            flow_backward(flow_of(g, q, f.camera, s.flow_dt, s.near_plane), f.camera, s.flow_dt, d_flow,
-                          d.pixel, d_mean_flow, d_slice.velocity);
-        }
-        extra += 2;
-    }
-    const Float d_mean_t_stats = s.stats ? slot[extra] : Float(0.f);
-    d_slice.var_t = s.stats ? slot[extra + 1] : Float(0.f);
+        in.d_offset[i] = d_rgb[0] * slope[i] + d_rgb[1] * slope[3 + i] + d_rgb[2] * slope[6 + i];
+    in.d_dt = 0.f;
+    if constexpr (order > 0) in.d_dt = d_rgb[0] * slope[9] + d_rgb[1] * slope[10] + d_rgb[2] * slope[11];
 
     // projection, slice in time, activations
-    project_backward(q, g, f.camera, d, d_slice.mean, d_slice.factor);
-    for (int k = 0; k < 3; ++k) d_slice.mean[k] += d_offset[k] + d_mean_flow[k];
-    d_slice.log_marginal = slot[kSlotPower];
-    d_slice.dt = d_dt;
-    StoredGradient<motion> d_stored = slice_in_time_backward(g, d_slice);
-    const Float d_opacity =
-        slot[kSlotPower] / (Float(1.f) + exp(stored.opacity_logit));  // ∂ ln σ(o)/∂o = 1 - σ(o)
+    Carried<Float> back = carry_back(g, q, in, f.camera, s);
+    for (unsigned lanes = bits(rounding_shows(g, q, f.camera)) & ((1u << count) - 1); lanes;
+         lanes &= lanes - 1) [[unlikely]] {
+        const int l = __builtin_ctz(lanes);
+        Collected<double> exact_in;
+        for (int k = 0; k < 16; ++k) exact_in.slot[k] = lane_of(in.slot[k], l);
+        for (int k = 0; k < 3; ++k) exact_in.d_offset[k] = lane_of(in.d_offset[k], l);
+        exact_in.d_dt = lane_of(in.d_dt, l);
+        const Slice<motion, double> exact_g = slice_in_time(stored.lane(l), f.exact_camera);
+        const Carried<double> better =
+            carry_back(exact_g, project(exact_g, f.exact_camera), exact_in, f.exact_camera, s);
+        for (int k = 0; k < Carried<Float>::kFields; ++k) set_lane(back.value[k], l, better.value[k]);
+    }
+    StoredGradient<motion, Float> d_stored;
+    for (int k = 0; k < 4; ++k) {
+        d_stored.mean[k] = back.value[back.kMean + k];
+        d_stored.log_scale[k] = back.value[back.kLogScale + k];
+        d_stored.quat_left[k] = back.value[back.kLeft + k];
+        d_stored.quat_right[k] = back.value[back.kRight + k];
+    }
+    const Float d_pixel[2] = {back.value[back.kPixel], back.value[back.kPixel + 1]};
+    const Float offset[3] = {back.value[back.kOffset], back.value[back.kOffset + 1], back.value[back.kOffset + 2]};
+    Float turns(0.f);
+    if constexpr (order > 0) turns = turns_of(stored.mean[3], f.exact_camera, s.duration);
+    const Viewing view = viewing(offset, turns);
+    // ∂ ln σ(o)/∂o = 1 - σ(o); none beyond ±80, where exp is cut off
+    const Float d_opacity = zero_unless(Float(kLargestExponent) >= abs(stored.opacity_logit),
+                                        slot[kSlotPower] / (Float(1.f) + exp(stored.opacity_logit)));
 
     if constexpr (motion == Motion::kStatic) {
         add_to_rows3(out.mean, ids, count, d_stored.mean);
         add_to_rows3(out.log_scale, ids, count, d_stored.log_scale);
     } else {
-        d_stored.mean[3] += d_mean_t_stats;
         add_to_rows4(out.mean, ids, count, d_stored.mean);
         add_to_rows4(out.log_scale, ids, count, d_stored.log_scale);
     }

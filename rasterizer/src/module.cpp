@@ -59,27 +59,28 @@ struct Model {
     }
 };
 
-splat::Camera camera_from(int width, int height, const std::vector<float>& intrinsics, In world_to_cam) {
-    splat::Camera c{width, height, intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3], {}, {}, {}};
-    const float* m = world_to_cam.data();
+using Exact = splat::CameraOf<double>;
+
+// position: the camera's centre. The moment comes with the view.
+Exact camera_from(int width, int height, const std::vector<double>& intrinsics, Array<const double> world_to_cam,
+                  const std::vector<double>& position) {
+    Exact c{width, height, intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3], {}, {}, {}, 0.0, 0.0};
     for (int i = 0; i < 3; ++i) {
-        for (int j = 0; j < 3; ++j) c.rotation[i][j] = m[4 * i + j];
-        c.translation[i] = m[4 * i + 3];
+        for (int j = 0; j < 3; ++j) c.rotation[i][j] = world_to_cam.data()[4 * i + j];
+        c.position[i] = position[i];
     }
-    for (int i = 0; i < 3; ++i)
-        c.position[i] = -(c.rotation[0][i] * c.translation[0] + c.rotation[1][i] * c.translation[1] +
-                          c.rotation[2][i] * c.translation[2]);
     return c;
 }
 
 class Frame {
 public:
-    void set_view(const splat::Camera& camera, float time, float duration, float near_plane,
+    void set_view(const Exact& camera, double time, double duration, float near_plane,
                   const std::vector<float>& background, float flow_dt, int sh_degree, int fourier_order,
                   std::tuple<bool, bool, bool> extras, bool differentiable, int threads) {
-        frame_.camera = camera;
-        frame_.settings = {time,
-                           duration,
+        frame_.exact_camera = camera;
+        frame_.exact_camera.time = time;
+        frame_.camera = splat::rounded(frame_.exact_camera);
+        frame_.settings = {duration,
                            near_plane,
                            {background[0], background[1], background[2]},
                            flow_dt,
@@ -213,7 +214,7 @@ NB_MODULE(KERNEL_MODULE_NAME, m) {
             },
             nb::arg("mean"), nb::arg("log_scale"), nb::arg("quat_left"), nb::arg("quat_right").none(),
             nb::arg("opacity_logit"), nb::arg("sh"), nb::arg("coefficients"), nb::arg("stored_order"));
-    nb::class_<splat::Camera>(m, "Camera").def_static("make", &camera_from);
+    nb::class_<Exact>(m, "Camera").def_static("make", &camera_from);
     nb::class_<Frame>(m, "Frame")
         .def(nb::init<>())
         .def("set_view", &Frame::set_view, nb::arg("camera"), nb::arg("time"), nb::arg("duration"),

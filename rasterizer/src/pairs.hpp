@@ -27,7 +27,7 @@ inline Pairs count_pairs(const Frame& f) {
                     continue;
                 const Float px = lane_x + Float(static_cast<float>(span.x + b % 4 * kBlock));
                 const Float py = lane_y + Float(static_cast<float>(span.y + b / 4 * kBlock));
-                const Float power = log2_alpha(s, px - Float(s.x), py - Float(s.y));
+                const Float power = log2_alpha(s, px, py);
                 const Mask seen = power >= Float(kLog2MinAlpha);
                 const Float next = T[b] * (Float(1.f) - zero_unless(seen, min(exp2_fast(power), kMaxAlpha)));
                 const Mask live = next >= Float(kMinTransmittance);

@@ -7,13 +7,18 @@
 
 #include "color.hpp"
 #include "frame.hpp"
-#include "project.hpp"
+#include "look.hpp"
 
 namespace splat {
 
-// Ids of the chunk's Gaussians with p(t) >= 0.05, packed; returns how many. Only M's time row is computed.
+// Σtt's time row is R's times the scales, R good to 1e-7: Σtt at most so much larger, in parts of itself and of
+// the largest scale's square. What is let in wrongly is left out after its slice.
+inline constexpr float kVarianceSlack = 1e-4f, kScaleSlack = 1e-8f;
+
+// Ids of the chunk's Gaussians that may have p(t) >= 0.05, packed; returns how many. Only M's time row is computed.
 template <Motion motion>
-inline int cull_in_time(const Parameters& p, uint32_t first, uint32_t last, float time, uint32_t* alive) {
+inline int cull_in_time(const Parameters& p, uint32_t first, uint32_t last, const Camera& c,
+                        uint32_t* alive) {
     int n = 0;
     if constexpr (motion == Motion::kStatic) {
         for (uint32_t id = first; id < last; ++id) alive[n++] = id;
@@ -22,7 +27,7 @@ inline int cull_in_time(const Parameters& p, uint32_t first, uint32_t last, floa
     for (uint32_t base = first; base < last; base += kLanes) {
         uint32_t ids[kLanes];
         for (uint32_t l = 0; l < kLanes; ++l) ids[l] = std::min(base + l, last - 1);
-        Float mean[4], log_scale[4], var_t(0.f);
+        Float mean[4], log_scale[4], var_t(0.f), slack(0.f);
         load_rows4(p.mean, ids, mean);
         load_rows4(p.log_scale, ids, log_scale);
         if constexpr (motion == Motion::kFull) {
@@ -35,14 +40,16 @@ inline int cull_in_time(const Parameters& p, uint32_t first, uint32_t last, floa
                 Float r(0.f);
 #pragma GCC unroll 4
                 for (int k = 0; k < 4; ++k) r += left_matrix(left, 3, k) * right_matrix(right, k, j);
-                Float m = r * exp(log_scale[j]);
+                const Float scale = exp(log_scale[j]), m = r * scale;
                 var_t += m * m;
+                slack += scale * scale;
             }
         } else {
             Float s = exp(log_scale[3]);
             var_t = s * s;
         }
-        Float dt = Float(time) - mean[3];
+        var_t += var_t * Float(kVarianceSlack) + slack * Float(kScaleSlack);
+        const Float dt = (Float(c.time) - mean[3]) + Float(c.time_low);
         unsigned in_time = bits(dt * dt <= max(var_t, kMinTimeVariance) * Float(kMinusTwoLogMinPresence));
         if (last - base < kLanes) in_time &= (1u << (last - base)) - 1;
         n += pack_kept(ids, in_time, alive + n);
@@ -52,21 +59,22 @@ inline int cull_in_time(const Parameters& p, uint32_t first, uint32_t last, floa
 
 // The visible Gaussians of a chunk, one array a quantity.
 struct Packed {
-    static constexpr int kFields = 14 + kMaxExtra;
+    static constexpr int kFields = 15 + kMaxExtra;
     enum Field {
         kX,
         kY,
-        kXX,
-        kXY,
-        kYY,
+        kIntercept,
+        kLean,
+        kAcross,
+        kAlong,
         kLogOpacity,
         kDepth,
         kHalfWidth,
         kHalfHeight,
         kRadius,
-        kDt,
+        kTurns,
         kOffset,
-        kExtraField = 14
+        kExtraField = kOffset + 3
     };
     alignas(64) float value[kFields][kChunk + kLanes];
     uint32_t id[kChunk + kLanes];
@@ -75,61 +83,77 @@ struct Packed {
     Float at(int field, int i) const { return Float::load(&value[field][i]); }
 };
 
+// (t - μt)/T less the nearest integer, in double: after a million turns float32 has no digit of the last one left.
+SPLAT_INLINE Float turns_of(const Float& mean_t, const CameraOf<double>& c, double duration) {
+    alignas(64) float lane[kLanes];
+    mean_t.store(lane);
+    const double rate = 1.0 / duration;
+    for (float& x : lane) {
+        const double turns = (c.time - static_cast<double>(x)) * rate;
+        x = static_cast<float>(turns - __builtin_nearbyint(turns));
+    }
+    return Float::load(lane);
+}
+
+// Returns how many have p(t) >= 0.05.
 template <Motion motion>
-inline void project_chunk(const Parameters& p, const Camera& c, const Settings& s, uint32_t* alive,
-                          int alive_count, Packed& out) {
+inline int project_chunk(const Parameters& p, const Camera& c, const CameraOf<double>& exact, const Settings& s,
+                         uint32_t* alive, int alive_count, Packed& out) {
+    using See = Seen<Float>;
     out.count = 0;
+    int in_time = 0;
     for (int l = 0; l < kLanes && alive_count > 0; ++l) alive[alive_count + l] = alive[alive_count - 1];
     for (int i = 0; i < alive_count; i += kLanes) {
-        Stored<motion> stored = Stored<motion>::load(p, alive + i);
-        Slice<motion> g = slice_in_time(stored, s.time);
-        Projection<motion> q = project(g, c);
+        const unsigned wanted = alive_count - i < kLanes ? (1u << (alive_count - i)) - 1 : 0xffff;
+        const Stored<motion, Float> stored = Stored<motion, Float>::load(p, alive + i);
+        const See see = look(stored, wanted, c, exact, s);
+        const Float(&v)[See::kFields] = see.value;
         // log2 of the peak alpha = sigmoid(logit) p(t)
-        Float log2_opacity = g.log2_marginal - log2(Float(1.f) + exp(-stored.opacity_logit));
+        Float log2_opacity = v[See::kLog2Marginal] - log2(Float(1.f) + exp(-stored.opacity_logit));
         Float reach2 = max((log2_opacity - Float(kLog2MinAlpha)) * Float(2.f / kLog2E),
                            0.f);  // squared Mahalanobis radius of 1/255
-        Float half_width = sqrt(reach2 * q.cov_xx), half_height = sqrt(reach2 * q.cov_yy);
-        Mask seen =
-            (q.cam[2] > Float(s.near_plane)) & (reach2 > Float(0.f)) &
-            (q.pixel[0] + half_width >= Float(0.f)) & (q.pixel[0] - half_width <= Float(c.width - 1.f)) &
-            (q.pixel[1] + half_height >= Float(0.f)) & (q.pixel[1] - half_height <= Float(c.height - 1.f));
-        unsigned keep = bits(seen);
-        if (alive_count - i < kLanes) keep &= (1u << (alive_count - i)) - 1;
+        Float half_width = sqrt(reach2 * v[See::kVarianceX]), half_height = sqrt(reach2 * v[See::kVarianceY]);
+        const unsigned present = bits(v[See::kLog2Marginal] >= Float(kLog2MinPresence)) & wanted;
+        in_time += __builtin_popcount(present);
+        Mask seen = (v[See::kDepth] > Float(s.near_plane)) & (reach2 > Float(0.f)) &
+                    (v[See::kX] + half_width >= Float(0.f)) & (v[See::kX] - half_width <= Float(c.width - 1.f)) &
+                    (v[See::kY] + half_height >= Float(0.f)) & (v[See::kY] - half_height <= Float(c.height - 1.f));
+        const unsigned keep = bits(seen) & present;
         if (!keep) continue;
-        Float mid = Float(0.5f) * (q.cov_xx + q.cov_yy), half_gap = Float(0.5f) * (q.cov_xx - q.cov_yy);
-        Float largest_variance = mid + sqrt(half_gap * half_gap + q.cov_xy * q.cov_xy);
-        auto put = [&](int field, const Float& v) { store_packed(&out.value[field][out.count], keep, v); };
-        put(Packed::kX, q.pixel[0]);
-        put(Packed::kY, q.pixel[1]);
-        put(Packed::kXX, q.conic_xx * Float(-0.5f * kLog2E));
-        put(Packed::kXY, q.conic_xy * Float(-kLog2E));
-        put(Packed::kYY, q.conic_yy * Float(-0.5f * kLog2E));
+        const Float mid = Float(0.5f) * (v[See::kVarianceX] + v[See::kVarianceY]);
+        const Float gap = Float(0.5f) * (v[See::kVarianceX] - v[See::kVarianceY]) / mid,
+                    tilt = v[See::kCovariance] / mid;  // divided first: a variance's square may overflow
+        const Float largest_variance = mid + mid * sqrt(gap * gap + tilt * tilt);
+        auto put = [&](int field, const Float& x) { store_packed(&out.value[field][out.count], keep, x); };
+        put(Packed::kX, v[See::kX]);
+        put(Packed::kY, v[See::kY]);
+        put(Packed::kIntercept, v[See::kIntercept]);
+        put(Packed::kLean, v[See::kLean]);
+        put(Packed::kAcross, v[See::kInverseAcross] * Float(-0.5f * kLog2E));
+        put(Packed::kAlong, v[See::kInverseAlong] * Float(-0.5f * kLog2E));
         put(Packed::kLogOpacity, log2_opacity);
-        put(Packed::kDepth, q.cam[2]);
+        put(Packed::kDepth, v[See::kDepth]);
         put(Packed::kHalfWidth, half_width);
         put(Packed::kHalfHeight, half_height);
         put(Packed::kRadius, Float(3.f) * sqrt(largest_variance));
-        if constexpr (motion != Motion::kStatic) put(Packed::kDt, g.dt);
-        for (int k = 0; k < 3; ++k) put(Packed::kOffset + k, g.mean[k] - Float(c.position[k]));
+        if constexpr (motion != Motion::kStatic)
+            if (s.fourier_order > 0) put(Packed::kTurns, turns_of(stored.mean[3], exact, s.duration));
+        for (int k = 0; k < 3; ++k) put(Packed::kOffset + k, v[See::kOffset + k]);
         int extra = Packed::kExtraField;
-        if (s.depth) put(extra++, q.cam[2]);
+        if (s.depth) put(extra++, v[See::kDepth]);
         if (s.flow) {
-            Float flow[2] = {0.f, 0.f};
-            if constexpr (motion == Motion::kFull) {
-                Flow f = flow_of(g, q, c, s.flow_dt, s.near_plane);
-                flow[0] = f.pixel[0], flow[1] = f.pixel[1];
-            }
-            put(extra++, flow[0]);
-            put(extra++, flow[1]);
+            put(extra++, v[See::kFlow]);
+            put(extra++, v[See::kFlow + 1]);
         }
         if constexpr (motion != Motion::kStatic) {  // a static model has no time to tell of
             if (s.stats) {
                 put(extra++, stored.mean[3]);
-                put(extra++, g.var_t);
+                put(extra++, v[See::kVarianceT]);
             }
         }
         out.count += pack_kept(alive + i, keep, out.id + out.count);
     }
+    return in_time;
 }
 
 template <int order, bool differentiable>
@@ -145,16 +169,17 @@ inline void color_and_stage(const Parameters& p, const Settings& s, Packed& in, 
         const int n = std::min(kLanes, in.count - i);
         Float offset[3] = {in.at(Packed::kOffset, i), in.at(Packed::kOffset + 1, i),
                            in.at(Packed::kOffset + 2, i)};
-        Float dt(0.f);
-        if constexpr (order > 0) dt = in.at(Packed::kDt, i);
+        Float turns(0.f);
+        if constexpr (order > 0) turns = in.at(Packed::kTurns, i);
         Color c;
-        color<order, differentiable>(p, in.id + i, n, fetch(i + kLanes), viewing(offset, dt, s.duration),
-                                     s.duration, s.sh_degree, c);
+        color<order, differentiable>(p, in.id + i, n, fetch(i + kLanes), viewing(offset, turns),
+                                     static_cast<float>(s.duration), s.sh_degree, c);
         Float row[16] = {in.at(Packed::kX, i),
                          in.at(Packed::kY, i),
-                         in.at(Packed::kXX, i),
-                         in.at(Packed::kXY, i),
-                         in.at(Packed::kYY, i),
+                         in.at(Packed::kIntercept, i),
+                         in.at(Packed::kLean, i),
+                         in.at(Packed::kAcross, i),
+                         in.at(Packed::kAlong, i),
                          in.at(Packed::kLogOpacity, i),
                          max(c.rgb[0], 0.f),
                          max(c.rgb[1], 0.f),
@@ -164,7 +189,6 @@ inline void color_and_stage(const Parameters& p, const Settings& s, Packed& in, 
                          in.at(Packed::kHalfHeight, i),
                          in.at(Packed::kRadius, i),
                          Float::load_bits(in.id + i),
-                         0.f,
                          0.f};
         transpose(row);
         for (int l = 0; l < n; ++l) {
@@ -204,14 +228,13 @@ inline void prepare(Frame& f, const Parameters& p) {
         for (int c = 0; c < chunks; ++c) {
             const uint32_t first = static_cast<uint32_t>(c) * kChunk,
                            last = std::min(p.count, first + kChunk);
-            const int n = cull_in_time<motion>(p, first, last, f.settings.time, alive);
-            project_chunk<motion>(p, f.camera, f.settings, alive, n, packed);
+            const int n = cull_in_time<motion>(p, first, last, f.camera, alive);
+            f.chunk_alive[c] = project_chunk<motion>(p, f.camera, f.exact_camera, f.settings, alive, n, packed);
             color_and_stage<order, differentiable>(
                 p, f.settings, packed, f.staged.data() + first,
                 differentiable ? f.color_slope.data() + first : nullptr,
                 f.extras.data() + static_cast<size_t>(first) * kExtraStride);
             std::copy_n(packed.value[Packed::kDepth], packed.count, &f.depth[first]);
-            f.chunk_alive[c] = n;
             f.chunk_count[c] = packed.count;
         }
         end_of_streaming();

@@ -37,17 +37,36 @@ struct Parameters {
     int stored_order;            // Fourier orders stored beyond 0
 };
 
-struct Camera {
+// A pinhole and the moment it looks at, in float or double. With Scalar = float, centre and time have a second
+// float each for what the first cannot hold: μ - centre and t - μt keep their digits far from any origin.
+template <class Scalar>
+struct CameraOf {
     int width, height;
-    float fx, fy, cx, cy;
-    float rotation[3][3];  // world to camera
-    float translation[3];
-    float position[3];
+    Scalar fx, fy, cx, cy;
+    Scalar rotation[3][3];  // world to camera
+    Scalar position[3], position_low[3];
+    Scalar time, time_low;
 };
+using Camera = CameraOf<float>;
+
+inline Camera rounded(const CameraOf<double>& c) {
+    Camera r{c.width, c.height, static_cast<float>(c.fx), static_cast<float>(c.fy), static_cast<float>(c.cx),
+             static_cast<float>(c.cy), {}, {}, {}, 0.f, 0.f};
+    auto split = [](double x, float& high, float& low) {
+        high = static_cast<float>(x);
+        low = static_cast<float>(x - static_cast<double>(high));
+    };
+    for (int i = 0; i < 3; ++i) {
+        for (int j = 0; j < 3; ++j) r.rotation[i][j] = static_cast<float>(c.rotation[i][j]);
+        split(c.position[i], r.position[i], r.position_low[i]);
+    }
+    split(c.time, r.time, r.time_low);
+    return r;
+}
 
 // What is asked of a frame.
 struct Settings {
-    float time, duration;
+    double duration;
     float near_plane;
     float background[3];
     float flow_dt;
@@ -65,14 +84,15 @@ inline constexpr int kMaxExtra = 5;
 // One Gaussian on the screen: one cache line, all that blending reads.
 struct alignas(64) Splat {
     float x, y;          // pixel coordinates of the mean; pixel (i, j)'s centre is at (i, j) here
-    float xx, xy, yy;    // log2 of alpha at offset (dx, dy): log2_opacity + xx dx² + xy dx dy + yy dy²
+    // log2 of alpha at (px, py): log2_opacity + across (px - intercept + lean py)² + along (py - y)²
+    float intercept, lean, across, along;
     float log2_opacity;  // of opacity · p(t)
     float r, g, b;
     float depth;                    // z in the camera's frame
     float half_width, half_height;  // of the box round the alpha >= 1/255 ellipse, pixels
     float radius;                   // 3 standard deviations along the longer axis, pixels
     uint32_t id;                    // row in the parameters
-    uint32_t unused[2];
+    uint32_t unused;
 };
 static_assert(sizeof(Splat) == 64);
 
@@ -91,7 +111,8 @@ static_assert(sizeof(ColorSlope) == 64);
 struct alignas(64) Slot {
     float value[16];
 };
-enum SlotField { kSlotR, kSlotG, kSlotB, kSlotPower, kSlotX, kSlotY, kSlotXX, kSlotXY, kSlotYY, kSlotExtra };
+enum SlotField { kSlotR, kSlotG, kSlotB, kSlotPower, kSlotAcross, kSlotAlong, kSlotAcross2, kSlotBoth, kSlotAlong2,
+                 kSlotExtra };
 inline constexpr int kSlotFields = 9;
 static_assert(kSlotFields + kMaxExtra <= 16);
 

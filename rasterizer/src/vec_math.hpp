@@ -75,7 +75,10 @@ SPLAT_INLINE Float exp2(const Float& x) { return exp2_poly<5>(x); }
 SPLAT_INLINE Float exp2_fast(const Float& x) { return exp2_poly<kAlphaExpDegree>(x); }
 
 // e^x with x clamped to ±80: large enough for every scale and logit that means something in float32.
-SPLAT_INLINE Float exp(const Float& x) { return exp2(clamp(x, -80.f, 80.f) * Float(kLog2E)); }
+inline constexpr float kLargestExponent = 80.f;
+SPLAT_INLINE Float exp(const Float& x) {
+    return exp2(clamp(x, -kLargestExponent, kLargestExponent) * Float(kLog2E));
+}
 
 // log2 of a positive normal x, absolute error 1e-7: log2(m) = 2/ln 2 · atanh((m-1)/(m+1)), m in [√½, √2).
 SPLAT_INLINE Float log2(const Float& x) {

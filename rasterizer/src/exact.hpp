@@ -1,0 +1,43 @@
+// One Gaussian in double precision, by the same code as sixteen in single.
+//
+// Geometry and projection are templates over `Real`: Float, or double for the rare Gaussian whose rounding in
+// float32 would show (needles of thousands of pixels, speeds of thousands of world units a duration).
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <type_traits>
+
+#include "vec_math.hpp"
+
+namespace splat {
+
+inline double min(double a, double b) { return std::min(a, b); }
+inline double max(double a, double b) { return std::max(a, b); }
+inline double abs(double a) { return std::abs(a); }
+inline double sqrt(double a) { return std::sqrt(a); }
+inline double clamp(double a, double low, double high) { return std::min(std::max(a, low), high); }
+inline double exp(double a) {  // as Float's
+    return std::exp(clamp(a, -static_cast<double>(kLargestExponent), static_cast<double>(kLargestExponent)));
+}
+inline double select(bool m, double yes, double no) { return m ? yes : no; }
+inline double zero_unless(bool m, double a) { return m ? a : 0.0; }
+
+template <class Real>
+using MaskOf = std::conditional_t<std::is_same_v<Real, double>, bool, Mask>;
+template <class Real>
+using ScalarOf = std::conditional_t<std::is_same_v<Real, double>, double, float>;
+
+SPLAT_INLINE float lane_of(const Float& a, int lane) {
+    alignas(64) float value[kLanes];
+    a.store(value);
+    return value[lane];
+}
+SPLAT_INLINE void set_lane(Float& a, int lane, double x) {
+    alignas(64) float value[kLanes];
+    a.store(value);
+    value[lane] = static_cast<float>(x);
+    a = Float::load(value);
+}
+
+}  // namespace splat
