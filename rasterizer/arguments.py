@@ -12,6 +12,8 @@ from .camera import Camera
 from .gaussians import Gaussians
 from .output import OUTPUT_NAMES
 
+SHORTEST_DURATION = 1e-30  # colours change by up to 2π/T a unit of time, which float32 must hold
+LONGEST_FLOW = 1e30  # likewise the way moved in δ, at any speed that float32's scales give
 LARGEST_FLOAT32 = torch.finfo(torch.float32).max
 
 
@@ -38,21 +40,24 @@ class Request:
     fourier_order: int | None = None  # likewise
 
     def __post_init__(self) -> None:
-        for name in ("time", "duration", "near"):
-            object.__setattr__(self, name, _number(getattr(self, name)))
-        if not math.isfinite(self.time):
-            raise ValueError(f"time must be finite, got {self.time}")
-        if not (math.isfinite(self.duration) and self.duration > 0):
-            raise ValueError(f"duration must be finite and > 0, got {self.duration}")
-        if not (math.isfinite(self.near) and self.near >= 0):
-            raise ValueError(f"near must be finite and >= 0, got {self.near}")
+        time, duration, near = (_number(value) for value in (self.time, self.duration, self.near))
+        if not math.isfinite(time):
+            raise ValueError(f"time must be finite, got {self.time!r}")
+        if not (math.isfinite(duration) and duration > 0):
+            raise ValueError(f"duration must be finite and > 0, got {self.duration!r}")
+        if duration < SHORTEST_DURATION:
+            raise ValueError(f"duration must be at least {SHORTEST_DURATION:g}, got {self.duration!r}")
+        if not (math.isfinite(near) and near >= 0):
+            raise ValueError(f"near must be finite and >= 0, got {self.near!r}")
+        for name, value in (("time", time), ("duration", duration), ("near", near)):
+            object.__setattr__(self, name, value)  # a number of any kind may be given; from here on it is a float
         values = tuple(_number(v) for v in self.background) if isinstance(self.background, Iterable) else ()
         if len(values) != 3 or not all(abs(value) <= LARGEST_FLOAT32 for value in values):
             raise ValueError(f"background must be 3 finite numbers, got {self.background}")
         for name in self.outputs:
             if name not in OUTPUT_NAMES:
                 raise ValueError(f"outputs must be among {', '.join(OUTPUT_NAMES)}, got {name!r}")
-        if "flow" in self.outputs and not math.isfinite(_number(self.flow_dt)):
+        if "flow" in self.outputs and not abs(_number(self.flow_dt)) <= LONGEST_FLOW:
             raise ValueError(f"flow_dt must be finite when outputs has 'flow', got {self.flow_dt}")
 
     def check_against(self, gaussians: Gaussians) -> None:

@@ -18,7 +18,7 @@ from torch import Tensor
 from . import reference
 from .arguments import Request
 from .gaussians import Gaussians
-from .reference_blend import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, pixel_centers
+from .reference_blend import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, pixel_centers, squared_distance
 
 
 def rows(gaussians: Gaussians, index: Tensor) -> Gaussians:
@@ -66,10 +66,7 @@ def smooth_pixels(gaussians: Gaussians, request: Request, margin: float = 2e-3) 
     """
     splats = reference.make_splats(gaussians, request)
     pixels = pixel_centers(request.camera, splats.center.dtype).reshape(-1, 2)
-    offset = pixels[None] - splats.center[:, None]
-    inverse = splats.conic[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
-    exponent = -0.5 * torch.einsum("vpi,vij,vpj->vp", offset, inverse, offset)
-    alpha = splats.opacity[:, None] * exponent.exp()
+    alpha = splats.opacity[:, None] * torch.exp(-0.5 * squared_distance(splats, pixels))
     next_to = ((alpha / MIN_ALPHA - 1).abs() < margin) | ((alpha - MAX_ALPHA).abs() < margin * 0.1)
     kept = torch.where(alpha < MIN_ALPHA, 0, alpha.clamp(max=MAX_ALPHA))
     next_to |= (torch.cumprod(1 - kept, dim=0) / MIN_TRANSMITTANCE - 1).abs() < 10 * margin

@@ -155,18 +155,24 @@ def project_factor(factor: Tensor, mean_cam: Tensor, camera: Camera) -> Tensor:
     return jacobian @ (rotation @ factor)
 
 
-def conic(projected_factor: Tensor) -> Tensor:
-    """The three distinct entries (xx, xy, yy) of (B Bᵀ + 0.3 I)⁻¹ for B (N, 2, K): (N, 3), in 1/px².
+def ellipse(projected_factor: Tensor) -> Tensor:
+    """The covariance Σ2d = B Bᵀ + 0.3 I of B (N, 2, K) as what blending needs of it: (k, V, C) (N, 3), with
 
-    The determinant is taken by Cauchy and Binet, det(B Bᵀ) = Σ_i<j (B_0i B_1j - B_0j B_1i)²: a sum of
-    squares, where the familiar cxx cyy - cxy² cancels for long streaks.
+        dᵀ Σ2d⁻¹ d = (dx + k dy)²/V + dy²/C,   C = cyy,   k = -cxy/C,   V = det/C.
+
+    Nothing in it cancels, where dᵀ Σ2d⁻¹ d of a needle as long as the scene is wide loses all digits, its gradient
+    even in float64. The determinant is taken by Cauchy and Binet, det(B Bᵀ) = Σ_i<j (B_0i B_1j - B_0j B_1i)²: a
+    sum of squares, where the familiar cxx cyy - cxy² cancels for long streaks.
     """
     row0, row1 = projected_factor.unbind(1)
     first, second = torch.combinations(torch.arange(row0.shape[1])).unbind(1)  # column pairs i < j
     minors = row0[:, first] * row1[:, second] - row0[:, second] * row1[:, first]
-    cxx, cxy, cyy = (row0 * row0).sum(1), (row0 * row1).sum(1), (row1 * row1).sum(1)
-    determinant = (minors * minors).sum(1) + DILATION * (cxx + cyy) + DILATION**2
-    return torch.stack([cyy + DILATION, -cxy, cxx + DILATION], dim=-1) / determinant[:, None]
+    norm_x, norm_y = (row0 * row0).sum(1), (row1 * row1).sum(1)
+    along = norm_y + DILATION
+    lean = -(row0 * row1).sum(1) / along
+    # det/C, each term divided before it is added: det itself may overflow
+    across = ((minors / along.sqrt()[:, None]) ** 2).sum(1) + DILATION * (norm_x + along) / along
+    return torch.stack([lean, across, along], dim=-1)
 
 
 # ---- All of it ---------------------------------------------------------------------------------------------
@@ -228,7 +234,7 @@ def make_splats(gaussians: Gaussians, request: Request, min_presence: float = MI
     return Splats(
         index=index,
         center=project_point(mean_cam, request.camera),
-        conic=conic(project_factor(sliced.factor, mean_cam, request.camera)),
+        ellipse=ellipse(project_factor(sliced.factor, mean_cam, request.camera)),
         opacity=opacity(gaussians.opacity_logit) * sliced.presence,
         features=torch.cat(features, dim=-1),
     )

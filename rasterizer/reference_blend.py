@@ -35,16 +35,21 @@ class Splats:
 
     index: Tensor  # (V,) their rows in the Gaussians
     center: Tensor  # (V, 2) pixels
-    conic: Tensor  # (V, 3) inverse 2D covariance xx, xy, yy, 1/px²
+    ellipse: Tensor  # (V, 3) k, V, C of the 2D covariance: `reference.ellipse`
     opacity: Tensor  # (V,) α p(t)
     features: Tensor  # (V, C) what is averaged: colour, depth, …, as asked
 
 
+def squared_distance(splats: Splats, pixels: Tensor) -> Tensor:
+    """dᵀ Σ2d⁻¹ d (V, P) of the pixels (P, 2) from the centres: (dx + k dy)²/V + dy²/C."""
+    dx, dy = (pixels[None] - splats.center[:, None]).unbind(-1)
+    lean, across, along = splats.ellipse[:, :, None].unbind(1)
+    return (dx + lean * dy) ** 2 / across + dy * dy / along
+
+
 def splat_alpha(splats: Splats, pixels: Tensor, min_alpha: float = MIN_ALPHA) -> Tensor:
     """α' (V, P) of splats at pixels (P, 2): min(0.99, α p(t) exp(-½ dᵀ Σ2d⁻¹ d)), skipped under 1/255."""
-    dx, dy = (pixels[None] - splats.center[:, None]).unbind(-1)
-    xx, xy, yy = splats.conic[:, :, None].unbind(1)
-    distance_squared = xx * dx * dx + 2 * xy * dx * dy + yy * dy * dy
+    distance_squared = squared_distance(splats, pixels)
     alpha = (splats.opacity[:, None] * torch.exp(-0.5 * distance_squared)).clamp(max=MAX_ALPHA)
     return torch.where(alpha < min_alpha, 0, alpha)
 

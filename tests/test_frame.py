@@ -139,8 +139,9 @@ def test_what_a_view_says_of_its_gaussians(motion: str):
     )
     if motion != "static":
         torch.testing.assert_close(view.mean_t, gradients.mean[visible, 3])
-    xx, xy, yy = splats.conic.unbind(1)
-    covariance = torch.linalg.inv(torch.stack([xx, xy, xy, yy], dim=1).reshape(-1, 2, 2))
+    lean, across, along = splats.ellipse.unbind(1)
+    shear = -lean * along  # cxy
+    covariance = torch.stack([across + lean**2 * along, shear, shear, along], dim=1).reshape(-1, 2, 2)
     radius = (
         torch.zeros(len(gaussians))
         .double()

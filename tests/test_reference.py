@@ -123,17 +123,13 @@ def test_a_turn_in_the_x_t_plane_moves_along_x():
 
 
 @pytest.mark.parametrize("columns", [3, 4])
-def test_the_conic_is_the_inverse_of_the_dilated_covariance(columns: int):
+def test_the_ellipse_is_the_inverse_of_the_dilated_covariance(columns: int):
     factor = torch.randn(30, 2, columns, generator=generator(6), dtype=torch.float64) * 5
     covariance = factor @ factor.mT + 0.3 * torch.eye(2, dtype=torch.float64)
-    xx, xy, yy = reference.conic(factor).unbind(1)
-    torch.testing.assert_close(
-        torch.stack([xx, xy, xy, yy], dim=1).reshape(-1, 2, 2),
-        torch.linalg.inv(covariance),
-        rtol=1e-9,
-        atol=1e-12,
-    )
-    torch.testing.assert_close(1 / (xx * yy - xy * xy), torch.linalg.det(covariance), rtol=1e-8, atol=0)
+    lean, across, along = reference.ellipse(factor).unbind(1)
+    inverse = torch.stack([1 / across, lean / across, lean / across, lean**2 / across + 1 / along], dim=1)
+    torch.testing.assert_close(inverse.reshape(-1, 2, 2), torch.linalg.inv(covariance), rtol=1e-9, atol=1e-12)
+    torch.testing.assert_close(across * along, torch.linalg.det(covariance), rtol=1e-8, atol=0)
 
 
 def test_the_jacobian_is_the_derivative_of_the_projection_inside_the_frustum():

@@ -144,7 +144,7 @@ def test_whole_numbers_are_no_parameters(program, dtype):
 @PROGRAMS
 @pytest.mark.parametrize("name, value", [
     ("time", math.nan), ("time", math.inf), ("time", "noon"), ("time", None), ("duration", 0.0), ("duration", -1.0),
-    ("duration", math.nan), ("near", -0.1), ("near", math.inf), ("background", (0.0, 1.0)), ("background", 1.0),
+    ("duration", math.nan), ("duration", 1e-300), ("near", -0.1), ("near", math.inf), ("background", (0.0, 1.0)), ("background", 1.0),
     ("background", (0.0, math.nan, 0.0)), ("background", (1e300, 0.0, 0.0)), ("outputs", ("colour",)),
     ("sh_degree", 4), ("fourier_order", -1),
 ])
@@ -163,6 +163,7 @@ def test_a_camera_that_is_none_is_refused(changes: dict, named: str):
     assert str(error.value).startswith("camera: ") and "\n" not in str(error.value)
 
 
-def test_flow_without_its_time_is_refused():
+@pytest.mark.parametrize("flow_dt", [None, math.nan, -math.inf, 1e300])
+def test_flow_without_its_time_is_refused(flow_dt: float | None):
     with pytest.raises(ValueError, match="^flow_dt must be finite"):
-        Request(plain_request().camera, outputs=("flow",))
+        Request(plain_request().camera, outputs=("flow",), flow_dt=flow_dt)

@@ -78,9 +78,9 @@ def test_without_thresholds_everything_in_front_counts() -> None:
     rows, columns = torch.meshgrid(torch.arange(camera.height), torch.arange(camera.width), indexing="ij")
     light = torch.ones(camera.height, camera.width, dtype=torch.float64)
     image = torch.zeros(3, camera.height, camera.width, dtype=torch.float64)
-    for center, (xx, xy, yy), opacity, color in zip(splats.center, splats.conic, splats.opacity, splats.features):
+    for center, (k, v, c), opacity, color in zip(splats.center, splats.ellipse, splats.opacity, splats.features):
         dx, dy = columns.double() + 0.5 - center[0], rows.double() + 0.5 - center[1]
-        alpha = (opacity * torch.exp(-0.5 * (xx * dx * dx + 2 * xy * dx * dy + yy * dy * dy))).clamp(max=0.99)
+        alpha = (opacity * torch.exp(-0.5 * ((dx + k * dy) ** 2 / v + dy * dy / c))).clamp(max=0.99)
         image += color[:, None, None] * alpha * light
         light *= 1 - alpha
     found = render_twin(workload, workload.image_gradient(), NONE).color

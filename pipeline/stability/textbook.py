@@ -34,10 +34,10 @@ def covariance_2d(gaussians: Gaussians, mean_cam: Tensor, request: Request) -> T
     return spread + reference.DILATION * torch.eye(2, dtype=spread.dtype)
 
 
-def conic(covariance: Tensor) -> Tensor:
-    """(N, 3) xx, xy, yy of the inverse, its determinant a difference too."""
+def ellipse(covariance: Tensor) -> Tensor:
+    """(k, V, C) (N, 3) as `reference.ellipse`, the determinant a difference."""
     xx, xy, yy = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
-    return torch.stack([yy, -xy, xx], dim=-1) / (xx * yy - xy * xy)[:, None]
+    return torch.stack([-xy / yy, (xx * yy - xy * xy) / yy, yy], dim=-1)
 
 
 def indefinite(gaussians: Gaussians, request: Request) -> int:
@@ -60,7 +60,7 @@ def rasterize(gaussians: Gaussians, **arguments) -> RenderOutput:
     mean_cam = reference.world_to_camera(sliced.mean, request.camera)
     features = torch.cat([reference.colors(gaussians, sliced, request), mean_cam[:, 2:]], dim=1)
     splats = Splats(index, reference.project_point(mean_cam, request.camera),
-                    conic(covariance_2d(gaussians, mean_cam, request)),
+                    ellipse(covariance_2d(gaussians, mean_cam, request)),
                     reference.opacity(gaussians.opacity_logit) * sliced.presence, features)
     sums, transmittance = blend(splats, request.camera)
     behind = torch.tensor(request.background, dtype=sums.dtype)

@@ -40,7 +40,7 @@ def render_twin(workload: Workload, d_color: Tensor, thresholds: Thresholds,
     rows = _rows_in_reach(everything, workload, thresholds)
     leaves = {name: tensor[rows].requires_grad_() for name, tensor in everything.tensors().items()}
     splats = reference.make_splats(Gaussians(**{"quat_right": None, **leaves}), request, thresholds.min_presence)
-    made = [splats.center, splats.conic, splats.opacity, splats.features]
+    made = [splats.center, splats.ellipse, splats.opacity, splats.features]
     cut = [tensor.detach().requires_grad_() for tensor in made]
     detached = Splats(splats.index, *cut)
     pixels = pixel_centers(request.camera, dtype).reshape(-1, 2)
@@ -70,7 +70,8 @@ def _rows_in_reach(gaussians: Gaussians, workload: Workload, thresholds: Thresho
     splats = reference.make_splats(gaussians, workload.request(), thresholds.min_presence)
     size = splats.center.new_tensor([camera.width, camera.height])
     offset = splats.center - splats.center.clamp(min=torch.zeros_like(size), max=size)
-    xx, xy, yy = splats.conic.unbind(-1)
+    lean, across, along = splats.ellipse.unbind(-1)
+    xx, xy, yy = 1 / across, lean / across, lean**2 / across + 1 / along  # of Σ⁻¹
     smaller = (0.5 * (xx + yy) - torch.hypot(0.5 * (xx - yy), xy)).clamp(min=0)
     bound = splats.opacity * torch.exp(-0.5 * smaller * (offset * offset).sum(dim=1))
     return splats.index[bound >= NEGLIGIBLE].sort().values

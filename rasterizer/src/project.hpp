@@ -107,11 +107,16 @@ SPLAT_INLINE void project_backward(const Projection<motion, Real>& p, const Slic
                                    Real (&d_factor)[3][kAxes<motion>]) {
     constexpr int kColumns = kAxes<motion>;
     const ScalarOf<Real> focal[2] = {c.fx, c.fy};
-    // k = -cov_xy/C, V = cov_xx - cov_xy²/C, C = cov_yy; with r = b₀ + k b₁ nothing is subtracted that is large
+    // k = -cov_xy/C, V = cov_xx - cov_xy²/C, C = cov_yy. r = b₀ + k b₁ cancels along a needle, so it is taken from
+    // the minors: C r_j = 0.3 b₀_j + Σ_i b₁_i (b₀_j b₁_i - b₀_i b₁_j).
     const Real d_lean = d.lean * p.inverse_along, two(2.f);
     Real d_b[2][kColumns];
     for (int j = 0; j < kColumns; ++j) {
-        const Real r = p.b[0][j] + p.lean * p.b[1][j], d_r = two * d.across * r;
+        Real r = Real(kDilation) * p.b[0][j];
+        for (int i = 0; i < kColumns; ++i)
+            if (i != j) r += p.b[1][i] * (p.b[0][j] * p.b[1][i] - p.b[0][i] * p.b[1][j]);
+        r *= p.inverse_along;
+        const Real d_r = two * d.across * r;
         d_b[0][j] = d_r - d_lean * p.b[1][j];
         d_b[1][j] = two * d.along * p.b[1][j] + p.lean * d_r - d_lean * (r + p.lean * p.b[1][j]);
     }
