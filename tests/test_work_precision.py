@@ -189,6 +189,8 @@ def test_verdicts_follow_from_the_numbers() -> None:
     assert degree.startswith('Exp degree: the default is not on the front of time and maximum image error: "label of '
                              'better" takes 25.0 % less time, its error is 4.0e-02 against 5.0e-02')
     assert "not on the front" in together
+    again = [*POINTS, point("again", "built again", 18.0, 0.05)]
+    assert "10.0 %" in verdicts(again)[0]
     level = point("level", "exp degree", 19.9, 0.0498)
     assert " not " not in verdicts([p if p.name != "better" else level for p in POINTS])[3]  # noise is 2 %
 

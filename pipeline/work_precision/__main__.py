@@ -48,7 +48,7 @@ def main(arguments: list[str] | None = None) -> int:
     keep_freed_memory()
     torch.set_num_threads(1)
     variants = [v for v in all_variants() if not options.only or v.name in (*options.only, DEFAULT)]
-    print(f"building {len({v.name for v in variants if v.choices.definitions()})} kernels", flush=True)
+    print(f"building {len({v.name for v in variants if v.is_built})} kernels", flush=True)
     try:
         kernels = load_variants(variants)
         workload = workload_of(options.run, print) if options.run else make_workload(options.workload)

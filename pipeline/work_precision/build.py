@@ -33,7 +33,7 @@ def load_variants(variants: Sequence[Variant], folder: Path = SOURCE / "build") 
 
     Raises BuildError when there is no CMake or no compiler, or when either fails.
     """
-    own = [variant for variant in variants if variant.choices != Choices()]
+    own = [variant for variant in variants if variant.is_built]
     others = {variant.name: kernel for variant in variants if variant not in own}
     if own:
         _build(own, folder)

@@ -39,7 +39,7 @@ def draw(points: Sequence[Point], title: str, theme: Theme = LIGHT) -> str:
             beyond = 0
             for trade, colour, marker in zip(trades, _COLOURS, _MARKERS, strict=False):
                 line = [p for p in timed if p.trade == trade]
-                ordered = {} if trade == "culling and masks" else {"lw": 0.8}
+                ordered = {} if trade in ("culling and masks", "built again") else {"lw": 0.8}
                 axis.plot([min(p.milliseconds, edge) for p in line], [getattr(p.errors, name) for p in line],
                           marker=marker, color=colour, ms=6, label=trade, **{"lw": 0, **ordered})
                 for p in line:

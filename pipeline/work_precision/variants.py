@@ -50,6 +50,11 @@ class Variant:
     choices: Choices = Choices()
     sh_type: torch.dtype | None = None  # coefficients rounded to it before rendering; None: float32 as they are
 
+    @property
+    def is_built(self) -> bool:
+        """Whether it is a kernel of its own, not the package's."""
+        return self.name != DEFAULT and self.sh_type is None
+
 
 # A trade-off, and the twin's thresholds that its own error leaves standing: those that it sets are zero.
 TRADES = {
@@ -60,8 +65,10 @@ TRADES = {
     "culling and masks": Thresholds(),
     "SH precision": Thresholds(),
     "several at once": Thresholds(0, 0, 0),
+    "built again": Thresholds(),
 }
 DEFAULT = "default"
+AGAIN = "again"  # the same choices in another module: what its time differs by says nothing of any choice
 
 
 def _digits(value: float) -> str:
@@ -99,6 +106,7 @@ def all_variants() -> list[Variant]:
         *(_row("several at once", name, f"p >= {p:g}, α' >= {label}, T >= {stop:g}, degree {degree}",
                min_presence=p, min_alpha=alpha, min_transmittance=stop, exp_degree=degree)
           for name, p, label, alpha, stop, degree in several),
+        Variant(DEFAULT, "built again", "the package's own"), Variant(AGAIN, "built again", "built like the others"),
     ]
 
 
