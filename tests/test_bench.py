@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from rasterizer import Frame, reference
+from rasterizer import reference
 from rasterizer.bench.measure import count, torch_loss
 from rasterizer.bench.workloads import SplitMix64, make_workload
 from rasterizer.loss import L1Ssim

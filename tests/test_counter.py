@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -18,6 +19,7 @@ from datasets.synthetic.film import depth_of, film
 from datasets.synthetic.rig import HALF_HEIGHT, HALF_WIDTH, RADIUS, grid, rig
 from datasets.synthetic.scenes.counter import FAR
 from datasets.synthetic.trace import trace
+from datasets.synthetic.video import FRAME_RATE
 from datasets.synthetic.world import World
 from datasets.synthetic.write_film import BACKDROP, Shooting
 from rasterizer.camera import Camera
@@ -185,7 +187,7 @@ def test_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     lines = capsys.readouterr().out.splitlines()
     assert lines[:3] == ["1/3 cameras", "2/3 cameras", "3/3 cameras"]
     assert "3 cameras, 2 frames each, 32 pixels wide" in lines[3] and len(lines) == 4
-    assert len(read_video(tmp_path / "out" / "cam02.mp4")) == 2
+    assert cv2.VideoCapture(str(tmp_path / "out" / "cam02.mp4")).get(cv2.CAP_PROP_FRAME_COUNT) == 2
 
 
 def test_only_who_films_needs_the_encoder() -> None:

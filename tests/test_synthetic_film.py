@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from datasets.synthetic.film import film, to_pixels
+from datasets.synthetic.rig import rig
 from datasets.synthetic.shapes import Dome, Rectangle, Sphere
 from datasets.synthetic.texture import mosaic, plain
 from datasets.synthetic.trace import trace

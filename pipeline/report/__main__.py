@@ -43,10 +43,11 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
-def write_report(runs_dir: Path, out: Path, no_pictures: tuple[str, ...] = ()) -> None:
+def write_report(runs_dir: Path, out: Path, no_pictures: tuple[str, ...] = (), levels: tuple[float, ...] = ()) -> None:
     """Reads `runs_dir`, writes everything under `out`, prints the summary and the tables that compare.
 
-    no_pictures: scenes or families of scenes without strips and without a picture of their points.
+    no_pictures: scenes or families of scenes without strips and without a picture of their points. levels: dB, of the
+    table of seconds to a PSNR.
     """
     collection = name_variants(collect(runs_dir))
     strips, strip_warnings = make_strips(collection.runs, no_pictures)

@@ -19,7 +19,8 @@ namespace splat {
 // ln alpha is concave, so over a rectangle it is largest on the side facing the mean: try the nearest column
 // and the nearest row, each at its best point.
 SPLAT_INLINE unsigned blocks_under_ellipse(const Splat& s, float tile_x, float tile_y) {
-    const Float x0 = Float::load(kBlockCorner.x) + Float(tile_x), y0 = Float::load(kBlockCorner.y) + Float(tile_y);
+    const Float x0 = Float::load(kBlockCorner.x) + Float(tile_x),
+                y0 = Float::load(kBlockCorner.y) + Float(tile_y);
     const Float x1 = x0 + Float(kBlock - 1.f), y1 = y0 + Float(kBlock - 1.f);
     const Float px = clamp(s.x, x0, x1), py = clamp(s.y, y0, y1);
     // On column px: across k (px - x₀ + k py) + along (py - y) = 0. On row py: px - x₀ + k py = 0.
@@ -41,8 +42,8 @@ SPLAT_INLINE unsigned blocks_under_rectangle(const Splat& s, float tile_x, float
 
 // The blocks to blend a splat into: a bit each, none if it does not touch the tile.
 SPLAT_INLINE unsigned touched_blocks(const Splat& s, float tile_x, float tile_y) {
-    const unsigned touched = kExactCulling ? blocks_under_ellipse(s, tile_x, tile_y)
-                                           : blocks_under_rectangle(s, tile_x, tile_y);
+    const unsigned touched =
+        kExactCulling ? blocks_under_ellipse(s, tile_x, tile_y) : blocks_under_rectangle(s, tile_x, tile_y);
     return kBlockMasks || !touched ? touched : 0xffff;
 }
 

@@ -70,13 +70,15 @@ inline void blend_backward_tile(Frame& f, int tile, const InputPlanes& rendered,
         const float* value = f.extras.data() + static_cast<size_t>(place) * kExtraStride;
         Float sum[4 * kGroups];
         for (auto& v : sum) v = 0.f;
-        const Float px0 = lane_x + Float(static_cast<float>(span.x)), py0 = lane_y + Float(static_cast<float>(span.y));
+        const Float px0 = lane_x + Float(static_cast<float>(span.x)),
+                    py0 = lane_y + Float(static_cast<float>(span.y));
         unsigned blocks = f.entry_mask[e] & bits(last > Float(static_cast<float>(e - span.begin)));
         for (; blocks; blocks &= blocks - 1) {
             const int b = __builtin_ctz(blocks);
             const Float px = px0 + Float(kBlockCorner.x[b]), py = py0 + Float(kBlockCorner.y[b]);
             const Float across = across_of(s, px, py), along_axis = py - Float(s.y);
-            const Float power = log2_alpha_of(s, across, along_axis), T = u.transmittance[b], peak = exp2_fast(power);
+            const Float power = log2_alpha_of(s, across, along_axis), T = u.transmittance[b],
+                        peak = exp2_fast(power);
             Float alpha = zero_unless(power >= Float(kLog2MinAlpha), min(peak, kMaxAlpha));
             const Float through = Float(1.f) - alpha, next = T * through;
             const Mask live = next >= Float(kMinTransmittance);

@@ -1,5 +1,6 @@
 // The numerical choices: each trades accuracy for time, and none is part of the model. `python -m
-// pipeline.work_precision` builds the kernel with others (by the macros) and measures what each costs and saves.
+// pipeline.work_precision` builds the kernel with others (by the macros) and measures what each costs and
+// saves.
 #pragma once
 
 #ifndef RASTERIZER_MIN_PRESENCE

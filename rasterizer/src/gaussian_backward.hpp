@@ -85,7 +85,8 @@ inline void backward_sixteen(const Frame& f, const Parameters& p, uint32_t place
         d_stored.quat_right[k] = back.value[back.kRight + k];
     }
     const Float d_pixel[2] = {back.value[back.kPixel], back.value[back.kPixel + 1]};
-    const Float offset[3] = {back.value[back.kOffset], back.value[back.kOffset + 1], back.value[back.kOffset + 2]};
+    const Float offset[3] = {back.value[back.kOffset], back.value[back.kOffset + 1],
+                             back.value[back.kOffset + 2]};
     Float turns(0.f);
     if constexpr (order > 0) turns = turns_of(stored.mean[3], f.exact_camera, s.duration);
     const Viewing view = viewing(offset, turns);

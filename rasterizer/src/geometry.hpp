@@ -31,8 +31,8 @@ template <class Real>
 SPLAT_INLINE UnitQuaternion<Real> normalise(const Real (&q)[4]) {
     const Real largest = max(max(abs(q[0]), abs(q[1])), max(abs(q[2]), abs(q[3])));
     const MaskOf<Real> usable = largest > Real(0.f);
-    const Real scale =
-        select(largest < Real(0x1p-40f), Real(0x1p100f), select(largest > Real(0x1p40f), Real(0x1p-100f), Real(1.f)));
+    const Real scale = select(largest < Real(0x1p-40f), Real(0x1p100f),
+                              select(largest > Real(0x1p40f), Real(0x1p-100f), Real(1.f)));
     Real s[4], norm2(0.f);
     for (int i = 0; i < 4; ++i) {
         s[i] = q[i] * scale;
@@ -69,7 +69,8 @@ SPLAT_INLINE Real right_matrix(const UnitQuaternion<Real>& u, int i, int j) {
 
 // The 4D rotation L(ql) R(qr).
 template <class Real>
-SPLAT_INLINE void rotation_4d(const UnitQuaternion<Real>& left, const UnitQuaternion<Real>& right, Real (&R)[4][4]) {
+SPLAT_INLINE void rotation_4d(const UnitQuaternion<Real>& left, const UnitQuaternion<Real>& right,
+                              Real (&R)[4][4]) {
 #pragma GCC unroll 4
     for (int i = 0; i < 4; ++i)
 #pragma GCC unroll 4
@@ -176,7 +177,8 @@ struct Slice {
 inline constexpr float kMinTimeVariance = 1e-30f;
 
 template <Motion motion, class Real>
-SPLAT_INLINE Slice<motion, Real> slice_in_time(const Stored<motion, Real>& s, const CameraOf<ScalarOf<Real>>& c) {
+SPLAT_INLINE Slice<motion, Real> slice_in_time(const Stored<motion, Real>& s,
+                                               const CameraOf<ScalarOf<Real>>& c) {
     Slice<motion, Real> g;
     g.left = normalise(s.quat_left);
     constexpr int kDims = motion == Motion::kStatic ? 3 : 4;
@@ -187,14 +189,15 @@ SPLAT_INLINE Slice<motion, Real> slice_in_time(const Stored<motion, Real>& s, co
         for (int i = 0; i < 4; ++i)
             for (int j = 0; j < 4; ++j) g.axes[i][j] *= g.scale[j];
         const Real(&m_t)[4] = g.axes[3];
-        g.var_t =
-            max(m_t[0] * m_t[0] + m_t[1] * m_t[1] + m_t[2] * m_t[2] + m_t[3] * m_t[3], Real(kMinTimeVariance));
+        g.var_t = max(m_t[0] * m_t[0] + m_t[1] * m_t[1] + m_t[2] * m_t[2] + m_t[3] * m_t[3],
+                      Real(kMinTimeVariance));
     } else {
         Real R[3][3];
         rotation_3d(g.left, R);
         for (int i = 0; i < 3; ++i)
             for (int j = 0; j < 3; ++j) g.axes[i][j] = R[i][j] * g.scale[j];
-        if constexpr (motion == Motion::kSeparable) g.var_t = max(g.scale[3] * g.scale[3], Real(kMinTimeVariance));
+        if constexpr (motion == Motion::kSeparable)
+            g.var_t = max(g.scale[3] * g.scale[3], Real(kMinTimeVariance));
     }
     if constexpr (motion == Motion::kStatic) {
         g.log2_marginal = 0.f;
@@ -248,15 +251,14 @@ struct StoredGradient {
 
 template <Motion motion, class Real>
 SPLAT_INLINE StoredGradient<motion, Real> slice_in_time_backward(const Slice<motion, Real>& g,
-                                                           const SliceGradient<motion, Real>& d) {
+                                                                 const SliceGradient<motion, Real>& d) {
     StoredGradient<motion, Real> out;
     for (int i = 0; i < 3; ++i) out.mean[i] = d.mean[i];
     if constexpr (motion == Motion::kFull) {
         const Real(&m_t)[4] = g.axes[3];
         // A = M - h m_tᵀ,  μ(t) = μ + h dt,  h = u / Σtt,  u = M_xyz m_t,  ln p = -½ dt² / Σtt
         Real d_axes[4][4], d_dt = d.dt - d.log_marginal * g.dt * g.inverse_var;
-        Real d_var =
-            d.var_t + d.log_marginal * Real(0.5f) * (g.dt * g.inverse_var) * (g.dt * g.inverse_var);
+        Real d_var = d.var_t + d.log_marginal * Real(0.5f) * (g.dt * g.inverse_var) * (g.dt * g.inverse_var);
         for (int j = 0; j < 4; ++j) d_axes[3][j] = 0.f;
         for (int i = 0; i < 3; ++i) {
             Real d_h = d.mean[i] * g.dt + d.velocity[i];

@@ -9,14 +9,15 @@ namespace splat {
 // Where the rounding of sixteen Gaussians' geometry shows. R is good to 6e-8 of its largest entry, so
 // - an axis of kLongPixels is 6e-5 pixels wrong at its end;
 // - the way moved since μt is wrong by as much of what it would be if the axes were at their worst angle; a
-//   tenth of that counts, for scenes whose unit of time is much longer than that of length would all be caught;
-//   some of the lifetime counts as moved even at μt, where gradients still depend on the speed;
+//   tenth of that counts, for scenes whose unit of time is much longer than that of length would all be
+//   caught; some of the lifetime counts as moved even at μt, where gradients still depend on the speed;
 // - Σtt, and with it p(t), where its axes are kShortInTime of what they would be at that angle.
 inline constexpr float kLongPixels = 1000.f, kMotionShare = 0.1f, kLifetimeShare = 0.3f;
 inline constexpr float kShortInTime = 1e-3f;
 
 template <Motion motion>
-SPLAT_INLINE Mask rounding_shows(const Slice<motion, Float>& g, const Projection<motion, Float>& p, const Camera& c) {
+SPLAT_INLINE Mask rounding_shows(const Slice<motion, Float>& g, const Projection<motion, Float>& p,
+                                 const Camera& c) {
     const Float pixels_per_unit = abs(p.inverse_z) * Float(std::max(c.fx, c.fy));
     Float reach = max(max(g.scale[0], g.scale[1]), g.scale[2]);
     Mask fine = Float(0.f) >= Float(0.f);
@@ -138,8 +139,8 @@ SPLAT_INLINE Carried<Real> carry_back(const Slice<motion, Real>& g, const Projec
     if (s.flow) {
         if constexpr (motion == Motion::kFull) {
             const Real d_flow[2] = {slot[extra], slot[extra + 1]};
-            flow_backward<Real>(flow_of<Real>(g, p, c, s.flow_dt, s.near_plane), c, s.flow_dt, d_flow, d.pixel,
-                                d_mean_flow, d_slice.velocity);
+            flow_backward<Real>(flow_of<Real>(g, p, c, s.flow_dt, s.near_plane), c, s.flow_dt, d_flow,
+                                d.pixel, d_mean_flow, d_slice.velocity);
         }
         extra += 2;
     }

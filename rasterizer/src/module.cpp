@@ -62,8 +62,8 @@ struct Model {
 using Exact = splat::CameraOf<double>;
 
 // position: the camera's centre. The moment comes with the view.
-Exact camera_from(int width, int height, const std::vector<double>& intrinsics, Array<const double> world_to_cam,
-                  const std::vector<double>& position) {
+Exact camera_from(int width, int height, const std::vector<double>& intrinsics,
+                  Array<const double> world_to_cam, const std::vector<double>& position) {
     Exact c{width, height, intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3], {}, {}, {}, 0.0, 0.0};
     for (int i = 0; i < 3; ++i) {
         for (int j = 0; j < 3; ++j) c.rotation[i][j] = world_to_cam.data()[4 * i + j];

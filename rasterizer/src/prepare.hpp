@@ -11,11 +11,12 @@
 
 namespace splat {
 
-// Σtt's time row is R's times the scales, R good to 1e-7: Σtt at most so much larger, in parts of itself and of
-// the largest scale's square. What is let in wrongly is left out after its slice.
+// Σtt's time row is R's times the scales, R good to 1e-7: Σtt at most so much larger, in parts of itself and
+// of the largest scale's square. What is let in wrongly is left out after its slice.
 inline constexpr float kVarianceSlack = 1e-4f, kScaleSlack = 1e-8f;
 
-// Ids of the chunk's Gaussians that may have p(t) >= 0.05, packed; returns how many. Only M's time row is computed.
+// Ids of the chunk's Gaussians that may have p(t) >= 0.05, packed; returns how many. Only M's time row is
+// computed.
 template <Motion motion>
 inline int cull_in_time(const Parameters& p, uint32_t first, uint32_t last, const Camera& c,
                         uint32_t* alive) {
@@ -83,7 +84,8 @@ struct Packed {
     Float at(int field, int i) const { return Float::load(&value[field][i]); }
 };
 
-// (t - μt)/T less the nearest integer, in double: after a million turns float32 has no digit of the last one left.
+// (t - μt)/T less the nearest integer, in double: after a million turns float32 has no digit of the last one
+// left.
 SPLAT_INLINE Float turns_of(const Float& mean_t, const CameraOf<double>& c, double duration) {
     alignas(64) float lane[kLanes];
     mean_t.store(lane);
@@ -97,8 +99,8 @@ SPLAT_INLINE Float turns_of(const Float& mean_t, const CameraOf<double>& c, doub
 
 // Returns how many have p(t) >= 0.05.
 template <Motion motion>
-inline int project_chunk(const Parameters& p, const Camera& c, const CameraOf<double>& exact, const Settings& s,
-                         uint32_t* alive, int alive_count, Packed& out) {
+inline int project_chunk(const Parameters& p, const Camera& c, const CameraOf<double>& exact,
+                         const Settings& s, uint32_t* alive, int alive_count, Packed& out) {
     using See = Seen<Float>;
     out.count = 0;
     int in_time = 0;
@@ -115,9 +117,10 @@ inline int project_chunk(const Parameters& p, const Camera& c, const CameraOf<do
         Float half_width = sqrt(reach2 * v[See::kVarianceX]), half_height = sqrt(reach2 * v[See::kVarianceY]);
         const unsigned present = bits(v[See::kLog2Marginal] >= Float(kLog2MinPresence)) & wanted;
         in_time += __builtin_popcount(present);
-        Mask seen = (v[See::kDepth] > Float(s.near_plane)) & (reach2 > Float(0.f)) &
-                    (v[See::kX] + half_width >= Float(0.f)) & (v[See::kX] - half_width <= Float(c.width - 1.f)) &
-                    (v[See::kY] + half_height >= Float(0.f)) & (v[See::kY] - half_height <= Float(c.height - 1.f));
+        Mask seen =
+            (v[See::kDepth] > Float(s.near_plane)) & (reach2 > Float(0.f)) &
+            (v[See::kX] + half_width >= Float(0.f)) & (v[See::kX] - half_width <= Float(c.width - 1.f)) &
+            (v[See::kY] + half_height >= Float(0.f)) & (v[See::kY] - half_height <= Float(c.height - 1.f));
         const unsigned keep = bits(seen) & present;
         if (!keep) continue;
         const Float mid = Float(0.5f) * (v[See::kVarianceX] + v[See::kVarianceY]);
@@ -229,7 +232,8 @@ inline void prepare(Frame& f, const Parameters& p) {
             const uint32_t first = static_cast<uint32_t>(c) * kChunk,
                            last = std::min(p.count, first + kChunk);
             const int n = cull_in_time<motion>(p, first, last, f.camera, alive);
-            f.chunk_alive[c] = project_chunk<motion>(p, f.camera, f.exact_camera, f.settings, alive, n, packed);
+            f.chunk_alive[c] =
+                project_chunk<motion>(p, f.camera, f.exact_camera, f.settings, alive, n, packed);
             color_and_stage<order, differentiable>(
                 p, f.settings, packed, f.staged.data() + first,
                 differentiable ? f.color_slope.data() + first : nullptr,

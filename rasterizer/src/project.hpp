@@ -2,8 +2,8 @@
 //
 // With W the camera's rotation, J the Jacobian of the pinhole at the mean and A the factor of Σ(t):
 //     B = J W A (2×k),  Σ2d = B Bᵀ + 0.3 I,  det Σ2d = Σ (2×2 minors of B)² + 0.3 |B|² + 0.09 (Cauchy–Binet).
-// cxx cyy - cxy² would cancel for long streaks; the sum of squares cannot. Nor can Σ2d⁻¹ as a sum of two squares,
-// which is what blending evaluates: with C = cyy, k = -cxy/C and V = det/C,
+// cxx cyy - cxy² would cancel for long streaks; the sum of squares cannot. Nor can Σ2d⁻¹ as a sum of two
+// squares, which is what blending evaluates: with C = cyy, k = -cxy/C and V = det/C,
 //     dᵀ Σ2d⁻¹ d = (dx + k dy)²/V + dy²/C,   dx + k dy = (px - x₀) + k py,   x₀ = x + k y.
 #pragma once
 
@@ -15,10 +15,10 @@ template <Motion motion, class Real>
 struct Projection {
     Real cam[3];  // μ(t) in the camera's frame
     Real inverse_z;
-    Real slope[2];          // x/z, y/z
-    Real clamped_slope[2];  // the same inside 1.3 × the field of view
-    MaskOf<Real> slope_free[2];      // not clamped
-    Real jw[2][3];          // J W
+    Real slope[2];               // x/z, y/z
+    Real clamped_slope[2];       // the same inside 1.3 × the field of view
+    MaskOf<Real> slope_free[2];  // not clamped
+    Real jw[2][3];               // J W
     Real b[2][kAxes<motion>];
     Real cov_xx, cov_xy, cov_yy;
     Real lean, intercept, inverse_across, inverse_along;  // Σ2d⁻¹ as two squares, see above
@@ -35,20 +35,23 @@ struct FrustumLimits {
 };
 
 template <class Real>
-SPLAT_INLINE void world_to_camera(const CameraOf<ScalarOf<Real>>& c, const Real (&offset)[3], Real (&cam)[3]) {
+SPLAT_INLINE void world_to_camera(const CameraOf<ScalarOf<Real>>& c, const Real (&offset)[3],
+                                  Real (&cam)[3]) {
     for (int i = 0; i < 3; ++i)
         cam[i] = Real(c.rotation[i][0]) * offset[0] + Real(c.rotation[i][1]) * offset[1] +
                  Real(c.rotation[i][2]) * offset[2];
 }
 template <class Real>
-SPLAT_INLINE void camera_to_world_direction(const CameraOf<ScalarOf<Real>>& c, const Real (&cam)[3], Real (&world)[3]) {
+SPLAT_INLINE void camera_to_world_direction(const CameraOf<ScalarOf<Real>>& c, const Real (&cam)[3],
+                                            Real (&world)[3]) {
     for (int i = 0; i < 3; ++i)
         world[i] = Real(c.rotation[0][i]) * cam[0] + Real(c.rotation[1][i]) * cam[1] +
                    Real(c.rotation[2][i]) * cam[2];
 }
 
 template <Motion motion, class Real>
-SPLAT_INLINE Projection<motion, Real> project(const Slice<motion, Real>& g, const CameraOf<ScalarOf<Real>>& c) {
+SPLAT_INLINE Projection<motion, Real> project(const Slice<motion, Real>& g,
+                                              const CameraOf<ScalarOf<Real>>& c) {
     constexpr int kColumns = kAxes<motion>;
     const FrustumLimits<Real> limit(c);
     const ScalarOf<Real> focal[2] = {c.fx, c.fy}, centre[2] = {c.cx, c.cy};
@@ -95,20 +98,20 @@ template <class Real>
 struct ProjectionGradient {
     Real pixel[2];
     Real lean, across, along;  // of k, V and C, each with the two others held
-    Real depth;    // of z, directly
-    Real flow[2];  // of proj(μ(t+δ)) - proj(μ(t)); read only when the frame has flow
+    Real depth;                // of z, directly
+    Real flow[2];              // of proj(μ(t+δ)) - proj(μ(t)); read only when the frame has flow
 };
 
 // ∂L/∂μ(t) and ∂L/∂A. d_cam_flow, d_slope_flow: what flow adds to the camera-frame mean and the slopes, else
 // zeros.
 template <Motion motion, class Real>
-SPLAT_INLINE void project_backward(const Projection<motion, Real>& p, const Slice<motion, Real>& g, const CameraOf<ScalarOf<Real>>& c,
-                                   const ProjectionGradient<Real>& d, Real (&d_mean)[3],
-                                   Real (&d_factor)[3][kAxes<motion>]) {
+SPLAT_INLINE void project_backward(const Projection<motion, Real>& p, const Slice<motion, Real>& g,
+                                   const CameraOf<ScalarOf<Real>>& c, const ProjectionGradient<Real>& d,
+                                   Real (&d_mean)[3], Real (&d_factor)[3][kAxes<motion>]) {
     constexpr int kColumns = kAxes<motion>;
     const ScalarOf<Real> focal[2] = {c.fx, c.fy};
-    // k = -cov_xy/C, V = cov_xx - cov_xy²/C, C = cov_yy. r = b₀ + k b₁ cancels along a needle, so it is taken from
-    // the minors: C r_j = 0.3 b₀_j + Σ_i b₁_i (b₀_j b₁_i - b₀_i b₁_j).
+    // k = -cov_xy/C, V = cov_xx - cov_xy²/C, C = cov_yy. r = b₀ + k b₁ cancels along a needle, so it is taken
+    // from the minors: C r_j = 0.3 b₀_j + Σ_i b₁_i (b₀_j b₁_i - b₀_i b₁_j).
     const Real d_lean = d.lean * p.inverse_along, two(2.f);
     Real d_b[2][kColumns];
     for (int j = 0; j < kColumns; ++j) {
@@ -155,8 +158,8 @@ struct Flow {
     MaskOf<Real> valid;
 };
 template <class Real>
-SPLAT_INLINE Flow<Real> flow_of(const Slice<Motion::kFull, Real>& g, const Projection<Motion::kFull, Real>& p, const CameraOf<ScalarOf<Real>>& c,
-                          float flow_dt, float near_plane) {
+SPLAT_INLINE Flow<Real> flow_of(const Slice<Motion::kFull, Real>& g, const Projection<Motion::kFull, Real>& p,
+                                const CameraOf<ScalarOf<Real>>& c, float flow_dt, float near_plane) {
     Flow<Real> f;
     Real later[3];
     for (int i = 0; i < 3; ++i) later[i] = g.offset[i] + g.velocity[i] * Real(flow_dt);
@@ -172,8 +175,9 @@ SPLAT_INLINE Flow<Real> flow_of(const Slice<Motion::kFull, Real>& g, const Proje
 }
 // Adds to ∂L/∂μ(t) and ∂L/∂h; the part through proj(μ(t)) goes into d_pixel.
 template <class Real>
-SPLAT_INLINE void flow_backward(const Flow<Real>& f, const CameraOf<ScalarOf<Real>>& c, float flow_dt, const Real (&d_flow)[2],
-                                Real (&d_pixel)[2], Real (&d_mean)[3], Real (&d_velocity)[3]) {
+SPLAT_INLINE void flow_backward(const Flow<Real>& f, const CameraOf<ScalarOf<Real>>& c, float flow_dt,
+                                const Real (&d_flow)[2], Real (&d_pixel)[2], Real (&d_mean)[3],
+                                Real (&d_velocity)[3]) {
     const ScalarOf<Real> focal[2] = {c.fx, c.fy};
     Real d_cam[3], d_inverse_z(0.f), d_later[3];
     for (int a = 0; a < 2; ++a) {

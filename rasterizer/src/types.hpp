@@ -37,8 +37,9 @@ struct Parameters {
     int stored_order;            // Fourier orders stored beyond 0
 };
 
-// A pinhole and the moment it looks at, in float or double. With Scalar = float, centre and time have a second
-// float each for what the first cannot hold: μ - centre and t - μt keep their digits far from any origin.
+// A pinhole and the moment it looks at, in float or double. With Scalar = float, centre and time have a
+// second float each for what the first cannot hold: μ - centre and t - μt keep their digits far from any
+// origin.
 template <class Scalar>
 struct CameraOf {
     int width, height;
@@ -50,8 +51,17 @@ struct CameraOf {
 using Camera = CameraOf<float>;
 
 inline Camera rounded(const CameraOf<double>& c) {
-    Camera r{c.width, c.height, static_cast<float>(c.fx), static_cast<float>(c.fy), static_cast<float>(c.cx),
-             static_cast<float>(c.cy), {}, {}, {}, 0.f, 0.f};
+    Camera r{c.width,
+             c.height,
+             static_cast<float>(c.fx),
+             static_cast<float>(c.fy),
+             static_cast<float>(c.cx),
+             static_cast<float>(c.cy),
+             {},
+             {},
+             {},
+             0.f,
+             0.f};
     auto split = [](double x, float& high, float& low) {
         high = static_cast<float>(x);
         low = static_cast<float>(x - static_cast<double>(high));
@@ -83,7 +93,7 @@ inline constexpr int kMaxExtra = 5;
 
 // One Gaussian on the screen: one cache line, all that blending reads.
 struct alignas(64) Splat {
-    float x, y;          // pixel coordinates of the mean; pixel (i, j)'s centre is at (i, j) here
+    float x, y;  // pixel coordinates of the mean; pixel (i, j)'s centre is at (i, j) here
     // log2 of alpha at (px, py): log2_opacity + across (px - intercept + lean py)² + along (py - y)²
     float intercept, lean, across, along;
     float log2_opacity;  // of opacity · p(t)
@@ -111,8 +121,18 @@ static_assert(sizeof(ColorSlope) == 64);
 struct alignas(64) Slot {
     float value[16];
 };
-enum SlotField { kSlotR, kSlotG, kSlotB, kSlotPower, kSlotAcross, kSlotAlong, kSlotAcross2, kSlotBoth, kSlotAlong2,
-                 kSlotExtra };
+enum SlotField {
+    kSlotR,
+    kSlotG,
+    kSlotB,
+    kSlotPower,
+    kSlotAcross,
+    kSlotAlong,
+    kSlotAcross2,
+    kSlotBoth,
+    kSlotAlong2,
+    kSlotExtra
+};
 inline constexpr int kSlotFields = 9;
 static_assert(kSlotFields + kMaxExtra <= 16);
 
