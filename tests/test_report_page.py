@@ -75,3 +75,8 @@ def test_pictures_of_a_family_can_be_left_out(tmp_path, capsys):
     assert main([str(tmp_path / "runs"), "--no-pictures", "dnerf"]) == 0
     assert [p.name.split("__")[0] for p in (tmp_path / "report/strips").glob("*.webp")] == ["synthetic_wheel"] * 2
     assert "dnerf/lego: pictures left out" in capsys.readouterr().err
+
+
+def test_variants_of_a_schedule_have_no_strips_unless_there_is_nothing_else() -> None:
+    assert _shown_schedules(pd.Series(["fast", "fast (batch=4)", "paper", "fast"])) == ["fast", "paper"]
+    assert _shown_schedules(pd.Series(["fast (batch=4)", "fast (batch=1)"])) == ["fast (batch=1)", "fast (batch=4)"]

@@ -42,10 +42,17 @@ class Strip:
         return webp_name(self.scene, self.ablation, self.train, f"seed{self.seed}", self.why, self.view)
 
 
+def _shown_schedules(trains: pd.Series) -> list[str]:
+    names = sorted(trains.unique())
+    return [name for name in names if "(" not in name] or names
+
+
 def make_strips(runs: pd.DataFrame, no_pictures: tuple[str, ...] = ()) -> tuple[list[Strip], list[str]]:
     """Strips in the report's order, and one warning line for each image that could not be read.
 
-    no_pictures: scenes (dnerf/lego) or families (dnerf) that get none; a warning line says so.
+    Schedules as they are, without the variants of them that a study compares in tables (name_variants puts what
+    they changed in brackets), unless there are only those. no_pictures: scenes (dnerf/lego) or families (dnerf) that
+    get none; a warning line says so.
     """
     strips: list[Strip] = []
     warnings: list[str] = []
@@ -53,7 +60,7 @@ def make_strips(runs: pd.DataFrame, no_pictures: tuple[str, ...] = ()) -> tuple[
         if kept_back(scene, no_pictures):
             warnings.append(f"{scene}: pictures left out, as asked (--no-pictures)")
             continue
-        for train in sorted(runs[runs["scene"] == scene]["train"].unique()):
+        for train in _shown_schedules(runs[runs["scene"] == scene]["train"]):
             group = runs[(runs["scene"] == scene) & (runs["train"] == train)]
             chosen: list[
                 tuple[str, str]

@@ -1,5 +1,4 @@
-// From stored parameters to the Gaussian at time t: rotation, slice in time, and their derivatives (paper,
-// section 3.2).
+// From stored parameters to the Gaussian at time t, its slice, and the way back (paper, section 3.2).
 //
 // Sixteen Gaussians at a time, one a lane. M = R diag(s), Σ = M Mᵀ. With m_t the time row of M:
 //     Σtt = |m_t|²,   h = Σ_xyz,t / Σtt,   μ(t) = μ_xyz + h (t - μt),   Σ(t) = A Aᵀ,   A = M_xyz - h m_tᵀ.
@@ -7,119 +6,13 @@
 // float32.
 #pragma once
 
-#include "exact.hpp"
-#include "types.hpp"
-#include "vec_move.hpp"
+#include "rotation.hpp"
 
 namespace splat {
 
 // Columns of M: the axes of the ellipsoid.
 template <Motion motion>
 inline constexpr int kAxes = motion == Motion::kFull ? 4 : 3;
-
-// 1/|q| is cut off here, so that the gradient of a denormal quaternion stays finite.
-inline constexpr float kLargestInverse = 1e30f;
-
-template <class Real>
-struct UnitQuaternion {
-    Real q[4];
-    Real inverse_norm;
-};
-
-// q/|q|; zero is read as identity. Scaled by a power of two first where a square would over- or underflow.
-template <class Real>
-SPLAT_INLINE UnitQuaternion<Real> normalise(const Real (&q)[4]) {
-    const Real largest = max(max(abs(q[0]), abs(q[1])), max(abs(q[2]), abs(q[3])));
-    const MaskOf<Real> usable = largest > Real(0.f);
-    const Real scale = select(largest < Real(0x1p-40f), Real(0x1p100f),
-                              select(largest > Real(0x1p40f), Real(0x1p-100f), Real(1.f)));
-    Real s[4], norm2(0.f);
-    for (int i = 0; i < 4; ++i) {
-        s[i] = q[i] * scale;
-        norm2 += s[i] * s[i];
-    }
-    const Real inverse = zero_unless(usable, Real(1.f) / sqrt(norm2));
-    UnitQuaternion<Real> u;
-    for (int i = 0; i < 4; ++i) u.q[i] = s[i] * inverse;
-    u.q[0] = select(usable, u.q[0], Real(1.f));
-    u.inverse_norm = min(inverse * scale, Real(kLargestInverse));
-    return u;
-}
-// ∂L/∂q from ∂L/∂(q/|q|): the part along q has no effect.
-template <class Real>
-SPLAT_INLINE void normalise_backward(const UnitQuaternion<Real>& u, const Real (&d_unit)[4], Real (&d_q)[4]) {
-    Real along(0.f);
-    for (int i = 0; i < 4; ++i) along += d_unit[i] * u.q[i];
-    for (int i = 0; i < 4; ++i) d_q[i] = (d_unit[i] - along * u.q[i]) * u.inverse_norm;
-}
-
-// L(q)[i][j] = kLeftSign[i][j] q[kQuatIndex[i][j]], R(q) likewise with kRightSign (SPEC 1).
-inline constexpr int kQuatIndex[4][4] = {{0, 1, 2, 3}, {1, 0, 3, 2}, {2, 3, 0, 1}, {3, 2, 1, 0}};
-inline constexpr float kLeftSign[4][4] = {{1, -1, -1, -1}, {1, 1, -1, 1}, {1, 1, 1, -1}, {1, -1, 1, 1}};
-inline constexpr float kRightSign[4][4] = {{1, -1, -1, -1}, {1, 1, 1, -1}, {1, -1, 1, 1}, {1, 1, -1, 1}};
-
-template <class Real>
-SPLAT_INLINE Real left_matrix(const UnitQuaternion<Real>& u, int i, int j) {
-    return u.q[kQuatIndex[i][j]] * Real(kLeftSign[i][j]);
-}
-template <class Real>
-SPLAT_INLINE Real right_matrix(const UnitQuaternion<Real>& u, int i, int j) {
-    return u.q[kQuatIndex[i][j]] * Real(kRightSign[i][j]);
-}
-
-// The 4D rotation L(ql) R(qr).
-template <class Real>
-SPLAT_INLINE void rotation_4d(const UnitQuaternion<Real>& left, const UnitQuaternion<Real>& right,
-                              Real (&R)[4][4]) {
-#pragma GCC unroll 4
-    for (int i = 0; i < 4; ++i)
-#pragma GCC unroll 4
-        for (int j = 0; j < 4; ++j) {
-            R[i][j] = left_matrix(left, i, 0) * right_matrix(right, 0, j);
-#pragma GCC unroll 4
-            for (int k = 1; k < 4; ++k) R[i][j] += left_matrix(left, i, k) * right_matrix(right, k, j);
-        }
-}
-template <class Real>
-SPLAT_INLINE void rotation_4d_backward(const UnitQuaternion<Real>& left, const UnitQuaternion<Real>& right,
-                                       const Real (&dR)[4][4], Real (&d_left)[4], Real (&d_right)[4]) {
-    for (int i = 0; i < 4; ++i) d_left[i] = d_right[i] = 0.f;
-#pragma GCC unroll 4
-    for (int i = 0; i < 4; ++i)
-#pragma GCC unroll 4
-        for (int j = 0; j < 4; ++j) {
-            Real dL = dR[i][0] * right_matrix(right, j, 0), dQ = left_matrix(left, 0, i) * dR[0][j];
-#pragma GCC unroll 4
-            for (int k = 1; k < 4; ++k) {
-                dL += dR[i][k] * right_matrix(right, j, k);
-                dQ += left_matrix(left, k, i) * dR[k][j];
-            }
-            d_left[kQuatIndex[i][j]] += dL * Real(kLeftSign[i][j]);
-            d_right[kQuatIndex[i][j]] += dQ * Real(kRightSign[i][j]);
-        }
-}
-
-// The 3D rotation of the unit quaternion (w, x, y, z).
-template <class Real>
-SPLAT_INLINE void rotation_3d(const UnitQuaternion<Real>& u, Real (&R)[3][3]) {
-    const Real &w = u.q[0], &x = u.q[1], &y = u.q[2], &z = u.q[3];
-    const Real one(1.f), two(2.f);
-    R[0][0] = one - two * (y * y + z * z), R[0][1] = two * (x * y - w * z), R[0][2] = two * (x * z + w * y);
-    R[1][0] = two * (x * y + w * z), R[1][1] = one - two * (x * x + z * z), R[1][2] = two * (y * z - w * x);
-    R[2][0] = two * (x * z - w * y), R[2][1] = two * (y * z + w * x), R[2][2] = one - two * (x * x + y * y);
-}
-template <class Real>
-SPLAT_INLINE void rotation_3d_backward(const UnitQuaternion<Real>& u, const Real (&d)[3][3], Real (&dq)[4]) {
-    const Real &w = u.q[0], &x = u.q[1], &y = u.q[2], &z = u.q[3];
-    const Real two(2.f);
-    dq[0] = two * (x * (d[2][1] - d[1][2]) + y * (d[0][2] - d[2][0]) + z * (d[1][0] - d[0][1]));
-    dq[1] = two * (y * (d[0][1] + d[1][0]) + z * (d[0][2] + d[2][0]) + w * (d[2][1] - d[1][2]) -
-                   two * x * (d[1][1] + d[2][2]));
-    dq[2] = two * (x * (d[0][1] + d[1][0]) + z * (d[1][2] + d[2][1]) + w * (d[0][2] - d[2][0]) -
-                   two * y * (d[0][0] + d[2][2]));
-    dq[3] = two * (x * (d[0][2] + d[2][0]) + y * (d[1][2] + d[2][1]) + w * (d[1][0] - d[0][1]) -
-                   two * z * (d[0][0] + d[1][1]));
-}
 
 // The stored parameters of sixteen Gaussians.
 template <Motion motion, class Real>
