@@ -1,8 +1,8 @@
 """What a run will take, before it starts: disk, memory and time on this machine.
 
 Time is measured, not looked up: a few frames are decoded, an image measured, and a few iterations run on as many random
-Gaussians as the run may have, at its size. Real Gaussians overlap otherwise, there are fewer of them at first, and
-coarse resolutions and compiled caches help: take it for the order of magnitude. Structure from motion is not counted.
+Gaussians as the run may have, at its size. Real Gaussians overlap otherwise, and a run begins with fewer of them and
+often at a coarser resolution: take it for the order of magnitude. Structure from motion is not counted.
 """
 
 from __future__ import annotations

@@ -5,10 +5,11 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import pandas as pd
 from report_runs import write_run
 
 from pipeline.report.__main__ import main
-from pipeline.report.strips import DIFFERENCE_GAIN, choose_views
+from pipeline.report.strips import DIFFERENCE_GAIN, _shown_schedules, choose_views
 
 
 def test_page_is_self_contained_and_carries_everything(tmp_path, capsys):
