@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from datasets.scene import Scene, SceneError, View, validate_scene
+from datasets.validation import hold_out_every
 
 if TYPE_CHECKING:  # the readers know nothing of configs; only this dispatch does
     from datasets.plenoptic import Footage, Posed
@@ -25,13 +26,17 @@ def load_scene(cfg: SceneConfig, *, threads: int = 0, say: Say = print) -> Scene
     for bad data, and for the reader `video`: its cameras are known only after structure from motion, see load_footage.
     """
     if is_filmed(cfg):
+        if cfg.validation_every:
+            raise SceneError("scene.validation_every", f"0 for {cfg.name}, which several cameras filmed (hold out another "
+                             "by scene.test_cameras)", str(cfg.validation_every))
         return load_posed(cfg, threads=threads, say=say).to_scene()
     if cfg.reader not in ("dnerf", "synthetic"):
         raise SceneError("scene.reader", "dnerf, plenoptic or synthetic", repr(cfg.reader))
     from datasets.dnerf import read_dnerf
     path = _make_synthetic(cfg, say) if cfg.reader == "synthetic" else _path(cfg)
-    return read_dnerf(path, name=cfg.name, test_split=cfg.test_split, downscale=cfg.downscale,
-                      background=tuple(cfg.background), init_box=tuple(cfg.init_box))
+    scene = read_dnerf(path, name=cfg.name, test_split=cfg.test_split, downscale=cfg.downscale,
+                       background=tuple(cfg.background), init_box=tuple(cfg.init_box))
+    return hold_out_every(scene, cfg.validation_every) if cfg.validation_every else scene
 
 
 def load_posed(cfg: SceneConfig, *, threads: int = 0, say: Say = print) -> Posed:

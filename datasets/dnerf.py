@@ -84,6 +84,12 @@ def compose(rgba: np.ndarray, background: tuple[float, float, float], downscale:
     return np.rint(np.stack(channels, axis=-1)).astype(np.uint8)
 
 
+def coverage(rgba: np.ndarray, downscale: int = 1) -> np.ndarray | None:
+    """How much of each pixel of `compose`'s image is not background, (H, W) uint8; None where nothing is background."""
+    alpha = rgba[..., 3]
+    return None if alpha.min() == 255 else np.rint(_block_means(alpha.astype(np.float32), downscale)).astype(np.uint8)
+
+
 def _block_means(plane: np.ndarray, side: int) -> np.ndarray:
     """Means (H // side, W // side) of the whole side × side blocks of (H, W)."""
     plane = plane[:plane.shape[0] // side * side, :plane.shape[1] // side * side]
@@ -211,7 +217,8 @@ def _read_view(frame: Frame, size: tuple[int, int], downscale: int, background: 
     small = compose(rgba, background, downscale)
     # First the part of the image that `compose` kept (intrinsics in pixels from the top left stay), then its scale.
     kept = replace(camera, width=small.shape[1] * downscale, height=small.shape[0] * downscale)
-    return View(kept.resized(small.shape[1], small.shape[0]), frame.time or 0.0, small, frame.name)
+    return View(kept.resized(small.shape[1], small.shape[0]), frame.time or 0.0, small, frame.name,
+                coverage(rgba, downscale))
 
 
 def get_key(container: dict, key: str, where: str | Path) -> Any:

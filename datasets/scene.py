@@ -46,6 +46,7 @@ class View:
     time: float  # in the scene's own unit, within [time_start, time_start + duration]; 0 when static
     image: Image  # already composed over the scene's background; np.asarray reads it
     name: str  # unique in the scene, e.g. "train/r_0"
+    coverage: np.ndarray | None = None  # (H, W) uint8, 255 where no background shows; None: nowhere does it
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -11,6 +12,7 @@ from datasets.scene import Scene
 from pipeline.config import Config
 from pipeline.losses import view_loss
 from pipeline.model import Model
+from pipeline.perturb import perturb, perturbs
 from pipeline.render import backward, render
 from pipeline.schedule import Phase
 from pipeline.views import Target
@@ -49,13 +51,20 @@ class Batch:
         self.loss = 0.0  # mean over the batch, once all views are through
         self.alive = 0.0  # Gaussians with p(t) >= 0.05 a view, likewise
 
-    def backward(self, target: Target, gradients: Gradients) -> ViewStep:
-        """Render `target`, add the gradient of its share of the batch's loss into `gradients`."""
+    def backward(self, target: Target, gradients: Gradients, generator: np.random.Generator | None = None) -> ViewStep:
+        """Render `target`, add the gradient of its share of the batch's loss into `gradients`.
+
+        generator: of what is changed at random for this view (perturb.py); None: nothing is.
+        """
         scene, cfg, frame = self._scene, self._cfg, self._kernels.frame
-        request = Request(target.camera, target.time, scene.duration, scene.background,
+        gaussians, background = None, scene.background
+        if generator is not None and perturbs(cfg.train):
+            drawn = perturb(self._model, target, scene, cfg.train, generator)
+            gaussians, target, background = drawn.gaussians, drawn.target, drawn.background
+        request = Request(target.camera, target.time, scene.duration, background,
                           near=cfg.scene.near * scene.unit, sh_degree=self._phase.sh_degree,
                           fourier_order=self._phase.fourier_order)
-        rendered = render(frame, self._model, request)
+        rendered = render(frame, self._model, request, gaussians=gaussians)
         found = view_loss(self._kernels.criterion, rendered.image, target.image, self._size)
         seen = backward(frame, self._model, rendered, found.d_image, gradients, self.d_environment)
         loss = found.loss

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from pipeline.config import DensifyConfig
+from pipeline.train_config import DensifyConfig
 from pipeline.model import Model
 from pipeline.optimiser import Adam
 from rasterizer import Camera, Gaussians, ViewGradient

@@ -139,19 +139,25 @@ def evaluate_and_show(model: Model, scene: Scene, cfg: Config, threads: int, fol
 
 
 def quick_evaluate(model: Model, scene: Scene, cfg: Config, frame: Frame) -> dict[str, float]:
-    """{psnr, ssim, test_loss} over `train.eval_views` test views, in about the time it takes to render them.
+    """{psnr, ssim, test_loss} over `train.eval_views` test views, and train_psnr over as many training views, in about
+    the time it takes to render them.
 
     Of the full-size image, also while training is at a coarse resolution: it is the one that is wanted in the end,
     and the only one whose numbers can be compared along the run. SSIM is the loss's (zero padding at the border, as
     3DGS), which differs from metrics.ssim in the third decimal.
     """
-    renderer, rows = Renderer(model, scene, cfg, frame), []
-    for view in _some(scene.test, cfg.train.eval_views):
-        target = target_of(view, cfg.train.resolution_scale)
-        image = renderer.tensor(target.camera, view.time).clamp_(0.0, 1.0)
-        loss, _, ssim, _ = l1_ssim(image, target.image, cfg.train.ssim_weight, frame.threads)
-        rows.append({"psnr": psnr(image.numpy(), target.image.numpy()), "ssim": ssim, "test_loss": loss})
-    return {name: mean(rows, name) for name in ("psnr", "ssim", "test_loss")}
+    renderer = Renderer(model, scene, cfg, frame)
+
+    def means(views: Sequence[View]) -> dict[str, float]:
+        rows = []
+        for view in _some(views, cfg.train.eval_views):
+            target = target_of(view, cfg.train.resolution_scale)
+            image = renderer.tensor(target.camera, view.time).clamp_(0.0, 1.0)
+            loss, _, ssim, _ = l1_ssim(image, target.image, cfg.train.ssim_weight, frame.threads)
+            rows.append({"psnr": psnr(image.numpy(), target.image.numpy()), "ssim": ssim, "test_loss": loss})
+        return {name: mean(rows, name) for name in ("psnr", "ssim", "test_loss")}
+
+    return {**means(scene.test), "train_psnr": means(scene.train)["psnr"]}
 
 
 def frames_per_second(model: Model, scene: Scene, cfg: Config, threads: int) -> dict[str, float]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Union
 
-from pipeline.config import RateConfig, ResolutionStep, TrainConfig
+from pipeline.train_config import RateConfig, ResolutionStep, TrainConfig
 
 Rate = Union[float, tuple[float, ...]]  # one for the field, or one a column
 
@@ -52,7 +52,8 @@ def rates(now: float, fraction: float, cfg: RateConfig, extent: float) -> dict[s
     xyz = log_linear(cfg.mean, cfg.mean_final, now / cfg.decay_iterations) * extent * decay
     t = cfg.mean_time * extent * decay
     rotation = cfg.rotation * decay
-    return {"mean": (xyz, xyz, xyz, t), "log_scale": cfg.scale * decay, "quat_left": rotation,
+    scale, scale_t = cfg.scale * decay, (cfg.scale if cfg.scale_time is None else cfg.scale_time) * decay
+    return {"mean": (xyz, xyz, xyz, t), "log_scale": (scale, scale, scale, scale_t), "quat_left": rotation,
             "quat_right": rotation, "opacity_logit": cfg.opacity * decay,
             "sh": (cfg.sh_dc * decay, cfg.sh_rest * decay), "environment": cfg.environment * decay}
 

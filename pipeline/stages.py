@@ -20,6 +20,7 @@ from pipeline.config import Config
 from pipeline.estimate import estimate_if_large
 from pipeline.evaluate import Evaluation, evaluate, evaluate_and_show, quick_evaluate
 from pipeline.initialise import initialise
+from pipeline.generalisation.lifetimes import lifetimes
 from pipeline.machine import environment, peak_memory_mb, reset_peak_memory, usable_cores
 from pipeline.model import Model
 from pipeline.ply import load_ply, save_ply
@@ -85,6 +86,8 @@ def fingerprint(scene: Scene) -> str:
         # A stored frame has its checksum at hand: a scene of 25 GB is not read through for this.
         known = getattr(view.image, "checksum", None)
         digest.update(np.ascontiguousarray(view.image) if known is None else known.encode())
+        if view.coverage is not None:
+            digest.update(view.coverage)
     return digest.hexdigest()
 
 
@@ -111,7 +114,8 @@ def _train(cfg: Config, data: Prepared, folder: RunFolder) -> dict:
 
     def look(model: Model, progress: Progress) -> dict:
         found = quick_evaluate(model, scene, cfg, frame)
-        folder.log({"event": "evaluate", "iteration": progress.iteration, **found, "peak_rss_mb": peak_memory_mb()})
+        folder.log({"event": "evaluate", "iteration": progress.iteration, **found, "lifetimes": lifetimes(model, scene),
+                    "peak_rss_mb": peak_memory_mb()})
         return found
 
     reset_peak_memory()

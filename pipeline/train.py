@@ -7,6 +7,7 @@ and with it its schedule (schedule.clock), depends on the machine and its load.
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from collections.abc import Callable, Iterator
@@ -29,6 +30,9 @@ from pipeline.environment import EnvironmentMap
 from pipeline.losses import psnr
 from pipeline.model import Model
 from pipeline.optimiser import Adam
+from pipeline.perturb import frame_spacing
+from pipeline.priors import DECAY_EVERY, add_prior_gradients, decay_colors
+from pipeline.relocate import NOISE_EVERY, add_noise, relocate
 from pipeline.sampling import BatchSampler
 from pipeline.views import TrainingViews
 from rasterizer import Gradients
@@ -97,6 +101,7 @@ def train(model: Model, scene: Scene, cfg: Config, run: RunFolder, evaluate: Eva
     views, kernels = TrainingViews(scene.train), Kernels(cfg.train.ssim_weight, threads)
     gradients = Gradients.zeros_like(model.gaussians())
     time_split = cfg.ablation.time_split and cfg.train.densify.time_split
+    spacing = frame_spacing(scene)
 
     with TrainingDisplay(state.iteration, cfg.train.iterations, cfg.train.time_budget_s) as display:
         last = _done(state.iteration, watch.seconds, cfg)
@@ -104,7 +109,8 @@ def train(model: Model, scene: Scene, cfg: Config, run: RunFolder, evaluate: Eva
             state.iteration += 1
             iteration, now = state.iteration, schedule.clock(state.iteration, watch.seconds, cfg.train)
             phase = schedule.phase(now, cfg.train, scene.extent, model.kind.sh_degree, model.kind.fourier_order)
-            collect = now < cfg.train.densify.stop  # nobody asks for the statistics afterwards
+            relocates = cfg.train.densify.method == "relocate"
+            collect = now < cfg.train.densify.stop and not relocates  # nobody else asks for the statistics
 
             # One batch: gradients and statistics of every view, then one step.
             targets = [views.at(index, phase.resolution) for index in state.sampler.next_batch()]
@@ -112,8 +118,9 @@ def train(model: Model, scene: Scene, cfg: Config, run: RunFolder, evaluate: Eva
             gradients.zero_(threads)
             if collect:
                 state.statistics.begin()
+            chance = np.random.default_rng([cfg.seed, 2, iteration])
             for target in targets:
-                view = batch.backward(target, gradients)
+                view = batch.backward(target, gradients, chance)
                 guard.check_loss(view.loss, iteration, target.name, model)
                 if collect:
                     state.statistics.add_view(view.gradient, target.camera, scene.duration, threads)
@@ -121,17 +128,27 @@ def train(model: Model, scene: Scene, cfg: Config, run: RunFolder, evaluate: Eva
                 state.statistics.end(len(targets))
             guard.check_gradients(gradients, iteration, [t.name for t in targets],
                                   lambda position: batch.gradients_of(targets[position]), threads)
+            add_prior_gradients(gradients, model, cfg.train.prior, spacing, scene.extent)
             rows = moving_rows(model, phase.sphere, batch.touched)
             state.optimiser.step(gradients, phase.rates, rows, batch.d_environment)
+            if cfg.train.prior.color > 0 and iteration % DECAY_EVERY == 0:
+                decay_colors(model, cfg.train.prior.color, phase.rates["sh"][1])
+            if cfg.train.min_lifetime > 0 and model.kind.dims == 4:
+                model.parameters["log_scale"][:, 3].clamp_(min=math.log(cfg.train.min_lifetime * spacing))
 
             # The set of Gaussians changes in space and time.
             if densify.due(iteration, now, cfg.train.densify):
-                state.statistics, done = densify.densify(
-                    state.optimiser, state.statistics, iteration, cfg.train.densify, scene.extent, time_split,
-                    state.split_generator, phase.sphere)
+                if relocates:
+                    state.statistics, done = relocate(state.optimiser, cfg.train.densify, state.split_generator)
+                else:
+                    state.statistics, done = densify.densify(
+                        state.optimiser, state.statistics, iteration, cfg.train.densify, scene.extent, time_split,
+                        state.split_generator, phase.sphere)
                 gradients = Gradients.zeros_like(model.gaussians())
                 run.log({"event": "densify", "iteration": iteration, "cloned": done.cloned, "split": done.split,
                          "pruned": done.pruned, "n_gaussians": done.total})
+            if relocates and now < cfg.train.densify.stop and iteration % NOISE_EVERY == 0:
+                add_noise(model, phase.rates["mean"][0], cfg.train.densify.noise, state.split_generator)
             if densify.opacity_reset_due(iteration, now, cfg.train.densify):
                 densify.reset_opacity(state.optimiser, cfg.train.densify, phase.sphere)
 

@@ -24,17 +24,21 @@ class Target:
     time: float
     camera: Camera
     image: Tensor  # (3, H, W) float32 in [0, 1]
+    alpha: Tensor | None = None  # (1, H, W) float32 in [0, 1], 0 where only background shows; None: 1 everywhere
 
 
 def target_of(view: View, scale: float) -> Target:
     """The view at `scale` of its size, each side rounded to whole pixels (at least 1); averaged over areas."""
     camera = camera_at(view.camera, scale)
-    pixels = np.asarray(view.image)
-    image = np.ascontiguousarray(pixels.transpose(2, 0, 1), dtype=np.float32) / np.float32(255)
+    planes = np.asarray(view.image).transpose(2, 0, 1)
+    if view.coverage is not None:
+        planes = np.concatenate([planes, view.coverage[None]])
+    planes = np.ascontiguousarray(planes, dtype=np.float32) / np.float32(255)
     if camera is not view.camera:
-        height, width = pixels.shape[:2]
-        image = area_weights(height, camera.height) @ image @ area_weights(width, camera.width).T
-    return Target(view.name, view.time, camera, torch.from_numpy(np.ascontiguousarray(image)))
+        height, width = planes.shape[1:]
+        planes = area_weights(height, camera.height) @ planes @ area_weights(width, camera.width).T
+    planes = torch.from_numpy(np.ascontiguousarray(planes))
+    return Target(view.name, view.time, camera, planes[:3], planes[3:] if view.coverage is not None else None)
 
 
 def camera_at(camera: Camera, scale: float) -> Camera:

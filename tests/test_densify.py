@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from pipeline.config import DensifyConfig
+from pipeline.train_config import DensifyConfig
 from pipeline.densify import (
     Statistics, choose_growth, densify, due, opacity_reset_due, reset_opacity, split_rows, to_prune)
 from pipeline.model import Model, ModelKind

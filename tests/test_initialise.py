@@ -8,7 +8,8 @@ import torch
 
 from datasets.scene import Scene
 from pipeline.background import sphere_points
-from pipeline.config import AblationConfig, Config, InitConfig, SceneConfig, TrainConfig
+from pipeline.config import AblationConfig, Config, InitConfig, SceneConfig
+from pipeline.train_config import TrainConfig
 from pipeline.initialise import from_points, initialise, nearest_distance
 from pipeline.sfm.photograph import Reconstruction
 from rasterizer.reference_sh import sh_basis

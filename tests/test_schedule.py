@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pipeline.config import RateConfig, ResolutionStep, TrainConfig
+from pipeline.train_config import RateConfig, ResolutionStep, TrainConfig
 from pipeline.schedule import clock, phase, rates
 
 EXTENT = 4.4

@@ -17,7 +17,8 @@ import torch
 from pipeline import batch as batch_module
 from pipeline import checkpoint, guard
 from pipeline import train as train_module
-from pipeline.config import AblationConfig, ResolutionStep
+from pipeline.config import AblationConfig
+from pipeline.train_config import ResolutionStep
 from pipeline.initialise import initialise
 from pipeline.model import Model
 from pipeline.train import train

@@ -12,7 +12,7 @@ import torch
 from datasets.scene import Scene
 from pipeline import checkpoint, guard
 from pipeline.batch import Batch, Kernels
-from pipeline.config import DensifyConfig, RateConfig
+from pipeline.train_config import DensifyConfig, RateConfig
 from pipeline.initialise import initialise
 from pipeline.schedule import phase
 from pipeline.views import target_of

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from datasets.scene import Scene, View, camera_extent
-from pipeline.config import AblationConfig, Config, DensifyConfig, InitConfig, SceneConfig, TrainConfig
+from pipeline.config import AblationConfig, Config, InitConfig, SceneConfig
+from pipeline.train_config import DensifyConfig, TrainConfig
 from pipeline.initialise import initialise
 from pipeline.model import Model
 from pipeline.train import Progress, TrainResult, train

@@ -1,0 +1,127 @@
+"""Quality against size and speed of a trained model: python -m pipeline.compact RUN
+
+Leaves out the Gaussians that make least of the training images, a tenth more each time, stores the rest in single and
+in half precision, and measures each on the run's test views. Writes a table, a plot, and the smallest model that loses
+no more than --loss dB as `compact.safetensors`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from torch import Tensor
+
+from datasets.scene import Scene
+from pipeline.config import Config
+from pipeline.evaluate import Renderer, frames_per_second
+from pipeline.machine import environment
+from pipeline.metrics import psnr
+from pipeline.model import Model
+from pipeline.train import thread_count
+from pipeline.trained_run import open_run
+from pipeline.views import target_of
+from rasterizer import Frame
+
+from .draw import draw
+from .importance import importance, keep_most_important
+from .storage import load_compact, save_compact
+
+FRACTIONS = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2)
+OUTPUT = "compact.safetensors"
+
+
+@dataclass(frozen=True)
+class Point:
+    """One size of a model, measured."""
+
+    fraction: float  # of the Gaussians kept
+    half: bool  # stored in half precision
+    gaussians: int
+    megabytes: float  # of the file
+    psnr: float  # dB, mean over the test views
+    fps: float  # frames a second, everything from the 4D Gaussians to the image
+
+
+def measure(model: Model, worth: Tensor, scene: Scene, cfg: Config, fractions: tuple[float, ...] = FRACTIONS
+            ) -> list[Point]:
+    """Every fraction in both precisions; what is measured is what was read back from the file.
+
+    worth: (N,) the Gaussians' importance.
+    """
+    threads, points = thread_count(cfg.threads), []
+    with TemporaryDirectory() as folder:
+        for half in (False, True):
+            for fraction in fractions:
+                path = Path(folder) / OUTPUT
+                size = save_compact(path, keep_most_important(model, worth, fraction), half)
+                small = load_compact(path)
+                points.append(Point(fraction, half, len(small), size / 1e6, held_out_psnr(small, scene, cfg, threads),
+                                    frames_per_second(small, scene, cfg, threads)["fps_render"]))
+    return points
+
+
+def held_out_psnr(model: Model, scene: Scene, cfg: Config, threads: int) -> float:
+    """Mean over all test views, dB, as metrics.json's."""
+    renderer, values = Renderer(model, scene, cfg, Frame(threads=threads)), []
+    for view in scene.test:
+        target = target_of(view, cfg.train.resolution_scale)
+        values.append(psnr(renderer.image(target.camera, view.time), target.image.numpy().transpose(1, 2, 0)))
+    return float(np.mean(values))
+
+
+def smallest(points: list[Point], loss: float) -> Point:
+    """The smallest file within `loss` dB of the whole model in single precision, which comes first."""
+    return min((p for p in points if p.psnr >= points[0].psnr - loss), key=lambda p: p.megabytes)
+
+
+def markdown(points: list[Point], chosen: Point, heading: str) -> str:
+    """A row a point; sizes and speeds also as ratios to the whole model's."""
+    whole = points[0]
+    lines = ["### Quality against size and speed", "", heading, "",
+             "| Gaussians kept | stored as | MB | of the whole | FPS | × the whole | PSNR, dB | change |",
+             "|---:|:---|---:|---:|---:|---:|---:|---:|"]
+    for p in points:
+        row = (f"{p.fraction:.0%}, {p.gaussians:,}", "float16" if p.half else "float32", f"{p.megabytes:.2f}",
+               f"{p.megabytes / whole.megabytes:.2f}", f"{p.fps:.0f}", f"{p.fps / whole.fps:.2f}", f"{p.psnr:.2f}",
+               f"{p.psnr - whole.psnr:+.2f}")
+        lines.append("| " + " | ".join(f"**{cell}**" if p is chosen else cell for cell in row) + " |")
+    note = "- Bold: the smallest within the loss asked for, as stored. Means stay float32. No training after leaving out."
+    return "\n".join([*lines, "", note]) + "\n"
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="python -m pipeline.compact", description=__doc__.splitlines()[0])
+    parser.add_argument("run", type=Path, help="folder of a finished run")
+    parser.add_argument("--loss", type=float, default=0.1, help="dB of PSNR that may be lost (0.1)")
+    parser.add_argument("--out", type=Path, help="(the run's folder)")
+    options = parser.parse_args(arguments)
+    try:
+        run = open_run(options.run, print)
+    except ValueError as error:
+        print(error, file=sys.stderr)
+        return 1
+    cfg, model = run.cfg, run.model
+    worth = importance(model, run.scene, cfg, thread_count(cfg.threads))
+    points = measure(model, worth, run.scene, cfg)
+    chosen = smallest(points, options.loss)
+    typed = sys.argv[1:] if arguments is None else arguments
+    made = environment(" ".join(["python -m pipeline.compact", *map(str, typed)]))
+    heading = (f"{cfg.scene.name}, {cfg.ablation.name}, {cfg.train.name}, seed {cfg.seed}. {made['machine']}; "
+               f"{made['date'][:16]}; commit {made['git_commit'][:10]}; `{made['command']}`.")
+    out = options.out or options.run
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "compact.md").write_text(markdown(points, chosen, heading), encoding="utf-8")
+    (out / "compact.svg").write_text(draw(points, f"{cfg.scene.name}, {cfg.train.name}"), encoding="utf-8")
+    save_compact(out / OUTPUT, keep_most_important(model, worth, chosen.fraction), chosen.half)
+    print(markdown(points, chosen, heading))
+    print(f"written to {out}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,37 @@
+"""What a Gaussian is worth: how much of the training images it makes."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from datasets.scene import Scene
+from pipeline.config import Config
+from pipeline.model import Model
+from pipeline.views import camera_at
+from rasterizer import Frame, Gradients, Request
+
+
+def importance(model: Model, scene: Scene, cfg: Config, threads: int) -> Tensor:
+    """(N,) Σ over training views and pixels of the Gaussian's blending weight w = α' T (SPEC 1).
+
+    The derivative of a sum of pixels by a Gaussian's colour is the sum of its weights, so that one backward pass a
+    view gives them all. A colour channel that is clamped at zero has no derivative: the largest of the three counts.
+    """
+    frame, total = Frame(threads=threads), torch.zeros(len(model))
+    gradients = Gradients.zeros_like(model.gaussians())
+    for view in scene.train:
+        camera = camera_at(view.camera, cfg.train.resolution_scale)
+        frame.render(model.gaussians(), Request(camera, view.time, scene.duration, near=cfg.scene.near * scene.unit))
+        gradients.views.clear()
+        seen = frame.backward(gradients, d_color=torch.ones(3, camera.height, camera.width))
+        total.index_add_(0, seen.visible.long(), gradients.views[0].gradient[:, :3].amax(dim=1))
+    return total
+
+
+def keep_most_important(model: Model, worth: Tensor, fraction: float) -> Model:
+    """The `fraction` (0 to 1) of the Gaussians that are worth most, at least one, in their order; ties by index."""
+    count = max(1, round(fraction * len(model)))
+    kept = torch.sort(worth, descending=True, stable=True).indices[:count].sort().values
+    state = {name: tensor if name == "environment" else tensor[kept] for name, tensor in model.state().items()}
+    return Model.restored(model.kind, state)

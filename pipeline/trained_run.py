@@ -1,0 +1,32 @@
+"""A finished run opened again: its settings, its scene and its last model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from omegaconf import OmegaConf
+
+from datasets.scene import Scene
+from pipeline.checkpoint import FILE_NAME, load_model
+from pipeline.config import Config
+from pipeline.configure import to_config
+from pipeline.model import Model
+from pipeline.prepare import prepare
+
+
+@dataclass(frozen=True)
+class TrainedRun:
+    cfg: Config
+    scene: Scene
+    model: Model
+
+
+def open_run(folder: Path, say: Callable[[str], None]) -> TrainedRun:
+    """Reads the scene the run was trained on too. Raises ValueError, one line, where the folder holds no training."""
+    for name in ("config.yaml", FILE_NAME):
+        if not (folder / name).exists():
+            raise ValueError(f"{folder}: expected a trained run with {name}, found none")
+    cfg = to_config(OmegaConf.merge(OmegaConf.structured(Config), OmegaConf.load(folder / "config.yaml")))
+    return TrainedRun(cfg, prepare(cfg, say).scene, load_model(folder / FILE_NAME))

@@ -1,0 +1,61 @@
+"""Seen against unseen: lifetimes in closed form, the log read back, the figures from real runs."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import torch
+from tiny import tiny_config, tiny_scene
+
+from pipeline.generalisation.draw import mosaic
+from pipeline.generalisation.history import read_history
+from pipeline.generalisation.lifetimes import QUANTILES, lifetimes
+from pipeline.initialise import initialise
+
+
+def test_lifetimes_of_unrotated_gaussians_are_their_fourth_scale_in_frames():
+    scene = tiny_scene(views=8)
+    model = initialise(scene, tiny_config(), np.random.default_rng(0))
+    frames = torch.linspace(1, 30, len(model))
+    model.parameters["log_scale"][:, 3] = torch.log(frames / 7)  # eight moments, seven spacings
+    # float32 logarithm and exponential: a few roundings
+    assert lifetimes(model, scene) == pytest.approx(np.quantile(frames.numpy(), QUANTILES).tolist(), rel=1e-5)
+
+
+def test_a_static_model_has_none():
+    scene = tiny_scene(static=True)
+    assert lifetimes(initialise(scene, tiny_config(), np.random.default_rng(0)), scene) is None
+
+
+def write_run(folder, rows):
+    folder.mkdir()
+    (folder / "metrics.json").write_text(json.dumps({"train": "fast", "ablation": "full", "scene": "s"}))
+    (folder / "log.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
+
+
+def test_the_log_is_read_back_and_a_repeated_evaluation_counts_once(tmp_path):
+    rows = [{"event": "evaluate", "iteration": i, "psnr": 20 + k, "train_psnr": 25 + k, "lifetimes": [1, 2, 3, 4, 5]}
+            for k, i in enumerate((500, 1000, 1000, 1500))]
+    write_run(tmp_path / "run", [{"event": "start"}, *rows])
+    found = read_history(tmp_path / "run")
+    assert found.iteration.tolist() == [500, 1000, 1500]
+    assert found.psnr.tolist() == [20, 22, 23]
+    assert found.lifetimes.shape == (3, 5)
+
+
+@pytest.mark.parametrize("rows, found", [([], "found none"), ([{"event": "evaluate", "iteration": 1, "psnr": 1}],
+                                                             "found a run of an earlier version")])
+def test_a_run_without_it_is_refused(tmp_path, rows, found):
+    write_run(tmp_path / "run", rows)
+    with pytest.raises(ValueError, match=found):
+        read_history(tmp_path / "run")
+
+
+def test_a_mosaic_holds_every_picture_in_its_place():
+    a, b = np.zeros((4, 5, 3)), np.ones((4, 5, 3)) * 0.5
+    pixels = np.asarray(mosaic([[a, b], [b]]))
+    assert pixels.shape == (4 + 6 + 4, 5 + 6 + 5, 3)
+    assert (pixels[:4, :5] == 0).all() and (pixels[:4, 11:] == 128).all() and (pixels[10:, :5] == 128).all()
+    assert (pixels[10:, 11:] == 255).all()
