@@ -78,10 +78,11 @@ class Statistics:
 
 @dataclass(frozen=True)
 class Growth:
-    """Decisions of one densification; disjoint (N,) bool masks."""
+    """Decisions of one densification; (N,) bool masks."""
 
     clone: Tensor
-    split: Tensor
+    split: Tensor  # disjoint from clone
+    in_time: Tensor  # those whose temporal indicator selected them
 
 
 @dataclass(frozen=True)
@@ -112,8 +113,9 @@ def choose_growth(model: Model, statistics: Statistics, cfg: DensifyConfig, exte
     threshold goes first, ties by index. Neither the cap nor the choice knows the background's sphere.
     """
     space, time = statistics.indicators()
-    urgency = space / cfg.space_gradient
+    urgency, in_time = space / cfg.space_gradient, torch.zeros(len(model), dtype=torch.bool)
     if cfg.use_time_gradient and time_split and model.kind.dims == 4:
+        in_time = time >= cfg.time_gradient
         urgency = torch.maximum(urgency, time / cfg.time_gradient)
     transparent = _transparent(model, cfg)
     others = torch.ones_like(transparent) if model.sphere is None else ~model.sphere
@@ -127,7 +129,7 @@ def choose_growth(model: Model, statistics: Statistics, cfg: DensifyConfig, exte
         order = order[: int(selected.sum())]
         selected = torch.zeros_like(selected)
         selected[order[torch.cumsum(added[order], 0) <= room]] = True
-    return Growth(clone=selected & ~big, split=selected & big)
+    return Growth(clone=selected & ~big, split=selected & big, in_time=in_time)
 
 
 def split_rows(model: Model, mask: Tensor, cfg: DensifyConfig, time_split: bool, generator: torch.Generator
@@ -184,7 +186,12 @@ def densify(
     model = optimiser.model
     growth = choose_growth(model, statistics, cfg, extent, time_split)
     clones = {name: p[growth.clone] for name, p in model.parameters.items()}
-    children = split_rows(model, growth.split, cfg, time_split, generator)
+    if cfg.split_by_cause:
+        parts = [split_rows(model, growth.split & growth.in_time, cfg, time_split, generator),
+                 split_rows(model, growth.split & ~growth.in_time, cfg, False, generator)]
+        children = {name: torch.cat([part[name] for part in parts]) for name in clones}
+    else:
+        children = split_rows(model, growth.split, cfg, time_split, generator)
     optimiser.keep(~growth.split)
     optimiser.append({name: torch.cat([clones[name], children[name]]) for name in clones})
 

@@ -48,6 +48,8 @@ class DensifyConfig:
     use_time_gradient: bool = True  # the switch `densify.time_gradient` of SPEC 2
     time_gradient: float = 1e-4  # |dL/dμt|, time in units of the duration
     time_split: bool = True
+    # False: as the paper, whatever asks for a split shrinks the lifetime too. True: only what time asked for
+    split_by_cause: bool = False
     split_scale: float = 0.01  # × extent: clone up to it, split above
     split_count: int = 2
     split_shrink: float = 1.6

@@ -175,6 +175,18 @@ def test_densify_puts_it_together() -> None:
     assert len(statistics.space) == 5 and not statistics.iterations.any()
 
 
+@pytest.mark.parametrize("by_cause", [False, True])
+def test_a_split_that_space_asked_for_keeps_the_lifetime_only_by_cause(by_cause: bool) -> None:
+    model = model_of([0.2, 0.2, 0.2])
+    cfg = DensifyConfig(split_by_cause=by_cause, prune_big_after=10**9)
+    statistics = statistics_of([1e-3, 0.0, 1e-3], [0.0, 1e-3, 1e-3])  # space, time, both
+    densify(Adam(model), statistics, 600, cfg, EXTENT, True, torch.Generator().manual_seed(0))
+    lifetimes = model.parameters["log_scale"][:, 3].exp().tolist()
+    shrunk, kept = pytest.approx(0.2 / 1.6), pytest.approx(0.2)
+    # By cause those that time asked for, alone or too, come first.
+    assert lifetimes == ([shrunk] * 4 + [kept] * 2 if by_cause else [shrunk] * 6)
+
+
 def test_a_prune_of_everything_is_not_done() -> None:
     optimiser = Adam(model_of([0.01, 0.02], opacity=0.001))
     _, done = densify(optimiser, Statistics(2), 600, DensifyConfig(), EXTENT, True, torch.Generator())
