@@ -18,12 +18,12 @@ class Shell:
         self.folder = folder
         self._environment = {**os.environ, "PYTHONPATH": str(CONFIG_DIR.parent), "OMP_NUM_THREADS": "1"}
 
-    def start(self, *arguments: str) -> subprocess.Popen:
-        return subprocess.Popen([sys.executable, "-m", "pipeline", *arguments], cwd=self.folder, text=True,
+    def start(self, *arguments: str, module: str = "pipeline") -> subprocess.Popen:
+        return subprocess.Popen([sys.executable, "-m", module, *arguments], cwd=self.folder, text=True,
                                 stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=self._environment)
 
-    def __call__(self, *arguments: str, status: int = 0) -> tuple[str, str]:
-        process = self.start(*arguments)
+    def __call__(self, *arguments: str, status: int = 0, module: str = "pipeline") -> tuple[str, str]:
+        process = self.start(*arguments, module=module)
         out, err = process.communicate(timeout=120)
         assert process.returncode == status, err
         return out, err

@@ -30,6 +30,12 @@ def finished(shell: Shell) -> Path:
     return shell.folder / "results/runs/synthetic/wheel/full/smoke/seed0"
 
 
+@pytest.fixture(scope="module")
+def run_argument(shell: Shell, finished: Path) -> str:
+    """As a user would type it."""
+    return str(finished.relative_to(shell.folder))
+
+
 def read_csv(path: Path) -> list[dict[str, str]]:
     with open(path) as file:
         return list(csv.DictReader(file))
@@ -150,3 +156,23 @@ def test_a_sweep_side_by_side(shell: Shell) -> None:
     assert first["final"]["psnr"] != second["final"]["psnr"]
     command = json.loads((runs[0] / "environment.json").read_text())["command"]
     assert "scene=synthetic/wheel" in command and "seed=1" in command
+
+
+def test_a_finished_run_is_made_smaller(shell: Shell, run_argument: str) -> None:
+    out, err = shell(run_argument, module="pipeline.compact")
+    assert err == "" and "Quality against size and speed" in out
+    assert {path.name for path in (shell.folder / "results/compact").iterdir()} == {
+        "compact.md", "compact.svg", "compact.safetensors"}
+
+
+def test_seen_against_unseen_of_a_finished_run(shell: Shell, run_argument: str) -> None:
+    out, err = shell(run_argument, module="pipeline.generalisation")
+    assert err == "" and "held out" in out
+    assert {path.name for path in (shell.folder / "results/generalisation").iterdir()} == {
+        "generalisation.svg", "moment.webp"}
+
+
+@pytest.mark.parametrize("module", ["pipeline.compact", "pipeline.generalisation"])
+def test_a_folder_without_a_run_is_refused_in_one_line(shell: Shell, module: str) -> None:
+    out, err = shell("nowhere", module=module, status=1)
+    assert out == "" and err.startswith("nowhere: expected a ") and err.count("\n") == 1

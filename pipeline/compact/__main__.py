@@ -98,7 +98,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m pipeline.compact", description=__doc__.splitlines()[0])
     parser.add_argument("run", type=Path, help="folder of a finished run")
     parser.add_argument("--loss", type=float, default=0.1, help="dB of PSNR that may be lost (0.1)")
-    parser.add_argument("--out", type=Path, help="(the run's folder)")
+    parser.add_argument("--out", type=Path, default=Path("results/compact"), help="(results/compact)")
     options = parser.parse_args(arguments)
     try:
         run = open_run(options.run, print)
@@ -113,7 +113,7 @@ def main(arguments: list[str] | None = None) -> int:
     made = environment(" ".join(["python -m pipeline.compact", *map(str, typed)]))
     heading = (f"{cfg.scene.name}, {cfg.ablation.name}, {cfg.train.name}, seed {cfg.seed}. {made['machine']}; "
                f"{made['date'][:16]}; commit {made['git_commit'][:10]}; `{made['command']}`.")
-    out = options.out or options.run
+    out = options.out
     out.mkdir(parents=True, exist_ok=True)
     (out / "compact.md").write_text(markdown(points, chosen, heading), encoding="utf-8")
     (out / "compact.svg").write_text(draw(points, f"{cfg.scene.name}, {cfg.train.name}"), encoding="utf-8")
