@@ -57,13 +57,15 @@ class Batch:
         generator: of what is changed at random for this view (perturb.py); None: nothing is.
         """
         scene, cfg, frame = self._scene, self._cfg, self._kernels.frame
-        gaussians, background = None, scene.background
+        gaussians, background, one_color = None, scene.background, False
         if generator is not None and perturbs(cfg.train):
             drawn = perturb(self._model, target, scene, cfg.train, generator)
             gaussians, target, background = drawn.gaussians, drawn.target, drawn.background
+            one_color = drawn.one_color
         request = Request(target.camera, target.time, scene.duration, background,
-                          near=cfg.scene.near * scene.unit, sh_degree=self._phase.sh_degree,
-                          fourier_order=self._phase.fourier_order)
+                          near=cfg.scene.near * scene.unit,
+                          sh_degree=0 if one_color else self._phase.sh_degree,
+                          fourier_order=0 if one_color else self._phase.fourier_order)
         rendered = render(frame, self._model, request, gaussians=gaussians)
         found = view_loss(self._kernels.criterion, rendered.image, target.image, self._size)
         seen = backward(frame, self._model, rendered, found.d_image, gradients, self.d_environment)

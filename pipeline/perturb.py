@@ -26,11 +26,12 @@ class Perturbed:
     gaussians: Gaussians
     target: Target
     background: tuple[float, float, float]
+    one_color: bool  # leave out all coefficients but the constant one
 
 
 def perturbs(cfg: TrainConfig) -> bool:
     """Does this schedule ask for any of it?"""
-    return cfg.dropout > 0 or cfg.time_jitter > 0 or cfg.random_background
+    return cfg.dropout > 0 or cfg.color_dropout > 0 or cfg.time_jitter > 0 or cfg.random_background
 
 
 def perturb(model: Model, target: Target, scene: Scene, cfg: TrainConfig, generator: np.random.Generator) -> Perturbed:
@@ -46,7 +47,8 @@ def perturb(model: Model, target: Target, scene: Scene, cfg: TrainConfig, genera
         background = tuple(generator.random(3).tolist())
         change = torch.tensor(background) - torch.tensor(scene.background)
         target = replace(target, image=target.image + (1 - target.alpha) * change[:, None, None])
-    return Perturbed(gaussians, target, background)
+    one_color = cfg.color_dropout > 0 and generator.random() < cfg.color_dropout
+    return Perturbed(gaussians, target, background, one_color)
 
 
 def frame_spacing(scene: Scene) -> float:

@@ -28,6 +28,7 @@ from pipeline.config import Config
 from pipeline.display import TrainingDisplay
 from pipeline.environment import EnvironmentMap
 from pipeline.losses import psnr
+from pipeline.low_pass import carry_back
 from pipeline.model import Model
 from pipeline.optimiser import Adam
 from pipeline.perturb import frame_spacing
@@ -128,6 +129,8 @@ def train(model: Model, scene: Scene, cfg: Config, run: RunFolder, evaluate: Eva
                 state.statistics.end(len(targets))
             guard.check_gradients(gradients, iteration, [t.name for t in targets],
                                   lambda position: batch.gradients_of(targets[position]), threads)
+            if model.low_pass > 0:
+                carry_back(gradients, model.stored(), model.low_pass)
             add_prior_gradients(gradients, model, cfg.train.prior, spacing, scene.extent)
             rows = moving_rows(model, phase.sphere, batch.touched)
             state.optimiser.step(gradients, phase.rates, rows, batch.d_environment)
@@ -212,6 +215,8 @@ def _start(model: Model, scene: Scene, cfg: Config, run: RunFolder) -> tuple[Tra
     saved = checkpoints.load(path) if path.exists() else None
     if cfg.background_model == "envmap":  # before training there is nothing to store of it: init.ply has none
         model.environment = EnvironmentMap.grey(cfg.train.environment_height)
+    if model.kind.dims == 4:
+        model.low_pass = cfg.train.low_pass * frame_spacing(scene)
     if saved is not None:
         expected, found = (f"seed {seed}, {of.kind} and background {of.background}"
                            for seed, of in ((cfg.seed, model), (saved.seed, saved.model)))

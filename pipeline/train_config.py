@@ -124,8 +124,10 @@ class TrainConfig:
     rigid_weight: float = 0.0
     prior: PriorConfig = field(default_factory=PriorConfig)
     dropout: float = 0.0  # part of the Gaussians that a view is rendered without
+    color_dropout: float = 0.0  # part of the views that are rendered in one colour a Gaussian
     time_jitter: float = 0.0  # a view's time moves at random by up to so many frame spacings
     min_lifetime: float = 0.0  # frame spacings; st is never below
+    low_pass: float = 0.0  # σ of the temporal low-pass, frame spacings (low_pass.py)
     random_background: bool = False  # compose transparent images over a new colour each time
     background_model: Optional[str] = None  # None: the scene's
     sphere_freeze_after: int = 10_000  # iterations; the sphere's Gaussians stay as they are from then on
@@ -171,7 +173,9 @@ class TrainConfig:
         require(self.environment_height >= 2, "train.environment_height", "at least 2", self.environment_height)
         require(self.environment_until >= 0, "train.environment_until", ">= 0", self.environment_until)
         require(0 <= self.dropout < 1, "train.dropout", "in [0, 1)", self.dropout)
+        require(0 <= self.color_dropout < 1, "train.color_dropout", "in [0, 1)", self.color_dropout)
         require(self.time_jitter >= 0, "train.time_jitter", ">= 0", self.time_jitter)
+        require(self.low_pass >= 0, "train.low_pass", ">= 0 (0: none)", self.low_pass)
         require(self.min_lifetime >= 0, "train.min_lifetime", ">= 0", self.min_lifetime)
         require(self.rigid_weight >= 0, "train.rigid_weight", ">= 0", self.rigid_weight)
         require(self.sh_degree_every >= 0, "train.sh_degree_every", ">= 0 (0: all at once)", self.sh_degree_every)

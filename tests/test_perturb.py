@@ -60,3 +60,10 @@ def test_a_view_without_background_keeps_its_own():
     _, drawn = draw(scene, tiny_config(random_background=True))
     assert drawn.background == scene.background
     assert torch.equal(drawn.target.image, target_of(scene.train[2], 1.0).image)
+
+
+def test_so_many_views_show_one_colour():
+    scene, cfg = tiny_scene(), tiny_config(color_dropout=0.25)
+    drawn = [draw(scene, cfg, seed)[1].one_color for seed in range(200)]
+    # Five standard deviations of the binomial.
+    assert abs(sum(drawn) - 50) < 5 * (200 * 0.25 * 0.75) ** 0.5

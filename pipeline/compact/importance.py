@@ -7,7 +7,7 @@ from torch import Tensor
 
 from datasets.scene import Scene
 from pipeline.config import Config
-from pipeline.model import Model
+from pipeline.model import OF_THE_WHOLE, Model
 from pipeline.views import camera_at
 from rasterizer import Frame, Gradients, Request
 
@@ -33,5 +33,5 @@ def keep_most_important(model: Model, worth: Tensor, fraction: float) -> Model:
     """The `fraction` (0 to 1) of the Gaussians that are worth most, at least one, in their order; ties by index."""
     count = max(1, round(fraction * len(model)))
     kept = torch.sort(worth, descending=True, stable=True).indices[:count].sort().values
-    state = {name: tensor if name == "environment" else tensor[kept] for name, tensor in model.state().items()}
+    state = {name: tensor if name in OF_THE_WHOLE else tensor[kept] for name, tensor in model.state().items()}
     return Model.restored(model.kind, state)

@@ -16,7 +16,7 @@ from safetensors.torch import save_file
 
 from pipeline.model import Model, ModelKind
 
-FULL_PRECISION = ("mean",)
+FULL_PRECISION = ("mean", "low_pass")
 
 
 def save_compact(path: Path, model: Model, half: bool = True) -> int:
@@ -36,7 +36,7 @@ def load_compact(path: Path) -> Model:
             tensors = {name: file.get_tensor(name) for name in file.keys()}
     except (SafetensorError, OSError, KeyError, TypeError, json.JSONDecodeError) as error:
         raise ValueError(f"{path}: expected a compact model, found {error}") from None
-    return Model.restored(kind, {name: t.float() if t.is_floating_point() else t for name, t in tensors.items()})
+    return Model.restored(kind, {name: t.float() if t.dtype == torch.half else t for name, t in tensors.items()})
 
 
 def rounded(model: Model) -> Model:
