@@ -19,10 +19,11 @@ from rasterizer import Gaussians, Gradients
 
 def low_passed(gaussians: Gaussians, sigma: float) -> Gaussians:
     """What is rendered of stored Gaussians. sigma: the filter's standard deviation, the scene's time unit."""
-    wider, part = _widened(gaussians.log_scale[:, 3], sigma)
-    log_scale = gaussians.log_scale.clone()
-    log_scale[:, 3] = wider
-    return replace(gaussians, log_scale=log_scale, opacity_logit=_fainter(gaussians.opacity_logit, part))
+    growth, log_scale = _growth(gaussians.log_scale[:, 3], sigma), gaussians.log_scale.clone()
+    log_scale[:, 3] += growth
+    log_opacity = torch.nn.functional.logsigmoid(gaussians.opacity_logit) - growth
+    logit = log_opacity - torch.log(_see_through(gaussians.opacity_logit, growth))
+    return replace(gaussians, log_scale=log_scale, opacity_logit=logit)
 
 
 def carry_back(gradients: Gradients, stored: Gaussians, sigma: float) -> None:
@@ -31,21 +32,19 @@ def carry_back(gradients: Gradients, stored: Gaussians, sigma: float) -> None:
     With c = st/st': ∂log st'/∂log st = c²; α' = α c, so ∂logit α'/∂logit α = (1 - α)/(1 - α') and
     ∂logit α'/∂log st = (1 - c²)/(1 - α').
     """
-    _, part = _widened(stored.log_scale[:, 3], sigma)
-    opacity = torch.sigmoid(stored.opacity_logit)
-    left = 1.0 - opacity * part  # 1 - α'
-    d_logit = gradients.opacity_logit / left
-    gradients.log_scale[:, 3] = gradients.log_scale[:, 3] * part**2 + d_logit * (1.0 - part**2)
-    gradients.opacity_logit.copy_(d_logit * (1.0 - opacity))
+    growth = _growth(stored.log_scale[:, 3], sigma)
+    see_through = torch.sigmoid(-stored.opacity_logit)  # 1 - α
+    d_logit = gradients.opacity_logit / _see_through(stored.opacity_logit, growth)
+    part = torch.exp(-2.0 * growth)  # c²
+    gradients.log_scale[:, 3] = gradients.log_scale[:, 3] * part - d_logit * torch.expm1(-2.0 * growth)
+    gradients.opacity_logit.copy_(d_logit * see_through)
 
 
-def _widened(log_scale_t: Tensor, sigma: float) -> tuple[Tensor, Tensor]:
-    """(log st', st/st') of log st, (N,) each."""
-    ratio = sigma * torch.exp(-log_scale_t)  # σ/st
-    growth = 0.5 * torch.log1p(ratio**2)
-    return log_scale_t + growth, torch.exp(-growth)
+def _growth(log_scale_t: Tensor, sigma: float) -> Tensor:
+    """log(st'/st) (N,)."""
+    return 0.5 * torch.log1p((sigma * torch.exp(-log_scale_t)) ** 2)
 
 
-def _fainter(logit: Tensor, part: Tensor) -> Tensor:
-    """logit(α c) of logit(α): log(αc) - log(1 - αc), which keeps its digits for faint Gaussians."""
-    return torch.nn.functional.logsigmoid(logit) + torch.log(part) - torch.log1p(-torch.sigmoid(logit) * part)
+def _see_through(logit: Tensor, growth: Tensor) -> Tensor:
+    """1 - α' = (1 - α) + α (1 - st/st'), no difference of near equals: above zero for opaque Gaussians too."""
+    return torch.sigmoid(-logit) - torch.sigmoid(logit) * torch.expm1(-growth)

@@ -56,6 +56,17 @@ def test_the_gradient_is_carried_back(gaussians):
         torch.testing.assert_close(mine, theirs, rtol=1e-10, atol=1e-12)  # float64, the same formula another way
 
 
+def test_opaque_and_transparent_gaussians_keep_finite_gradients(gaussians):
+    for logit in (-80.0, -30.0, 30.0, 80.0):  # float32: sigmoid(30) is 1
+        stored = type(gaussians)(**{"quat_right": None, **{n: t.float() for n, t in gaussians.tensors().items()}})
+        stored = replace(stored, opacity_logit=torch.full((60,), logit))
+        gradients = Gradients.zeros_like(stored)
+        gradients.log_scale.fill_(1.0)
+        gradients.opacity_logit.fill_(1.0)
+        carry_back(gradients, stored, SIGMA)
+        assert gradients.all_finite() and torch.isfinite(low_passed(stored, SIGMA).opacity_logit).all()
+
+
 def test_a_model_remembers_its_low_pass():
     model = initialise(tiny_scene(), tiny_config(), np.random.default_rng(0))
     model.low_pass = SIGMA
