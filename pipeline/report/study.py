@@ -1,0 +1,85 @@
+"""What each change of a schedule is worth: its variants against the schedule as it is, scene by scene.
+
+A variant is what variants.py calls `fast (dropout=0.1)`: the schedule's name, and in brackets what was changed. Only
+scenes and seeds that both have are compared.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pandas as pd
+
+from . import scenes
+from .aggregate import compare, estimate
+from .collect import Collection
+from .table import NO_RUN, Cell, Column, Row, Table, text
+
+MIN_VARIANTS = 2  # one alone is what other tables compare
+_RATIOS = {"train_seconds": "Train s ×", "n_gaussians": "N ×", "final.fps_render": "FPS ×"}
+NOTE = (
+    "",
+    "Change − schedule as it is: final PSNR in dB, ± the standard error of the difference over the seeds; the mean is "
+    "over the scenes that both have, its standard error from theirs. ×: ratio of the means, geometric mean over scenes.",
+)
+
+
+def studies(collection: Collection) -> list[Table]:
+    """A table for each schedule and ablation of which at least MIN_VARIANTS variants were run."""
+    runs = collection.runs
+    parts = runs["train"].str.partition(" (")
+    runs = runs.assign(schedule=parts[0], change=parts[2].str.removesuffix(")"))
+    tables = []
+    for (schedule, ablation), group in runs.groupby(["schedule", "ablation"], sort=True):
+        usual, changed = group[group["change"] == ""], group[group["change"] != ""]
+        names = [scene for scene in scenes.in_order(changed["scene"]) if (usual["scene"] == scene).any()]
+        rows = [row for change, runs_of in changed.groupby("change", sort=True)
+                if (row := _row(change, runs_of, usual, names)) is not None]
+        if len(rows) >= MIN_VARIANTS:
+            tables.append(_table(schedule, ablation, names, rows))
+    return tables
+
+
+def _table(schedule: str, ablation: str, names: list[str], rows: list[Row]) -> Table:
+    columns = (Column("change", "Change", False), *(Column(scene, scene) for scene in names),
+               Column("mean", "mean, dB"), *(Column(key, header) for key, header in _RATIOS.items()))
+    of = schedule if ablation == "full" else f"{schedule}, {ablation}"
+    best_first = sorted(rows, key=lambda row: -row.cells["mean"].value)
+    return Table(f"study_{of.replace(', ', '_')}", f"What changes of {of} are worth", columns, tuple(best_first),
+                 notes=(NOTE,))
+
+
+def _row(change: str, runs: pd.DataFrame, usual: pd.DataFrame, names: list[str]) -> Row | None:
+    """One change on every scene; None where no scene has both."""
+    cells, differences, ratios = {"change": text(change)}, [], {key: [] for key in _RATIOS}
+    for scene in names:
+        ours, theirs = _of_common_seeds(runs[runs["scene"] == scene], usual[usual["scene"] == scene])
+        after, before = estimate(ours["final.psnr"]), estimate(theirs["final.psnr"])
+        if after is None or before is None:
+            cells[scene] = NO_RUN
+            continue
+        found = compare(after, before)
+        differences.append((found.difference, found.standard_error))
+        cells[scene] = _signed(found.difference, found.standard_error)
+        for key in _RATIOS:
+            ratios[key].append(ours[key].mean() / theirs[key].mean())
+    if not differences:
+        return None
+    mean = float(np.mean([d for d, _ in differences]))
+    error = math.sqrt(sum(e**2 for _, e in differences)) / len(differences)
+    cells["mean"] = _signed(mean, error)
+    for key, values in ratios.items():
+        ratio = float(np.exp(np.mean(np.log(values))))
+        cells[key] = Cell(f"{ratio:.2f}", ratio)
+    return Row(cells)
+
+
+def _of_common_seeds(ours: pd.DataFrame, theirs: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
+    common = set(ours["seed"]) & set(theirs["seed"])
+    return ours[ours["seed"].isin(common)], theirs[theirs["seed"].isin(common)]
+
+
+def _signed(difference: float, standard_error: float) -> Cell:
+    error = "" if math.isnan(standard_error) else f" ± {standard_error:.2f}"
+    return Cell(f"{difference:+.2f}{error}", difference, standard_error)
