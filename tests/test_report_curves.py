@@ -93,6 +93,17 @@ def test_usual_settings_are_those_that_the_others_are_variants_of(tmp_path: Path
         "fast", "fast (batch=2)", "fast (batch=4)", "fast (optimiser=adam)", "fast (resolution_steps=[])", "paper"]
 
 
+def test_what_all_lines_share_stands_in_the_title_alone(tmp_path: Path) -> None:
+    for batch in (1, 4):
+        write_variant(tmp_path, f"batch{batch}", batch=str(batch))
+        for seed in range(2):
+            path = tmp_path / f"batch{batch}/seed{seed}/environment.json"
+            typed = f"train.batch={batch} 'train.fourier_at=[1, 2]'"
+            path.write_text(path.read_text().replace(" seed=", f" {typed} seed="))
+    assert lines_of(comparisons(name_variants(collect(tmp_path)))) == {
+        "synthetic/wheel: batch, fourier_at=[1, 2]": ["fast (batch=1)", "fast (batch=4)"]}
+
+
 # --- what a line shows -----------------------------------------------------------------------------------------------
 
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from . import scenes
 from .collect import Collection
-from .variants import schedule_settings
+from .variants import parts_of, schedule_settings, with_parts
 
 # What varies, by the keys that say so. All other keys of schedule and start together make "schedule".
 _FACTORS = {
@@ -105,15 +105,29 @@ def _representative(variants: list[_Variant], times_drawn: dict[_Variant, int]) 
 
 def _title(scene: str, factor: str, group: list[_Variant]) -> str:
     trains, ablations = {v.train for v in group}, {v.ablation for v in group}
-    shared = [*(trains if len(trains) == 1 else ()), *(ablations - {"full"} if len(ablations) == 1 else ())]
+    shared = [*(trains if len(trains) == 1 else _shared_parts(group)),
+              *(ablations - {"full"} if len(ablations) == 1 else ())]
     return f"{scene}: {', '.join(filter(None, (factor, *shared)))}"
+
+
+def _shared_parts(group: list[_Variant]) -> list[str]:
+    """The settings that stand in brackets after the schedule's name in all of them: they tell no line from another."""
+    _, first = parts_of(group[0].train)
+    return [part for part in first if all(part in parts_of(v.train)[1] for v in group)]
 
 
 def _lines(factor: str, group: list[_Variant]) -> tuple[Line, ...]:
     if factor == "ablation":
         of_name = {v.ablation: v for v in group}
         return tuple(Line(name, of_name[name].train, name) for name in scenes.ablations_in_order(of_name))
-    return tuple(Line(v.ablation, v.train, v.train) for v in sorted(group, key=lambda v: (len(v.train), v.train)))
+    told = _shared_parts(group) if len(group) > 1 else []
+    ordered = sorted(group, key=lambda v: (len(v.train), v.train))
+    return tuple(Line(v.ablation, v.train, _without(told, v.train)) for v in ordered)
+
+
+def _without(parts: list[str], train: str) -> str:
+    name, found = parts_of(train)
+    return with_parts(name, [part for part in found if part not in parts])
 
 
 def _variant(row: dict, settings: dict) -> _Variant:

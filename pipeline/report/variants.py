@@ -10,6 +10,7 @@ name) are compared key by key too; those that differ from the usual ones get the
 from __future__ import annotations
 
 import json
+import re
 import shlex
 from collections import Counter
 from dataclasses import replace
@@ -73,7 +74,19 @@ def _as_typed(name: str, command: str) -> str:
         words = []  # not a command line
     free = (*_FREE, "scene.path", "scene.name")  # of the folder, schedule_settings compares the name
     changed = [w.removeprefix("train.") for w in words if w.startswith(_TYPED) and w.split("=")[0] not in free]
-    return f"{name} ({', '.join(changed)})" if changed else name
+    return with_parts(name, changed)
+
+
+def with_parts(name: str, parts: list[str]) -> str:
+    """`fast`, [`batch=4`] -> `fast (batch=4)`; what stands in brackets already stays there."""
+    name, before = parts_of(name)
+    return f"{name} ({', '.join(before + parts)})" if before + parts else name
+
+
+def parts_of(name: str) -> tuple[str, list[str]]:
+    """What with_parts put together; a value may hold commas."""
+    name, bracket, inside = name.partition(" (")
+    return name, re.split(r", (?=[\w.]+=|\d+ more)", inside.removesuffix(")")) if bracket else []
 
 
 def _distinct_names(runs: pd.DataFrame, column: str, settings: dict[str, dict[str, Any]]) -> pd.Series:
@@ -83,7 +96,7 @@ def _distinct_names(runs: pd.DataFrame, column: str, settings: dict[str, dict[st
         usual = _usual([settings[run] for run in group if settings[run]])
         for run in group:
             differing = _difference(settings[run], usual) if settings[run] else []
-            names[run] = f"{name} ({', '.join(differing)})" if differing else name
+            names[run] = with_parts(name, differing)
     return runs["run"].map(names)
 
 
