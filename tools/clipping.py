@@ -242,8 +242,8 @@ def main(arguments: list[str] | None = None) -> int:
     tables = study(options.iterations, options.seeds, lambda line: print(line, flush=True))
     typed = sys.argv[1:] if arguments is None else arguments
     made = environment(shlex.join(["python", "tools/clipping.py", *typed]))
-    heading = (f"`train=fast` from {POINTS:,} points, {options.iterations} iterations. {made['machine']}; {made['date'][:16]}; commit "
-               f"{made['git_commit'][:10]}; `{made['command']}`.")
+    heading = (f"`train=fast` from {POINTS:,} points, {options.iterations} iterations. {made['machine']}; "
+               f"{made['date'][:16]}; commit {made['git_commit'][:10]}; `{made['command']}`.")
     write_text(options.out, page(*tables, heading))
     print(f"written to {options.out}")
     return 0
