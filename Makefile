@@ -1,7 +1,7 @@
 # Everything starts here: `make` lists the targets, and each of them first sets up what it needs.
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help setup build test reproduce bench work-precision stability report sanitize clean
+.PHONY: help setup build test reproduce bench work-precision scaling stability report sanitize clean
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 RUN := .venv/bin/python -m
@@ -32,6 +32,11 @@ bench: $(BUILT) ## time kernel, loss, optimiser and readable twin in one run; a 
 
 work-precision: $(BUILT) ## error against time of the kernel's numerical choices: table and plot in results/work_precision
 	$(RUN) pipeline.work_precision
+
+scaling: $(BUILT) ## how cost and Gaussians grow with scene and video: tables and plots in results/scaling
+	$(RUN) pipeline.scaling
+	$(RUN) pipeline experiment=video_length
+	$(RUN) pipeline.video_length
 
 stability: $(BUILT) ## hard cases in float32 against float64: a table in results/stability; fails where a bound is broken
 	$(RUN) pipeline.stability

@@ -1,8 +1,9 @@
 """How cost grows: python -m pipeline.scaling
 
-Milliseconds of a frame (forward and backward) and of a training iteration (frames, loss, Adam) against the number of
-Gaussians, the pixels and the batch, one at a time, on one thread's CPU time. Each series gets the exponent e of
-cost = c · size^e, fitted by least squares in the logarithms: 1 is proportional, less is better than that.
+Milliseconds of a frame (forward and backward) and of a training iteration (frames, loss, dense Adam) against the number
+of Gaussians, the pixels, the batch and the length of the video, one at a time, on one thread's CPU time. Each series
+gets the exponent e of cost = c · size^e, fitted by least squares in the logarithms: 1 is proportional, less is better
+than that. How many Gaussians a longer video needs is another question: pipeline/video_length.py.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ from rasterizer.bench.measure import time_frame, time_iteration
 from rasterizer.bench.workloads import WORKLOADS, Workload, make_workload
 from rasterizer.memory import keep_freed_memory
 
-AXES = {"gaussians": "Gaussians", "pixels": "pixels", "batch": "views an iteration"}
+AXES = {"gaussians": "Gaussians", "pixels": "pixels", "batch": "views an iteration",
+        "length": "length, as many Gaussians a second", "length_alone": "length, as many Gaussians in all"}
 _COLOURS = {"frame": LIGHT.ablations[0], "iteration": LIGHT.ablations[1]}
 
 
@@ -59,18 +61,33 @@ def with_width(workload: Workload, width: int) -> Workload:
     return replace(workload, camera=workload.camera.resized(width, height))
 
 
+def with_length(workload: Workload, length: int) -> Workload:
+    """A video `length` times as long, seen at its middle: Gaussians spread over it, each alive as long as before."""
+    mean = workload.gaussians.mean.clone()
+    mean[:, 3] *= length
+    return replace(workload, gaussians=replace(workload.gaussians, mean=mean), time=workload.time * length,
+                   duration=workload.duration * length)
+
+
 def measure(workload: Workload, repeats: int, steps: int = 4, views: int = 4,
             say: Callable[[str], None] = lambda line: None) -> list[Series]:
-    """Gaussians halved, width halved and doubled, batch doubled, `steps` sizes each; iterations are of `views` views
-    where the batch is not what is varied."""
+    """Gaussians halved, width halved and doubled, batch and length doubled, `steps` sizes each; iterations are of
+    `views` views where the batch is not what is varied.
+
+    Length twice: with as many Gaussians a second in each, the longest having the workload's; and with the workload's.
+    """
     count, width = len(workload.gaussians), workload.camera.width
     smaller = [with_gaussians(workload, count >> k) for k in reversed(range(steps))]
     resized = [with_width(workload, (2 * width) >> k) for k in reversed(range(steps))]
-    batches = [1 << k for k in range(steps)]
+    lengths = batches = [1 << k for k in range(steps)]
+    longer = [with_length(w, length) for w, length in zip(smaller, lengths, strict=True)]
+    thinner = [with_length(workload, length) for length in lengths]
     found = []
     for axis, workloads, sizes in (
         ("gaussians", smaller, [len(w.gaussians) for w in smaller]),
         ("pixels", resized, [w.camera.width * w.camera.height for w in resized]),
+        ("length", longer, lengths),
+        ("length_alone", thinner, lengths),
     ):
         say(axis)
         frame = tuple(time_frame(w, 1, repeats).total.minimum for w in workloads)
@@ -100,17 +117,20 @@ def markdown(series: Sequence[Series], heading: str) -> str:
         lines.append(f"| {s.cost} | {AXES[s.axis]} | {', '.join(f'{n:,}' for n in s.sizes).replace(', ', ' · ')} | "
                      f"{' · '.join(f'{ms:.1f}' for ms in s.milliseconds)} | {s.fit()[1]:.2f} |")
     note = ("- CPU time of one thread, minimum. Exponent e: cost = c · size^e, least squares of the logarithms; 1 is "
-            "proportional.")
+            "proportional. A length of 2 is a video twice as long, in which each Gaussian lives as long as before: "
+            "with as many a second as many are alive in a frame, with as many in all half as many.")
     return "\n".join([*lines, "", note]) + "\n"
 
 
 def draw(series: Sequence[Series], title: str) -> str:
-    """SVG text, an axis a panel, both logarithmic; the same numbers give the same bytes."""
+    """SVG text, a panel for each of AXES, logarithmic both ways; the same numbers give the same bytes."""
     with matplotlib.rc_context({"svg.hashsalt": "scaling", "font.family": "DejaVu Sans", "font.size": 9.5}):
-        figure = Figure(figsize=(12.6, 3.9), facecolor="white")
+        figure = Figure(figsize=(12.6, 7.4), facecolor="white")
         FigureCanvasSVG(figure)
-        panels = figure.subplots(1, 3, gridspec_kw={"left": 0.05, "right": 0.985, "bottom": 0.14, "top": 0.86})
-        for axis, (key, label) in zip(panels, AXES.items(), strict=True):
+        panels = list(figure.subplots(2, 3, gridspec_kw={"left": 0.05, "right": 0.985, "bottom": 0.08, "top": 0.92,
+                                                    "hspace": 0.32}).flat)
+        panels[-1].axis("off")  # five are drawn
+        for axis, (key, label) in zip(panels, AXES.items()):
             for s in (s for s in series if s.axis == key):
                 c, e = s.fit()
                 axis.plot(s.sizes, s.milliseconds, "o", color=_COLOURS[s.cost])
@@ -120,7 +140,7 @@ def draw(series: Sequence[Series], title: str) -> str:
             axis.set_title("ms, CPU time of one thread", loc="left", fontsize=10)
             axis.grid(color=LIGHT.faint, which="both", lw=0.7)
             axis.legend(frameon=False)
-        figure.text(0.05, 0.95, title, fontsize=9)
+        figure.text(0.05, 0.97, title, fontsize=9)
         buffer = io.StringIO()
         figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
     return buffer.getvalue()

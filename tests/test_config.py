@@ -5,11 +5,13 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from dataclasses import fields, replace
 from pathlib import Path
 
 import pytest
 from hydra import compose, initialize_config_dir
-from omegaconf import OmegaConf
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import OmegaConf, flag_override
 
 from pipeline.config import Config
 from pipeline.configure import CONFIG_DIR, known_keys, one_line, register_schema, to_config
@@ -26,6 +28,17 @@ def config_of(*overrides: str) -> Config:
     register_schema()
     with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
         return to_config(compose("config", overrides=list(overrides)))
+
+
+def run_of(*overrides: str) -> Config:
+    """A run of a sweep: its file may ask Hydra what was chosen."""
+    register_schema()
+    with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
+        composed = compose("config", overrides=list(overrides), return_hydra_config=True)
+    HydraConfig.instance().set_config(composed)
+    with flag_override(composed, ["struct", "readonly"], False):
+        del composed["hydra"]
+    return to_config(composed)
 
 
 def complaint(*overrides: str) -> str:
@@ -70,11 +83,26 @@ def test_every_experiment_and_every_run_of_it(experiment: str) -> None:
         assert hydra.mode.name == "MULTIRUN"
         sweep = OmegaConf.to_container(hydra.sweeper.params)
         longest = max(len(values.split(",")) for values in sweep.values())
-        for i in range(longest):  # each value of each swept key at least once
-            chosen = [f"{key}={values.split(',')[i % len(values.split(','))]}" for key, values in sweep.items()]
-            to_config(compose("config", overrides=[f"experiment={experiment}", *chosen]))
+    for i in range(longest):  # each value of each swept key at least once
+        chosen = [f"{key}={values.split(',')[i % len(values.split(','))]}" for key, values in sweep.items()]
+        run_of(f"experiment={experiment}", *chosen)
     text = (CONFIG_DIR / "experiment" / f"{experiment}.yaml").read_text()
     assert f"python -m pipeline experiment={experiment}\n" in text, "opens with the command that runs it"
+
+
+@pytest.mark.parametrize("variant", options("variant"))
+def test_every_variant_is_one_change_in_a_folder_of_its_own(variant: str) -> None:
+    chosen = ("experiment=training_curves", "scene=synthetic/wheel", "seed=1")
+    cfg, usual = run_of(*chosen, f"variant={variant}"), run_of(*chosen, "variant=fast")
+    assert cfg.out == f"results/runs/training_curves/synthetic/wheel/{variant}/seed1"
+    if variant.endswith("_start"):  # a schedule's first iterations, and nothing else of it
+        whole = config_of("scene=synthetic/wheel", f"train={variant.removesuffix('_start')}").train
+        assert replace(cfg.train, name=whole.name, iterations=whole.iterations, eval_every=whole.eval_every) == whole
+        assert cfg.train.iterations % whole.densify.opacity_reset_every != 0
+    else:
+        changed = [f.name for part in ("train", "ablation") for f in fields(getattr(cfg, part)) if f.name != "name"
+                   and getattr(getattr(cfg, part), f.name) != getattr(getattr(usual, part), f.name)]
+        assert len(changed) == (variant != "fast")
 
 
 @pytest.mark.parametrize("launcher", ["local", "joblib"])

@@ -20,9 +20,9 @@ from report_runs import write_run
 from pipeline.report import paper, scenes
 from pipeline.report.__main__ import main
 from pipeline.report.aggregate import compare, estimate, over_scenes
+from pipeline.report.bands import band
 from pipeline.report.collect import collect
 from pipeline.report.export import comma_separated, escape, latex, markdown
-from pipeline.report.plots import band
 from pipeline.report.run_tables import verdicts
 from pipeline.report.table import Cell, Column, Row, Table
 from pipeline.report.tables import dnerf, paper_tables

@@ -8,6 +8,7 @@ Data flows one way, a module a step:
     paper       results/paper/     -> the paper's numbers, as printed
     tables      both               -> the paper's tables with our rows beside (run_tables: our own)
     structure   runs               -> what COLMAP found of each scene
+    comparisons, bands             -> which curves stand in one figure; mean and spread of each
     plots, strips                  -> curves (SVG) and render | truth | difference images (WebP)
     export, page                   -> Markdown, CSV, LaTeX; one self-contained HTML page
 

@@ -11,9 +11,10 @@ import sys
 from pathlib import Path
 
 from .collect import collect
+from .comparisons import comparisons
 from .export import markdown, write_all
 from .page import CurvePlot, render_page
-from .plots import DARK, curve_scenes, plot_scene
+from .plots import DARK, plot
 from .run_tables import run_tables
 from .strips import make_strips
 from .structure import Structure, structure_from_motion
@@ -58,8 +59,8 @@ def write_report(runs_dir: Path, out: Path, no_pictures: tuple[str, ...] = (), l
 
     of_paper, ours = paper_tables(collection.runs), run_tables(collection, levels)
     plots = [
-        CurvePlot(scene, plot_scene(collection.curves, scene), plot_scene(collection.curves, scene, DARK))
-        for scene in curve_scenes(collection.curves)
+        CurvePlot(compared.title, compared.slug, plot(collection, compared), plot(collection, compared, DARK))
+        for compared in comparisons(collection)
     ]
 
     _clear(out)
@@ -68,12 +69,12 @@ def write_report(runs_dir: Path, out: Path, no_pictures: tuple[str, ...] = (), l
         write_all(table, out / "tables")
     pictures = (*strips, *(structure.pictures if structure else ()))
     for name, content in [
-        (f"plots/{plot.scene.replace('/', '_')}.svg", plot.light.encode()) for plot in plots
+        (f"plots/{of_curves.slug}.svg", of_curves.light.encode()) for of_curves in plots
     ] + [(f"strips/{picture.filename}", picture.webp) for picture in pictures]:
         (out / name).parent.mkdir(parents=True, exist_ok=True)
         (out / name).write_bytes(content)
     verdicts, *others = ours
-    curves = "\n".join(f"![{p.scene}](plots/{p.scene.replace('/', '_')}.svg)\n" for p in plots)
+    curves = "\n".join(f"![{p.title}](plots/{p.slug}.svg)\n" for p in plots)
     (out / "report.md").write_text(
         "\n".join(
             [

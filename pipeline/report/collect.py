@@ -41,6 +41,7 @@ COST = (
 )
 REQUIRED = ("final.psnr", "final.ssim", "iterations", "train_seconds", "n_gaussians")
 CURVE_COLUMNS = ("train_seconds", "iteration", "psnr", "n_gaussians")
+CURVE_MORE = ("ssim", "test_loss")  # a curve without them is drawn without them
 ENVIRONMENT = ("machine", "date", "git_commit", "command")  # these stand beside the numbers
 
 
@@ -57,7 +58,7 @@ class Collection:
               `n_gaussians` … (floats; NaN: not measured). `*.dssim_ms` = (1 - MS-SSIM) / 2 is the paper's
               DSSIM; `*.flicker_levels` is flicker in levels of 255
     curves:   one row an evaluation: run, scene, ablation, train, seed, train_seconds (s), iteration,
-              psnr (dB), n_gaussians
+              psnr (dB), n_gaussians, and ssim, test_loss (NaN: not measured)
     settings: run -> its resolved config, flattened to `train.densify.every` style keys
     left_out: one line for each run not used;  warnings: one line for each part of a run not used
     """
@@ -110,7 +111,7 @@ def collect(runs_dir: Path) -> Collection:
         runs=pd.DataFrame(rows),
         curves=pd.concat(curves, ignore_index=True)
         if curves
-        else pd.DataFrame(columns=[*CURVE_COLUMNS, "run", "scene", "ablation", "train", "seed"]),
+        else pd.DataFrame(columns=[*CURVE_COLUMNS, *CURVE_MORE, "run", "scene", "ablation", "train", "seed"]),
         settings=settings,
         left_out=tuple(left_out),
         warnings=tuple(warnings),
@@ -179,7 +180,8 @@ def read_curve(path: Path) -> pd.DataFrame:
     if numbers.empty or numbers.isna().any(axis=None):
         bad = "no rows" if numbers.empty else f"none in line {2 + int(numbers.isna().any(axis=1).idxmax())}"
         raise BrokenRun(f"{path.name}: expected numbers, found {bad}")
-    return numbers.sort_values("iteration", kind="stable").reset_index(drop=True)
+    more = curve.reindex(columns=list(CURVE_MORE)).apply(pd.to_numeric, errors="coerce")
+    return numbers.join(more).sort_values("iteration", kind="stable").reset_index(drop=True)
 
 
 def read_environment(path: Path) -> dict[str, str]:

@@ -19,7 +19,8 @@ from .table import Table
 class CurvePlot:
     """One figure in both themes, as SVG text."""
 
-    scene: str
+    title: str
+    slug: str  # names its file
     light: str
     dark: str
 

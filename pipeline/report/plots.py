@@ -1,4 +1,4 @@
-"""Training curves, one figure a scene: PSNR against seconds and iterations, Gaussians against seconds.
+"""Training curves, one figure a comparison: quality and number of Gaussians against seconds and against iterations.
 
 SVG, in a light and a dark theme; the same numbers give the same bytes, so a committed plot changes only when
 they do.
@@ -10,7 +10,6 @@ import io
 from dataclasses import dataclass
 
 import matplotlib
-import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
@@ -18,9 +17,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
 from . import paper, scenes
+from .bands import band, end_of_coarse, split_at
+from .collect import Collection
+from .comparisons import Comparison, Line
 
-_LINES = ("-", "--", ":", "-.")  # by schedule
-_GRID = 200  # points of a band
 _LOG_RATIO = 4  # a schedule so many times longer than another squeezes it to a wall: logarithmic axis then
 
 
@@ -31,92 +31,79 @@ class Theme:
     name: str
     ink: str
     faint: str
-    ablations: tuple[str, ...]  # full, no_4drot, no_4dsh, no_time_split, any other
+    ablations: tuple[str, ...]  # full, no_4drot, no_4dsh, no_time_split, any other; lines of other figures in turn
 
 
 LIGHT = Theme("light", "#1d2430", "#d9dde3", ("#0072b2", "#d55e00", "#009e73", "#b5519b", "#7a7f87"))
 DARK = Theme("dark", "#e4e7ec", "#3a414d", ("#5ab6f0", "#f2955c", "#3ccb9e", "#e39bcf", "#a6abb3"))
 
-_PANELS = (
-    ("train_seconds", "psnr", "training time, s (evaluation left out)", "PSNR, dB, test views"),
-    ("iteration", "psnr", "iteration", "PSNR, dB, test views"),
-    ("train_seconds", "n_gaussians", "training time, s (evaluation left out)", "Gaussians"),
+_COLUMNS = (("train_seconds", "training time, s (evaluation left out)"), ("iteration", "iteration"))
+_ROWS = (
+    ("psnr", "PSNR, dB, test views"),
+    ("ssim", "SSIM, test views"),
+    ("test_loss", "loss, test views"),
+    ("n_gaussians", "Gaussians"),
 )
+_CAPTION = (
+    "Line: mean over seeds, each interpolated linearly, where all of them have values; dot: its end. "
+    "Band: ± one standard deviation over seeds."
+)
+_COARSE = (
+    "Dashed: trained at a coarse resolution but evaluated at the full one, where such a model reads low; "
+    "compare lines where they are solid."
+)
+_HEIGHT, _ROW_HEIGHT = 1.5, 2.35  # inches: what stands above and below the panels, a row of them
 
 
-def curve_scenes(curves: pd.DataFrame) -> list[str]:
-    """Scenes with at least one curve, in the report's order."""
-    return scenes.in_order(curves["scene"])
-
-
-def plot_scene(curves: pd.DataFrame, scene: str, theme: Theme = LIGHT) -> str:
-    """SVG text: a line for each schedule × ablation, mean over seeds, in a band of ± one std."""
-    curves = curves[curves["scene"] == scene]
-    names = scenes.ablations_in_order(curves["ablation"])
-    trains = sorted(curves["train"].unique())
-    with matplotlib.rc_context({"svg.hashsalt": scene, "font.family": "DejaVu Sans", "font.size": 9.5}):
-        figure = Figure(figsize=(12.6, 3.9))
+def plot(collection: Collection, comparison: Comparison, theme: Theme = LIGHT) -> str:
+    """SVG text: a row a quantity, those that no run has left out; a line each of the comparison's."""
+    curves = collection.curves[collection.curves["scene"] == comparison.scene]
+    runs_of = {line: curves[(curves["ablation"] == line.ablation) & (curves["train"] == line.train)]
+               for line in comparison.lines}
+    shown = pd.concat(runs_of.values())
+    rows = [(y, label) for y, label in _ROWS if shown[y].notna().any()]
+    with matplotlib.rc_context({"svg.hashsalt": comparison.slug, "font.family": "DejaVu Sans", "font.size": 9.5}):
+        height = _HEIGHT + _ROW_HEIGHT * len(rows)
+        figure = Figure(figsize=(12.6, height))
         FigureCanvasSVG(figure)
         # Margins by hand: the layout solver's last digits differ from run to run, and with them the SVG.
-        axes = figure.subplots(
-            1,
-            3,
-            width_ratios=(1.5, 1.1, 1.1),
-            gridspec_kw={"left": 0.035, "right": 0.985, "bottom": 0.13, "top": 0.8, "wspace": 0.16},
-        )
-        for axis, (x, y, x_label, y_label) in zip(axes, _PANELS):
-            for name in names:
-                for train in trains:
-                    of_line = curves[(curves["ablation"] == name) & (curves["train"] == train)]
-                    if len(of_line):
-                        label = name if len(trains) == 1 else f"{name}, {train}"
-                        colour = theme.ablations[_colour_index(name)]
-                        _draw(axis, of_line, x, y, colour, _LINES[trains.index(train) % len(_LINES)], label)
-            ends = curves.groupby("run")[x].max()
-            _finish(axis, x_label, y_label, theme, log=ends.max() > _LOG_RATIO * ends.min())
-        _paper_line(axes[0], scene, theme)
-        handles, labels = axes[0].get_legend_handles_labels()
-        figure.legend(
-            handles,
-            labels,
-            loc="upper left",
-            bbox_to_anchor=(0.027, 1.0),
-            ncols=4,
-            frameon=False,
-            labelcolor=theme.ink,
-        )
+        margins = {"left": 0.045, "right": 0.985, "bottom": 0.85 / height, "top": 1 - 0.8 / height,
+                   "wspace": 0.1, "hspace": 0.22}
+        axes = figure.subplots(len(rows), 2, sharex="col", squeeze=False, gridspec_kw=margins)
+        any_coarse = False
+        for column, (x, x_label) in enumerate(_COLUMNS):
+            coarse = {line: end_of_coarse(runs, collection.settings, x) for line, runs in runs_of.items()}
+            any_coarse |= any(coarse.values())
+            for axis, (y, label) in zip(axes[:, column], rows):
+                for i, (line, runs) in enumerate(runs_of.items()):
+                    if runs[y].notna().all():
+                        _draw(axis, runs, x, y, theme.ablations[_colour_index(line, i)], line.label, coarse[line])
+                ends = shown.groupby("run")[x].max()
+                _finish(axis, label, theme, log=ends.max() > _LOG_RATIO * ends.min())
+            axes[-1, column].set_xlabel(x_label, color=theme.ink)
+        _paper_line(axes[0, 0], comparison.scene, theme)
+        handles, labels = axes[0, 0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.037, 1.0), ncols=4, frameon=False,
+                      labelcolor=theme.ink)
+        caption = f"{_CAPTION}\n{_COARSE}" if any_coarse else _CAPTION
+        figure.text(0.045, 0.06 / height, caption, color=theme.ink, fontsize=8.5, va="bottom", linespacing=1.4)
         buffer = io.StringIO()
         figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
     return buffer.getvalue()
 
 
-def band(curves: pd.DataFrame, x: str, y: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(x, mean, std) over runs on a grid where every run has values; each run is interpolated linearly.
-
-    Seeds are not evaluated at the same second, so their values can only be compared in between. The std (n -
-    1) is zero for a single run.
-    """
-    runs = [(g[x].to_numpy(float), g[y].to_numpy(float)) for _, g in curves.sort_values(x).groupby("run")]
-    low, high = max(xs[0] for xs, _ in runs), min(xs[-1] for xs, _ in runs)
-    if len(runs) == 1 or high <= low:
-        xs, ys = runs[0]
-        return xs, ys, np.zeros_like(ys)
-    grid = np.linspace(low, high, _GRID)
-    values = np.stack([np.interp(grid, xs, ys) for xs, ys in runs])
-    return grid, values.mean(axis=0), values.std(axis=0, ddof=1)
-
-
-def _draw(axis: Axes, curves: pd.DataFrame, x: str, y: str, colour: str, line: str, label: str) -> None:
+def _draw(axis: Axes, curves: pd.DataFrame, x: str, y: str, colour: str, label: str, coarse: float) -> None:
     xs, mean, std = band(curves, x, y)
-    axis.plot(xs, mean, line, color=colour, linewidth=1.8, label=label)
+    before, after = split_at(xs, mean, coarse)
+    axis.plot(*before, linestyle=(0, (3, 1.5)), color=colour, linewidth=1.4)
+    axis.plot(*after, color=colour, linewidth=1.8, label=label)
     if std.any():
         axis.fill_between(xs, mean - std, mean + std, color=colour, alpha=0.18, linewidth=0)
     axis.plot(xs[-1], mean[-1], "o", color=colour, markersize=4)
 
 
-def _finish(axis: Axes, x_label: str, y_label: str, theme: Theme, log: bool) -> None:
-    axis.set_xlabel(x_label, color=theme.ink)
-    axis.set_title(y_label, color=theme.ink, loc="left", fontsize=10)
+def _finish(axis: Axes, title: str, theme: Theme, log: bool) -> None:
+    axis.set_title(title, color=theme.ink, loc="left", fontsize=10)
     axis.grid(color=theme.faint, linewidth=0.7)
     axis.set_axisbelow(True)
     axis.tick_params(colors=theme.ink, length=0)
@@ -147,9 +134,12 @@ def _paper_line(axis: Axes, scene: str, theme: Theme) -> None:
         )
 
 
-def _colour_index(ablation: str) -> int:
+def _colour_index(line: Line, place: int) -> int:
+    """An ablation has the same colour in every figure; other lines by their place."""
     known = ("full", "no_4drot", "no_4dsh", "no_time_split")
-    return known.index(ablation) if ablation in known else len(known)
+    if line.label == line.ablation:
+        return known.index(line.ablation) if line.ablation in known else len(known)
+    return place % (len(known) + 1)
 
 
 def _plain(value: float, _: object) -> str:

@@ -43,7 +43,8 @@ def time_to_psnr(collection: Collection, levels: tuple[float, ...] = ()) -> Tabl
                                      "level": Cell(f"{level:g} dB", level), **_cells(seconds)}))
     if not rows:
         return None
-    note = "Train s: mean over the seeds that reached the PSNR; evaluations are some hundred iterations apart."
+    note = ("Train s: mean over the seeds that reached the PSNR; evaluations are some hundred iterations apart. While "
+            "a model is trained at a coarse resolution it reads low: evaluations are of the full one.")
     return Table("time_to_psnr", "Training seconds to a given PSNR", columns, tuple(rows), notes=(("", note),))
 
 

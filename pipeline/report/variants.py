@@ -4,12 +4,13 @@
 `scene.frames=30` it is `fast (scene.frames=30)`: the report takes what the command changed into the name, so that no
 schedule passes for another and no part of a scene for the whole. Settings can differ
 without the command saying so (an edited file), so inside a scene all runs with one `train` name (and one `ablation`
-name) are compared key by key too; those that differ from most get the differing keys in their name.
+name) are compared key by key too; those that differ from the usual ones get the differing keys in their name.
 """
 
 from __future__ import annotations
 
 import json
+import re
 import shlex
 from collections import Counter
 from dataclasses import replace
@@ -73,22 +74,42 @@ def _as_typed(name: str, command: str) -> str:
         words = []  # not a command line
     free = (*_FREE, "scene.path", "scene.name")  # of the folder, schedule_settings compares the name
     changed = [w.removeprefix("train.") for w in words if w.startswith(_TYPED) and w.split("=")[0] not in free]
-    return f"{name} ({', '.join(changed)})" if changed else name
+    return with_parts(name, changed)
+
+
+def with_parts(name: str, parts: list[str]) -> str:
+    """`fast`, [`batch=4`] -> `fast (batch=4)`; what stands in brackets already stays there."""
+    name, before = parts_of(name)
+    return f"{name} ({', '.join(before + parts)})" if before + parts else name
+
+
+def parts_of(name: str) -> tuple[str, list[str]]:
+    """What with_parts put together; a value may hold commas."""
+    name, bracket, inside = name.partition(" (")
+    return name, re.split(r", (?=[\w.]+=|\d+ more)", inside.removesuffix(")")) if bracket else []
 
 
 def _distinct_names(runs: pd.DataFrame, column: str, settings: dict[str, dict[str, Any]]) -> pd.Series:
-    """`column`, plus the differing keys where a run's settings are not those of most runs of its name."""
+    """`column`, plus the differing keys where a run's settings are not the usual ones of its name."""
     names: dict[str, str] = {}
     for (_, name), group in runs.groupby(["scene", column], sort=False)["run"]:
-        texts = {
-            run: json.dumps(settings[run], sort_keys=True, default=str) for run in group if settings[run]
-        }
-        most = Counter(texts.values()).most_common(1)[0][0] if texts else None
-        usual = next((settings[run] for run in texts if texts[run] == most), {})
+        usual = _usual([settings[run] for run in group if settings[run]])
         for run in group:
-            differing = _difference(settings[run], usual) if run in texts else []
-            names[run] = f"{name} ({', '.join(differing)})" if differing else name
+            differing = _difference(settings[run], usual) if settings[run] else []
+            names[run] = with_parts(name, differing)
     return runs["run"].map(names)
+
+
+def _usual(settings: list[dict[str, Any]]) -> dict[str, Any]:
+    """Those that the others differ from in the fewest keys, all together: of a study that changes one key in each
+    variant, what they are variants of."""
+    texts = [json.dumps(one, sort_keys=True, default=str) for one in settings]
+    distinct, times = dict(zip(texts, settings)), Counter(texts)
+
+    def distance(text: str) -> int:
+        return sum(n * len(_differing(distinct[text], distinct[other])) for other, n in times.items())
+
+    return distinct[min(distinct, key=distance)] if distinct else {}
 
 
 def schedule_settings(settings: dict[str, Any]) -> dict[str, Any]:
@@ -110,8 +131,12 @@ def _of_ablation(settings: dict[str, Any]) -> dict[str, Any]:
 
 def _difference(settings: dict[str, Any], usual: dict[str, Any]) -> list[str]:
     """`iterations=600` for each key whose value is not the usual one; the first three, then how many more."""
-    keys = sorted(k for k in settings.keys() | usual.keys() if settings.get(k) != usual.get(k))
+    keys = _differing(settings, usual)
     shown = [
         f"{key.removeprefix('train.').removeprefix('ablation.')}={settings.get(key)}" for key in keys[:_SHOWN]
     ]
     return shown + ([f"{len(keys) - _SHOWN} more"] if len(keys) > _SHOWN else [])
+
+
+def _differing(one: dict[str, Any], other: dict[str, Any]) -> list[str]:
+    return sorted(key for key in one.keys() | other.keys() if one.get(key) != other.get(key))
