@@ -41,6 +41,7 @@ class SceneConfig:
     test_views: int = 12  # the other synthetic scenes
     seed: int = 0  # synthetic: the scene's own seed, apart from the run's
     init_points: int = 100_000
+    # [low, high] of the cube random points start in, canonical units; videos have bounds or a cube round their cameras
     init_box: list[float] = field(default_factory=lambda: [-1.2, 1.2])
     near: float = 0.2  # in the scene's normalised unit (Scene.unit)
 
@@ -114,7 +115,7 @@ class AblationConfig:
 
 @dataclass
 class RateConfig:
-    """Learning rates of Adam (SPEC 2); positions are multiplied by the scene's extent."""
+    """Learning rates of Adam (SPEC 2), in canonical units; positions are multiplied by the scene's extent."""
 
     mean: float = 1.6e-4
     mean_final: float = 1.6e-6  # log-linear over `decay_iterations`
@@ -210,7 +211,7 @@ class TrainConfig:
     init_time_scale: float = 0.5  # × duration
     init_time_margin: float = 0.0  # times uniform over the duration widened so much a side
     init_points: Optional[int] = None  # None: the scene's
-    init_box: Optional[list[float]] = None  # None: the scene's
+    init_box: Optional[list[float]] = None  # canonical units; None: the scene's
     rate: RateConfig = field(default_factory=RateConfig)
     densify: DensifyConfig = field(default_factory=DensifyConfig)
     eval_every: int = 500

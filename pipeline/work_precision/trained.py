@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 
@@ -25,7 +26,7 @@ def workload_of(folder: Path, say: Callable[[str], None]) -> Workload:
             raise ValueError(f"{folder}: expected a trained run with {name}, found none")
     cfg = to_config(OmegaConf.merge(OmegaConf.structured(Config), OmegaConf.load(folder / "config.yaml")))
     scene = prepare(cfg, say).scene
-    if (near := cfg.scene.near * scene.unit) != Request.near:
+    if not math.isclose(near := cfg.scene.near * scene.unit, Request.near):
         raise ValueError(f"{folder}: expected a near plane at {Request.near}, as the benchmark's, found {near}")
     view = scene.test[len(scene.test) // 2]
     gaussians = load_model(folder / "checkpoint.safetensors").gaussians()
