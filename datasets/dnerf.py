@@ -5,7 +5,8 @@
          "frames": [{"file_path": "./train/r_0", "time": 0.0 … 1.0, "transform_matrix": 4×4 camera-to-world}, …]}
     DIR/train/r_0.png …   RGB or RGBA with straight alpha, all of one size
 
-Without `time` in any frame the scene is static. Poses have Blender's camera axes (x right, y up, z backward).
+Without `time` in any frame the scene is static. Times may be in any other unit too: frames, seconds, since 1970. Poses
+have Blender's camera axes (x right, y up, z backward).
 Every fault is a `SceneError`, raised before an image is decoded where the headers suffice to see it.
 """
 
@@ -21,11 +22,18 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from datasets.canonical import canonical_space
 from datasets.scene import Scene, SceneError, View, camera_extent, validate_scene
 from rasterizer.camera import Camera
 
 # RᵀR may differ from I by this much: D-NeRF stores float32 (2e-7), files rounded to four decimals reach 1e-4.
 RIGID_TOLERANCE = 1e-3
+
+# Times that lie in [0, 1] and span more of it than this are the layout's own.
+LEAST_SPAN = 0.5
+# A first or last time so many times farther from the next one than all others lie apart is a slip, and would leave the
+# whole scene one moment.
+STRAY = 10.0
 
 
 @dataclass(frozen=True)
@@ -47,6 +55,8 @@ def read_dnerf(path: str | Path, *, name: str, test_split: str = "test", downsca
     test_split: the held-out split, "test" or "val" (the paper tests lego on val).
     downscale: images are read at 1/downscale of their size, by area average (see compose).
     background: RGB in [0, 1], composed under transparent pixels exactly once.
+    init_box: [low, high] of the cube that random points start in, canonical units (canonical.py): nothing in this
+    layout says how far a scene reaches.
     Raises SceneError for anything that is not as the layout promises.
     """
     root = Path(path)
@@ -54,7 +64,7 @@ def read_dnerf(path: str | Path, *, name: str, test_split: str = "test", downsca
         raise SceneError(root, "a folder in the D-NeRF layout", "a file" if root.exists() else "nothing there")
     frames = {split: _read_transforms(root, split) for split in ("train", test_split)}
     everything = [frame for split in frames.values() for frame in split]
-    _check_times(root, everything)
+    time_start, duration = _time_range(root, everything)
     size = common_size([frame.image_path for frame in everything])
     if min(size) < downscale:
         raise SceneError(everything[0].image_path, f"at least {downscale} pixels a side (downscale)",
@@ -63,9 +73,11 @@ def read_dnerf(path: str | Path, *, name: str, test_split: str = "test", downsca
     background = tuple(float(channel) for channel in background)
     views = {split: tuple(_read_view(frame, size, downscale, background) for frame in found)
              for split, found in frames.items()}
-    scene = Scene(name=name, train=views["train"], test=views[test_split], duration=1.0, time_start=0.0,
-                  background=background, extent=camera_extent([view.camera for view in views["train"]]),
-                  init_box=tuple(init_box), source=root)
+    cameras = [view.camera for view in views["train"]]
+    space = canonical_space(cameras)
+    scene = Scene(name=name, train=views["train"], test=views[test_split], duration=duration, time_start=time_start,
+                  background=background, extent=camera_extent(cameras), init_box=space.inverse.box(tuple(init_box)),
+                  source=root, unit=space.unit)
     return validate_scene(scene)
 
 
@@ -133,8 +145,8 @@ def _read_frame(entry: Any, where: str, root: Path, angle_x: float) -> Frame:
     time = None
     if "time" in entry:
         time = read_number(entry["time"], f"{where}: time")
-        if not 0 <= time <= 1:
-            raise SceneError(f"{where}: time", "a time in [0, 1]", f"{time}")
+        if not math.isfinite(time):
+            raise SceneError(f"{where}: time", "a finite time", f"{time}")
     pose = read_pose(get_key(entry, "transform_matrix", where), f"{where}: transform_matrix")
     return Frame(Path(file_path).as_posix().removesuffix(".png"), image_path, time, pose, angle_x)
 
@@ -173,12 +185,30 @@ def read_pose(value: Any, where: str) -> np.ndarray:
     return pose
 
 
-def _check_times(root: Path, frames: list[Frame]) -> None:
-    """All frames are timed or none is: a frame without its time must not pass for time zero."""
+def _time_range(root: Path, frames: list[Frame]) -> tuple[float, float]:
+    """(start, duration): [0, 1] for times as the layout has them and for none; else from the first time to the last.
+
+    All frames are timed or none is: a frame without its time must not pass for time zero.
+    """
     missing = [frame.name for frame in frames if frame.time is None]
     if missing and len(missing) < len(frames):
         raise SceneError(root / missing[0], "a time in every frame or in none",
                          f"none here and in {len(missing)} of {len(frames)} frames")
+    if missing:
+        return 0.0, 1.0
+    ordered = sorted(frames, key=lambda frame: frame.time)
+    low, high = ordered[0].time, ordered[-1].time
+    if 0 <= low and high <= 1 and (high - low > LEAST_SPAN or high == low):
+        return 0.0, 1.0
+    for stray, others in ((ordered[0], ordered[1:]), (ordered[-1], ordered[:-1])):
+        gap = min(abs(stray.time - other.time) for other in others)
+        if 0 < STRAY * (others[-1].time - others[0].time) < gap:
+            raise SceneError(root / stray.name, f"a time near the other frames', {others[0].time:.13g} to "
+                             f"{others[-1].time:.13g}", f"{stray.time:.13g}")
+    duration = high - low or 1.0
+    while low + duration < high:  # by rounding
+        duration = math.nextafter(duration, math.inf)
+    return low, duration
 
 
 def common_size(paths: Sequence[Path]) -> tuple[int, int]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, Union
 
 import numpy as np
 
@@ -16,6 +16,10 @@ from rasterizer.camera import Camera
 
 # 3DGS scales its position learning rate by 1.1 × the distance of the farthest training camera from their centre.
 EXTENT_MARGIN = 1.1
+
+# Opposite corners, low and high; one number is the same on all three axes.
+Corner = Union[float, tuple[float, float, float]]
+Box = tuple[Corner, Corner]
 
 
 class SceneError(ValueError):
@@ -51,19 +55,23 @@ class View:
 
 @dataclass(frozen=True)
 class Scene:
-    """A scene split into the views to learn from and the views held out."""
+    """A scene split into the views to learn from and the views held out.
+
+    Readers give it in the units of its files; canonical.py turns it into those that training works in.
+    """
 
     name: str
     train: tuple[View, ...]
     test: tuple[View, ...]
-    duration: float  # T of SPEC 1; 1 for the D-NeRF layout
+    duration: float  # T of SPEC 1
     time_start: float
     background: tuple[float, float, float]  # RGB in [0, 1]
     extent: float  # world units, see camera_extent
-    init_box: tuple[float, float]  # random points start in the cube [low, high]³, world units
+    init_box: Box  # random points start in it, world units
     source: Path  # the folder it was read from
     unit: float = 1.0  # world units of one normalised unit, which the near plane is given in
-    frame_rate: float | None = None  # of the videos it was filmed as, a second; None: photographs
+    frame_rate: float | None = None  # frames of the videos it was filmed as in a unit of time; None: photographs
+    shown_rate: float | None = None  # frames a second to show it at; None: frame_rate
 
     @property
     def time_end(self) -> float:
@@ -82,6 +90,13 @@ def camera_extent(cameras: Sequence[Camera]) -> float:
     return EXTENT_MARGIN * float(distances.max())
 
 
+def cube_round(places: np.ndarray, margin: float = 0.0) -> Box:
+    """The cube about the middle of `places` (N, 3) that holds them all, `margin` farther out on every side."""
+    low, high = np.min(places, axis=0), np.max(places, axis=0)
+    middle, half = 0.5 * (low + high), 0.5 * float(np.max(high - low)) + margin
+    return tuple((middle - half).tolist()), tuple((middle + half).tolist())
+
+
 def validate_scene(scene: Scene) -> Scene:
     """The scene itself, if it can be trained on; otherwise SceneError.
 
@@ -96,7 +111,7 @@ def validate_scene(scene: Scene) -> Scene:
                          f"start {scene.time_start}, duration {scene.duration}")
     if len(scene.background) != 3 or not all(0 <= channel <= 1 for channel in scene.background):
         raise SceneError(scene.source, "a background of three values in [0, 1]", f"{scene.background}")
-    if not scene.init_box[0] < scene.init_box[1]:
+    if not np.less(*scene.init_box).all():
         raise SceneError(scene.source, "init_box [low, high] with low < high", f"{scene.init_box}")
 
     first = scene.train[0]
@@ -107,9 +122,10 @@ def validate_scene(scene: Scene) -> Scene:
             raise SceneError(scene.source, "each view's name once", f"{view.name} twice")
         seen.add(view.name)
 
-    # Relative to the distance of the cameras from the origin: rounding alone must not pass for movement.
+    # Relative to the distance of the cameras from the origin: rounding alone must not pass for movement, but a rig of a
+    # metre in coordinates of a map, which are millions of metres, must.
     reach = max(float(np.linalg.norm(view.camera.position)) for view in scene.train)
-    if not scene.extent > 1e-6 * reach:
+    if not scene.extent > 1e-9 * reach:
         raise SceneError(scene.source, "training cameras at two places or more (their spread scales the learning rate)",
                          f"{len(scene.train)} at one place")
     return scene

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from datasets.gaze import SMALLEST_MEAN_DIRECTION, axes_meet
 from rasterizer import Camera
 
 SECONDS = 5.0  # of video, both turns
@@ -19,12 +20,6 @@ FRAME_RATE = 30.0  # a second
 # The ellipse reaches so far along each axis that this part of the cameras is nearer to the middle: between cameras the
 # model has seen the scene from both sides, outside of them it guesses.
 SPREAD_QUANTILE = 0.7
-
-# Axes that meet at less than this angle (root mean square, to their mean) say nothing about where.
-SMALLEST_ANGLE_DEG = 2.0
-
-# Cameras around the scene look at each other and have no mean direction: the length of the mean of their unit vectors.
-SMALLEST_MEAN_DIRECTION = 0.5
 
 
 @dataclass(frozen=True)
@@ -86,21 +81,6 @@ def ellipse_among(cameras: Sequence[Camera], usual_depth: float) -> Ellipse:
     if focus is None:
         focus = centre + usual_depth * _unit(forward)
     return Ellipse(centre, half[0] * plane[0], half[1] * plane[1], focus, down)
-
-
-def axes_meet(positions: np.ndarray, directions: np.ndarray) -> np.ndarray | None:
-    """The point nearest to all optical axes, (3,), in the sense of least squares; None where that says little.
-
-    positions: (C, 3); directions: (C, 3) unit vectors. Little: axes almost parallel, or a point behind most cameras.
-    """
-    across = np.eye(3) - directions[:, :, None] * directions[:, None, :]  # (C, 3, 3) projections off the axes
-    system = across.mean(axis=0)
-    # The smallest eigenvalue is the mean squared sine of the angle between the axes and the direction they share.
-    if np.linalg.eigvalsh(system)[0] < np.sin(np.radians(SMALLEST_ANGLE_DEG)) ** 2:
-        return None
-    point = np.linalg.solve(system, np.einsum("nij,nj->i", across, positions) / len(positions))
-    depths = np.sum((point - positions) * directions, axis=1)
-    return point if np.median(depths) > 0 else None
 
 
 def median_depth(points: np.ndarray, camera: Camera) -> float | None:

@@ -40,6 +40,7 @@ class SceneConfig:
     test_views: int = 12  # the other synthetic scenes
     seed: int = 0  # synthetic: the scene's own seed, apart from the run's
     init_points: int = 100_000
+    # [low, high] of the cube random points start in, canonical units; videos have bounds or a cube round their cameras
     init_box: list[float] = field(default_factory=lambda: [-1.2, 1.2])
     near: float = 0.2  # in the scene's normalised unit (Scene.unit)
 

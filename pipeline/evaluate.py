@@ -132,7 +132,7 @@ def evaluate_and_show(model: Model, scene: Scene, cfg: Config, threads: int, fol
     save = png_saver(folder)
     if not cfg.evaluate.videos or scene.frame_rate is None:
         return evaluate(model, scene, cfg, threads, save)
-    with HeldOutFilms(folder, scene.frame_rate) as film:
+    with HeldOutFilms(folder, scene.shown_rate or scene.frame_rate) as film:
         found = evaluate(model, scene, cfg, threads, save, film)
     write_bullet_time(folder / "bullet_time.mp4", Renderer(model, scene, cfg, Frame(threads=threads)))
     return found

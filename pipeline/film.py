@@ -1,6 +1,7 @@
 """Views that are frames of a film: which camera took one, in what order they come, and which follow each other.
 
-A scene that was filmed has a frame rate, times in seconds, and views named <split>/<camera>_<frame>: test/cam00_0012.
+A scene that was filmed has a frame rate (frames in a unit of its time) and views named <split>/<camera>_<frame>:
+test/cam00_0012.
 """
 
 from __future__ import annotations

@@ -28,9 +28,9 @@ SH_C0 = 0.28209479177387814  # Y_00 = 1 / (2 √π)
 def initialise(scene: Scene, cfg: Config, generator: np.random.Generator, cloud: Reconstruction | None = None) -> Model:
     """A fresh model of the kind the scene and the ablation ask for.
 
-    Positions and colours are those of `cloud`; without one positions are uniform in the cube `scene.init_box`³ (or
-    `train.init_box`³) and colours grey. Times are uniform over the scene's duration widened by `train.init_time_margin`
-    × duration a side. Deterministic in `generator`.
+    Positions and colours are those of `cloud`; without one positions are uniform in the box `scene.init_box` (or the
+    cube `train.init_box`³) and colours grey. Times are uniform over the scene's duration widened by
+    `train.init_time_margin` × duration a side. Deterministic in `generator`.
     """
     points, sh_dc = _random_points(scene, cfg, generator) if cloud is None else (cloud.points, _sh_dc(cloud.colors))
     sphere = 0
@@ -71,7 +71,7 @@ def in_sight(points: np.ndarray, cameras: Sequence[Camera]) -> np.ndarray:
 
 
 def _random_points(scene: Scene, cfg: Config, generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (N, 3) in the cube, and colours as coefficients (N, 3)."""
+    """Positions (N, 3) in the box, and colours as coefficients (N, 3)."""
     count = cfg.scene.init_points if cfg.train.init_points is None else cfg.train.init_points
     low, high = scene.init_box if cfg.train.init_box is None else cfg.train.init_box
     return generator.uniform(low, high, size=(count, 3)), _grey(count, generator)

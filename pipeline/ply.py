@@ -5,6 +5,9 @@ A static model is exactly 3DGS's file. A 4D model adds properties such viewers s
 scene, `sphere`, 1 for its Gaussians and 0 for the others. An environment map is no Gaussian and is left out. Shown in
 such a viewer, a 4D model is the Gaussians' spatial part without conditioning on a time: right for checking an
 initialisation, a blur for motion.
+
+Lengths and times are the model's own, canonical ones: training starts from the file a run writes, and far from the
+origin float32 would lose what it needs. The run's canonical.json says how they follow from the world's.
 """
 
 from __future__ import annotations

@@ -2,7 +2,8 @@
 
 Three kinds of footage come together here. Photographs of one moving camera bring their poses and start from random
 points. Several posed cameras (Plenoptic Video) have points triangulated on their first frames. Videos without poses
-have both found for them.
+have both found for them. All of this is in the units of the files; what comes out is in canonical coordinates
+(datasets/canonical.py), and so is everything that a run makes of it.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from datasets import Scene, is_filmed, load_footage, load_posed, load_scene
+from datasets.canonical import Canonical, canonical_of, canonical_space, canonicalise
 from pipeline.config import Config
 from pipeline.sfm.photograph import Photograph, Reconstruction
 from rasterizer.camera import Camera
@@ -29,15 +31,30 @@ UNIT_OF_NEAR, NEAR_QUANTILE = 0.75, 0.05
 
 @dataclass(frozen=True)
 class Prepared:
-    """A scene ready to be trained on."""
+    """A scene ready to be trained on; it and its points are in canonical coordinates."""
 
     scene: Scene
     cloud: Reconstruction | None  # None: random points
     sfm_folder: Path | None  # where the cloud is kept, with its summary and its picture
+    canonical: Canonical = Canonical()  # how the files' units became canonical ones
 
 
 def prepare(cfg: Config, say: Callable[[str], None]) -> Prepared:
-    """Read the scene, run structure from motion where needed (or take its kept result). Raises ValueError."""
+    """Read the scene, run structure from motion where needed (or take its kept result), normalise both.
+
+    Normalised last, because only structure from motion finds or refines some poses. Raises ValueError.
+    """
+    data = _in_own_units(cfg, say)
+    frame = canonical_of(data.scene)
+    if frame.is_identity:
+        return data
+    say(f"normalised: {frame}")
+    cloud = None if data.cloud is None else _moved(data.cloud, frame)
+    return replace(data, scene=canonicalise(data.scene, frame), cloud=cloud, canonical=frame)
+
+
+def _in_own_units(cfg: Config, say: Callable[[str], None]) -> Prepared:
+    """What the files hold and structure from motion finds, not normalised yet."""
     if cfg.scene.reader == "video":
         return _from_videos(cfg, load_footage(cfg.scene, threads=cfg.threads, say=say), say)
     if is_filmed(cfg.scene) and cfg.init.source != "random":
@@ -86,11 +103,25 @@ def near_depth(points: np.ndarray, cameras: list[Camera]) -> float:
 
 def _reconstruct(cfg: Config, photographs: list[Photograph], unit: float, source: Path, say: Callable[[str], None]
                  ) -> tuple[Reconstruction, Path]:
+    """Structure from motion, in the photographs' own world. COLMAP itself gets canonical coordinates: its solvers stop
+    at absolute differences, in a world of thousands of units sooner."""
     from pipeline.sfm.store import reconstruct_once  # what scenes with random points do without
 
     say(f"sfm: {len(photographs)} cameras, first frames of {source}")
-    cloud, folder = reconstruct_once(photographs, cfg.init, unit, source, Path(cfg.scene.cache))
+    known = [photograph.camera for photograph in photographs if photograph.camera is not None]
+    frame = canonical_space(known, unit) if known else Canonical()
+    if not frame.is_identity:
+        photographs = [replace(photograph, camera=frame.camera(photograph.camera)) for photograph in photographs]
+    cloud, folder = reconstruct_once(photographs, cfg.init, unit * frame.scale, source, Path(cfg.scene.cache))
     found = cloud.summary()
     say(f"sfm: {found['points']} points, mean error {found['mean_error_px']:.2f} px, in "
         f"{found['mean_track_length']:.1f} images each; kept in {folder}")
-    return cloud, folder
+    return _moved(cloud, frame.inverse), folder
+
+
+def _moved(cloud: Reconstruction, frame: Canonical) -> Reconstruction:
+    """Points and cameras in the coordinates that `frame` leads to."""
+    if frame.is_identity:
+        return cloud
+    lenses = {name: replace(lens, camera=frame.camera(lens.camera)) for name, lens in cloud.lenses.items()}
+    return replace(cloud, points=frame.points(cloud.points), lenses=lenses)

@@ -1,7 +1,7 @@
 """The run folder: where one run keeps everything it makes, and how it knows what is already done.
 
     config.yaml  environment.json  stages.json  log.jsonl
-    sfm.json  sfm.png  init.ply  checkpoint.safetensors  error_vs_time.csv
+    sfm.json  sfm.png  canonical.json  init.ply  checkpoint.safetensors  error_vs_time.csv
     metrics.json  per_image.csv  renders/
 
 Whole files are written beside their name, synced and renamed, so that a reader never meets half of one. The two that
@@ -27,8 +27,8 @@ from omegaconf import OmegaConf
 # Keys that say where and how a run is made, not what it computes: a finished run may be repeated with others.
 FREE_KEYS = ("out", "threads", "resume", "scene.cache", "evaluate", "estimate")
 CURVE_COLUMNS = ("train_seconds", "iteration", "psnr", "ssim", "test_loss", "n_gaussians")
-_OURS = ("config.yaml", "environment.json", "stages.json", "log.jsonl", "sfm.json", "sfm.png", "init.ply",
-         "checkpoint.safetensors", "error_vs_time.csv", "metrics.json", "per_image.csv", "renders")
+_OURS = ("config.yaml", "environment.json", "stages.json", "log.jsonl", "sfm.json", "sfm.png", "canonical.json",
+         "init.ply", "checkpoint.safetensors", "error_vs_time.csv", "metrics.json", "per_image.csv", "renders")
 
 
 @contextmanager
@@ -108,6 +108,10 @@ class RunFolder:
     @property
     def sfm_picture(self) -> Path:
         return self.path / "sfm.png"
+
+    @property
+    def canonical(self) -> Path:
+        return self.path / "canonical.json"
 
     @property
     def init_ply(self) -> Path:

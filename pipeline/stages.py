@@ -44,8 +44,8 @@ def run(cfg: Config, command: str, say: Say) -> dict:
         data = prepare(cfg, say)
         inputs = stage_inputs(cfg, data)
         if folder.inputs_of("init") not in (None, inputs["init"]):
-            raise ValueError(f"{folder.path}: holds a run made from other data than {data.scene.source} holds now; "
-                             "give another out=DIR, or resume=false to replace it")
+            raise ValueError(f"{folder.path}: holds a run made from other data than {data.scene.source} holds now, or "
+                             "normalised otherwise; give another out=DIR, or resume=false to replace it")
         if not all(_done(folder, stage, inputs[stage]) for stage in inputs):
             write_json(folder.environment, environment(command))
             folder.log({"event": "start", "command": command})
@@ -64,6 +64,8 @@ def stage_inputs(cfg: Config, data: Prepared) -> dict[str, str]:
     config, found = asdict(cfg), {}
     starts = {key: value for key, value in config["train"].items() if key.startswith("init_")}
     beginning = [fingerprint(data.scene), config["ablation"], starts, config["scene"]["init_points"], cfg.seed]
+    if not data.canonical.is_identity:  # a model in one frame must not go on in another
+        beginning.append(asdict(data.canonical))
     if data.cloud is not None:
         found["sfm"] = _hash(data.sfm_folder.name)
         beginning.append(found["sfm"])
@@ -100,10 +102,12 @@ def _sfm(cfg: Config, data: Prepared, folder: RunFolder) -> dict:
 
 
 def _init(cfg: Config, data: Prepared, folder: RunFolder) -> dict:
-    """scene and points → init.ply."""
+    """scene and points → init.ply; and in canonical.json how its coordinates come from the files'."""
     model = initialise(data.scene, cfg, np.random.default_rng([cfg.seed, 0]), data.cloud)
     with replacing(folder.init_ply) as temporary:
         save_ply(temporary, model)
+    if not data.canonical.is_identity:
+        write_json(folder.canonical, data.canonical.described())
     return {"n_gaussians": len(model)}
 
 

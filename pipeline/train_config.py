@@ -13,7 +13,7 @@ from pipeline.ranges import BACKGROUNDS, require
 
 @dataclass
 class RateConfig:
-    """Learning rates of Adam (SPEC 2); positions are multiplied by the scene's extent."""
+    """Learning rates of Adam (SPEC 2), in canonical units; positions are multiplied by the scene's extent."""
 
     mean: float = 1.6e-4
     mean_final: float = 1.6e-6  # log-linear over `decay_iterations`
@@ -141,7 +141,7 @@ class TrainConfig:
     init_time_scale: float = 0.5  # × duration
     init_time_margin: float = 0.0  # times uniform over the duration widened so much a side
     init_points: Optional[int] = None  # None: the scene's
-    init_box: Optional[list[float]] = None  # None: the scene's
+    init_box: Optional[list[float]] = None  # canonical units; None: the scene's
     rate: RateConfig = field(default_factory=RateConfig)
     densify: DensifyConfig = field(default_factory=DensifyConfig)
     eval_every: int = 500

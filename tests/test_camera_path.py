@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.camera_path import FRAME_RATE, SECONDS, axes_meet, bullet_time, ellipse_among, look_at, median_depth
+from datasets.gaze import axes_meet
+from pipeline.camera_path import FRAME_RATE, SECONDS, bullet_time, ellipse_among, look_at, median_depth
 from rasterizer import Camera
 
 DOWN = np.array([0.0, 1.0, 0.0])

@@ -141,6 +141,21 @@ def test_file_names_may_end_in_png(folder: Path) -> None:
     assert all((a.image == b.image).all() for a, b in zip(after.train, before.train))
 
 
+@pytest.mark.parametrize(("step", "start"), [(149.0, 0.0), (5000.0, -200.0), (5.0, 1.7e9), (0.4, 0.1), (1.0, 3.0)])
+def test_times_in_another_unit_keep_it_and_say_how_long_the_scene_is(folder: Path, step: float, start: float) -> None:
+    for split in ("train", "test"):
+        edit(folder, lambda c: [f.update(time=start + step * f["time"]) for f in c["frames"]], split)
+    scene = read(folder)
+    assert [view.time for view in scene.train] == [start, start + 0.5 * step, start + step]
+    assert (scene.time_start, scene.duration) == (start, pytest.approx(step)) and not scene.is_static
+
+
+def test_times_in_most_of_the_unit_interval_are_the_layouts_own(folder: Path) -> None:
+    for split in ("train", "test"):
+        edit(folder, lambda c: [f.update(time=0.2 + 0.6 * f["time"]) for f in c["frames"]], split)
+    assert (read(folder).time_start, read(folder).duration) == (0.0, 1.0)
+
+
 def test_without_any_time_the_scene_is_static(tmp_path: Path) -> None:
     for split in ("train", "test"):
         write_split(tmp_path, split, 2, timed=False)
@@ -222,10 +237,12 @@ BAD_INPUT: dict[str, tuple[Callable[[Path], object], str]] = {
     "pose scaled": (transforms(with_pose(0, 0, 1.2)), r"a rigid pose .* up to 0\.44"),
     "pose mirrored": (transforms(with_pose(0, 0, -1.0)), "a rigid pose .* det R -1"),
     "pose projective": (transforms(with_pose(3, 0, 0.5)), r"a rigid pose .* last row \[0.5"),
-    "time beyond 1": (transforms(lambda c: frame(c, time=1.5)),
-                      r"frames\[1\]: time: expected a time in \[0, 1\], found 1.5"),
-    "time negative": (transforms(lambda c: frame(c, time=-0.1)), "found -0.1"),
-    "time NaN": (transforms(lambda c: frame(c, time=float("nan"))), r"a time in \[0, 1\], found nan"),
+    "time of another clock": (transforms(lambda c: frame(c, time=1.7e9 + 0.25)),
+                              r"train/r_1: expected a time near the other frames', 0 to 1, found 1700000000\.25"),
+    "time far before": (transforms(lambda c: frame(c, time=-20.0)), r"train/r_1: .* found -20"),
+    "time infinite": (transforms(lambda c: frame(c, time=float("inf"))),
+                      r"frames\[1\]: time: expected a finite time, found inf"),
+    "time NaN": (transforms(lambda c: frame(c, time=float("nan"))), "time: expected a finite time, found nan"),
     "time null": (transforms(lambda c: frame(c, time=None)), "time: expected a number, found None"),
     "time in some frames only": (transforms(drop("time")), "train/r_1: expected a time in every frame or in none"),
     "time in train only": (lambda f: edit(f, lambda c: [x.pop("time") for x in c["frames"]], "test"),

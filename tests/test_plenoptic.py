@@ -67,7 +67,8 @@ def test_cameras_are_those_of_the_poses(folder: Path) -> None:
     np.testing.assert_allclose(camera.position, [1, 0, -4], atol=1e-12)
     assert scene.unit == 0.75 * NEAR
     assert scene.extent == pytest.approx(1.1 * 0.5)  # training cameras at x = 1 and 2
-    assert scene.init_box[0] <= -4 and scene.init_box[1] >= 6  # the cameras, and z = -4 + 10 at their far bound
+    low, high = scene.init_box
+    assert low[2] <= -4 and high[2] >= 6  # the cameras, and z = -4 + 10 at their far bound
 
 
 def test_half_resolution_is_the_mean_of_blocks_and_the_camera_knows(folder: Path) -> None:

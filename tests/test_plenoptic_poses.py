@@ -80,8 +80,8 @@ def test_the_unit_puts_the_nearest_bound_at_a_third_more_than_one(tmp_path: Path
     far[15:] = 3.0, 30.0
     found = read(tmp_path, SIDEWAYS, far)
     assert found.unit == 1.5  # 0.75 · 2
-    # x of the second camera's far bound is 1 + 30, its y and z stay 2 and 3: the cube goes from 1 to 31.
-    assert found.init_box == pytest.approx((1.0, 31.0))
+    # x of the second camera's far bound is 1 + 30, its y and z stay 2 and 3: a cube of side 30 about (16, 2, 3).
+    np.testing.assert_allclose(found.init_box, [(1, -13, -12), (31, 17, 18)])
     assert read(tmp_path, SIDEWAYS, far, keep=("cam01",)).unit == 2.25
 
 

@@ -16,13 +16,14 @@ from typing import Any
 
 import numpy as np
 
+from datasets.canonical import canonical_space
 from datasets.plenoptic.decode import Undistortion, fingerprint
 from datasets.plenoptic.footage import Footage, Reading
 from datasets.plenoptic.images import camera_number, read_camera, read_entries, sequences
 from datasets.plenoptic.poses import read_poses
 from datasets.plenoptic.sync import choose, common_frames
 from datasets.plenoptic.videos import VideoFile, find_cameras, find_footage, probe
-from datasets.scene import Scene, SceneError
+from datasets.scene import Box, Scene, SceneError
 from rasterizer.camera import Camera
 
 __all__ = ["Footage", "Posed", "Reading", "Undistortion", "open_plenoptic", "read_footage", "read_plenoptic"]
@@ -39,7 +40,7 @@ class Posed:
     cameras: Mapping[str, Camera]  # of the full-size images
     undistortion: Mapping[str, Undistortion] | None = None
     unit: float = 1.0
-    init_box: tuple[float, float] | None = None
+    init_box: Box | None = None
 
     def first_images(self) -> dict[str, np.ndarray]:
         """Name -> the first frame of each camera as `cameras` see it, full size."""
@@ -96,5 +97,7 @@ def _open_images(root: Path, reading: Reading) -> Posed:
     content = f"{fingerprint(files, IMAGE_PART)} over {reading.background}"
     footage = Footage(root, found, count, content, reading)
     posed = {name: read_camera(entries[name], footage.size) for name in footage.names}
-    return Posed(footage, {name: camera for name, (camera, _) in posed.items()},
-                 {name: lens for name, (_, lens) in posed.items()})
+    cameras = {name: camera for name, (camera, _) in posed.items()}
+    trained = [camera for name, camera in cameras.items() if name not in footage.held_out]
+    return Posed(footage, cameras, {name: lens for name, (_, lens) in posed.items()},
+                 unit=canonical_space(trained).unit)  # these files have no bounds

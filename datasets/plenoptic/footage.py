@@ -13,11 +13,15 @@ from pathlib import Path
 
 import numpy as np
 
+from datasets.canonical import FRAMES_A_UNIT
 from datasets.plenoptic.decode import Recipe, Stream, Undistortion, decode, reduce_camera, store_folder, straighten
 from datasets.plenoptic.display import Say
 from datasets.plenoptic.sync import drop_advice
-from datasets.scene import Image, Scene, SceneError, View, camera_extent, validate_scene
+from datasets.scene import Box, Image, Scene, SceneError, View, camera_extent, cube_round, validate_scene
 from rasterizer.camera import Camera
+
+# Images may count time in frames or milliseconds: a rate beyond these is none of a film in seconds.
+FILM_RATES = (5.0, 1000.0)
 
 
 @dataclass(frozen=True)
@@ -76,8 +80,13 @@ class Footage:
 
     @property
     def rate(self) -> float:
-        """Frames a second."""
+        """Frames a second, or in what unit of time the files have."""
         return self.streams[0].rate
+
+    @property
+    def shown_rate(self) -> float:
+        """Frames a second to show it at."""
+        return self.rate if FILM_RATES[0] <= self.rate <= FILM_RATES[1] else FRAMES_A_UNIT
 
     def first_images(self, undistortion: Mapping[str, Undistortion] | None = None) -> dict[str, np.ndarray]:
         """Name -> the first frame in use of each camera, (height, width, 3) uint8 RGB at full resolution; straight
@@ -91,7 +100,7 @@ class Footage:
             return dict(zip(self.names, pool.map(first, self.streams)))
 
     def to_scene(self, cameras: Mapping[str, Camera], undistortion: Mapping[str, Undistortion] | None = None,
-                 unit: float = 1.0, init_box: tuple[float, float] | None = None) -> Scene:
+                 unit: float = 1.0, init_box: Box | None = None) -> Scene:
         """The scene seen by `cameras` (name -> camera of the full-size image), decoding what is not in the store.
 
         undistortion: name -> lens, for images that are to be straightened; their cameras are those of the straight
@@ -127,7 +136,7 @@ class Footage:
                              "{} x {}".format(*self.size))
 
     def _scene(self, cameras: Mapping[str, Camera], images: Mapping[str, Sequence[Image]], unit: float,
-               init_box: tuple[float, float]) -> Scene:
+               init_box: Box) -> Scene:
         views: dict[str, list[View]] = {"train": [], "test": []}
         for stream in self.streams:
             split = "test" if stream.name in self.held_out else "train"
@@ -138,12 +147,11 @@ class Footage:
         train, test = tuple(views["train"]), tuple(views["test"])
         return Scene(name=self.reading.name, train=train, test=test, duration=self.count / self.rate, time_start=0.0,
                      background=self.reading.background, extent=camera_extent([view.camera for view in train]),
-                     init_box=init_box, source=self.source, unit=unit, frame_rate=self.rate)
+                     init_box=init_box, source=self.source, unit=unit, frame_rate=self.rate,
+                     shown_rate=self.shown_rate)
 
 
-def _cube_round(cameras: Sequence[Camera], unit: float) -> tuple[float, float]:
-    """[low, high] of a cube that holds the cameras with room to spare: nothing says how far the scene reaches."""
+def _cube_round(cameras: Sequence[Camera], unit: float) -> Box:
+    """A cube that holds the cameras with room to spare: nothing says how far the scene reaches."""
     positions = np.stack([camera.position for camera in cameras])
-    low, high = float(positions.min()), float(positions.max())
-    margin = max(0.5 * (high - low), unit)
-    return low - margin, high + margin
+    return cube_round(positions, margin=max(0.5 * float(np.ptp(positions, axis=0).max()), unit))

@@ -3,11 +3,11 @@
     DIR/images/cam00_0000.png …   camera, frame number; frames of a camera follow each other without a gap
     DIR/transforms_train.json, transforms_test.json
         {"w", "h", "fl_x", "fl_y", "cx", "cy": pixels (or "camera_angle_x": radians, and a centred principal point),
-         "frames": [{"file_path": "images/cam00_0000", "time": seconds, "transform_matrix": 4×4 camera-to-world}, …]}
+         "frames": [{"file_path": "images/cam00_0000", "time": …, "transform_matrix": 4×4 camera-to-world}, …]}
 
 Keys are instant-ngp's, whose lens distortion ("k1", "k2", "p1", "p2", "k3") is understood too; intrinsics of a single
 frame go before those of the file. Poses have Blender's camera axes. Which cameras are held out is not taken from the
-two files but from scene.test_cameras, as for videos.
+two files but from scene.test_cameras, as for videos. Times are in any unit: frames, seconds, since 1970.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Entry:
     where: str
     image_path: Path
     frame: int
-    time: float  # seconds
+    time: float  # the file's unit
     cam_to_world: np.ndarray  # (4, 4), Blender axes
     intrinsics: dict  # the keys of this frame and, where it has none, of the file
     file: Path
@@ -55,9 +55,9 @@ class ImageSequence:
     number: int
     path: Path  # of the first image
     size: tuple[int, int]  # (width, height)
-    rate: float  # frames a second
+    rate: float  # frames in a unit of the file's time
     count: int
-    start: float  # when the first image was taken, in frames
+    start: float  # when the first image was taken, in frames since the earliest camera's
     paths: tuple[Path, ...]
     background: tuple[float, float, float]  # under transparent pixels
 
@@ -97,13 +97,15 @@ def camera_number(name: str) -> int:
 def sequences(cameras: dict[str, list[Entry]], keep: Collection[int], background: tuple[float, float, float]
               ) -> tuple[ImageSequence, ...]:
     """The cameras in use, their frames and times checked."""
+    kept = {name: entries for name, entries in cameras.items() if camera_number(name) in keep}
+    # Of times since 1970 only differences say which frame it is: each camera's rate is a little rounded.
+    earliest = min((entries[0].time for entries in kept.values()), default=0.0)
     found = []
-    for name, entries in cameras.items():
-        if camera_number(name) in keep:
-            rate = _rate(entries)
-            paths = tuple(entry.image_path for entry in entries)
-            found.append(ImageSequence(name, camera_number(name), paths[0], common_size(paths), rate, len(entries),
-                                       entries[0].time * rate, paths, background))
+    for name, entries in kept.items():
+        rate = _rate(entries)
+        paths = tuple(entry.image_path for entry in entries)
+        found.append(ImageSequence(name, camera_number(name), paths[0], common_size(paths), rate, len(entries),
+                                   (entries[0].time - earliest) * rate, paths, background))
     return tuple(found)
 
 
@@ -144,7 +146,7 @@ def _lens(values: dict, where: str) -> tuple[float, ...]:
 
 
 def _rate(entries: list[Entry]) -> float:
-    """Frames a second: a camera's frames follow each other without a gap, at equal steps in time."""
+    """Frames in a unit of time: a camera's frames follow each other without a gap, at equal steps in time."""
     first, last = entries[0], entries[-1]
     for index, entry in enumerate(entries):
         if entry.frame != first.frame + index:
@@ -152,11 +154,11 @@ def _rate(entries: list[Entry]) -> float:
     if len(entries) == 1:
         return SINGLE_FRAME_RATE
     if not last.time > first.time:
-        raise SceneError(f"{last.where}: time", f"a time after that of frame {first.frame}, {first.time:g} s",
-                         f"{last.time:g}")
+        raise SceneError(f"{last.where}: time", f"a time after that of frame {first.frame}, {first.time:.13g}",
+                         f"{last.time:.13g}")
     rate = (len(entries) - 1) / (last.time - first.time)
     for index, entry in enumerate(entries):
         if not abs((entry.time - first.time) * rate - index) <= 0.5:
-            raise SceneError(f"{entry.where}: time", f"{first.time + index / rate:.4g} s, at equal steps in time",
-                             f"{entry.time:g}")
+            raise SceneError(f"{entry.where}: time", f"{first.time + index / rate:.13g}, at equal steps in time",
+                             f"{entry.time:.13g}")
     return rate

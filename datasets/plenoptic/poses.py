@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from datasets.dnerf import read_pose
-from datasets.scene import SceneError
+from datasets.scene import Box, SceneError, cube_round
 from rasterizer.camera import Camera
 
 ROW = 17
@@ -27,7 +27,7 @@ class Poses:
 
     cameras: dict[str, Camera]  # of the videos as they are, not downscaled
     unit: float  # world units of one normalised unit
-    init_box: tuple[float, float]  # holds the cameras, and the far bound in the middle of each one's view
+    init_box: Box  # holds the cameras, and the far bound in the middle of each one's view
 
 
 def read_poses(path: Path, names: Sequence[str], keep: Collection[str], size: tuple[int, int]) -> Poses:
@@ -52,7 +52,7 @@ def read_poses(path: Path, names: Sequence[str], keep: Collection[str], size: tu
             raise SceneError(where, "bounds 0 < near < far", f"near {near:g}, far {far:g}")
         nears.append(near)
         corners += [camera.position, camera.position + far * camera.world_to_cam[2, :3]]
-    return Poses(cameras, NEAR_TO_UNIT * float(min(nears)), (float(np.min(corners)), float(np.max(corners))))
+    return Poses(cameras, NEAR_TO_UNIT * float(min(nears)), cube_round(corners))
 
 
 def _load(path: Path) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,7 +18,7 @@ def workload_of(folder: Path, say: Callable[[str], None]) -> Workload:
     """
     run = open_run(folder, say)
     scene = run.scene
-    if (near := run.cfg.scene.near * scene.unit) != Request.near:
+    if not math.isclose(near := run.cfg.scene.near * scene.unit, Request.near):
         raise ValueError(f"{folder}: expected a near plane at {Request.near}, as the benchmark's, found {near}")
     view = scene.test[len(scene.test) // 2]
     return Workload(run.model.gaussians(), view.camera, view.time, scene.duration)
