@@ -21,7 +21,7 @@ def test_positional_rate_is_log_linear_over_the_extent_and_times_is_constant() -
 
 def test_constant_rates() -> None:
     r = rates(12_345, 0.4, RateConfig(), EXTENT)
-    assert (r["log_scale"], r["quat_left"], r["quat_right"], r["opacity_logit"]) == (5e-3, 1e-3, 1e-3, 5e-2)
+    assert (r["log_scale"], r["quat_left"], r["quat_right"], r["opacity_logit"]) == ((5e-3,) * 4, 1e-3, 1e-3, 5e-2)
     assert r["sh"] == (2.5e-3, 1.25e-4)
 
 
