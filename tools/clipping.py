@@ -47,7 +47,6 @@ from rasterizer import Frame, Gradients  # noqa: E402
 
 QUANTILES = (0.5, 0.9)  # of the norms without clipping: what is above is scaled down to it
 BEFORE = 50  # iterations whose median a norm is compared with, to see spikes
-POINTS = 8000  # to start from: a run is then seconds, and differs in nothing that clipping could care for
 HOT = 0.01  # part of the Gaussians, those with the largest gradients
 FASTER = 10.0  # × the learning rates, in the hostile case
 
@@ -116,14 +115,18 @@ def scale_(gradients: Gradients, factor: float) -> None:
         view.gradient[:, :3].mul_(factor)
 
 
-def config_of(case: Case, seed: int, iterations: int, folder: Path) -> Config:
+def config_of(scene: str, iterations: int, points: int, size: int) -> Config:
+    """`train=fast` on one thread, evaluated and saved at its end only."""
     register_schema()
     with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
-        cfg = to_config(compose("config", overrides=[
-            f"scene={case.scene}", "train=fast", f"train.init_points={POINTS}", f"seed={seed}", "threads=1",
-            f"out={folder}",
+        return to_config(compose("config", overrides=[
+            f"scene={scene}", f"scene.size={size}", "train=fast", f"train.init_points={points}", "threads=1",
             *(f"train.{key}={iterations}" for key in ("iterations", "eval_every", "checkpoint_every"))]))
-    rates = {f.name: getattr(cfg.train.rate, f.name) * case.faster for f in dataclasses.fields(RateConfig)
+
+
+def with_rates(cfg: Config, factor: float) -> Config:
+    """All learning rates times `factor`; how they decay stays."""
+    rates = {f.name: getattr(cfg.train.rate, f.name) * factor for f in dataclasses.fields(RateConfig)
              if f.name not in ("decay_iterations", "final_factor")}
     return replace(cfg, train=replace(cfg.train, rate=replace(cfg.train.rate, **rates)))
 
@@ -136,16 +139,15 @@ def with_noise(scene: Scene) -> Scene:
     return replace(scene, train=(*scene.train[:middle], replace(view, image=noise), *scene.train[middle + 1 :]))
 
 
-def outcome_of(case: Case, seed: int, iterations: int, threshold: float) -> Outcome:
-    """Trains once, in a folder that is thrown away."""
+def outcome_of(case: Case, cfg: Config, scene: Scene, seed: int, threshold: float) -> Outcome:
+    """Trains once, in a folder that is thrown away. cfg, scene: as they would be if nothing were wrong."""
     norms, hot, found = [], [], {"psnr": math.nan}
     adam = partial(ClippingAdam, threshold=threshold, norms=norms, hot=hot)
     with tempfile.TemporaryDirectory() as folder, mock.patch.object(training, "Adam", adam):
-        cfg = config_of(case, seed, iterations, Path(folder) / "run")
-        scene = prepare(cfg, lambda line: None).scene
+        cfg = replace(with_rates(cfg, case.faster), seed=seed, out=folder)
         scene = with_noise(scene) if case.noise else scene
         model = initialise(scene, cfg, np.random.default_rng(seed))
-        with RunFolder(Path(cfg.out), dataclasses.asdict(cfg)) as run:
+        with RunFolder(Path(folder), dataclasses.asdict(cfg)) as run:
             try:
                 training.train(model, scene, cfg, run,
                                lambda model, _: found.update(quick_evaluate(model, scene, cfg, Frame(1))) or found)
@@ -171,11 +173,14 @@ def tails(name: str, outcome: Outcome) -> list[str]:
     return rows
 
 
-def study(iterations: int, seeds: list[int], say: Callable[[str], None]) -> tuple[list[str], list[str], list[str]]:
-    """Rows of the two tables, and where clipping helped."""
+def study(configs: dict[str, Config], seeds: list[int], say: Callable[[str], None]
+          ) -> tuple[list[str], list[str], list[str]]:
+    """Rows of the two tables, and where clipping helped. configs: by scene."""
     of_norms, of_runs, helped, thresholds = [], [], [], {}
+    scenes = {name: prepare(cfg, say).scene for name, cfg in configs.items()}
     for case in CASES:
-        plain = [outcome_of(case, seed, iterations, math.inf) for seed in seeds]
+        train = partial(outcome_of, case, configs[case.scene], scenes[case.scene])
+        plain = [train(seed, math.inf) for seed in seeds]
         if case.is_healthy:
             of_norms += tails(case.name, plain[0])
             say("\n".join(of_norms))
@@ -183,7 +188,7 @@ def study(iterations: int, seeds: list[int], say: Callable[[str], None]) -> tupl
         of_runs.append(f"| {case.name} | none | | {psnr_text(plain)} | | |")
         say(of_runs[-1])
         for quantile, threshold in zip(QUANTILES, thresholds[case.scene], strict=True):
-            runs = [outcome_of(case, seed, iterations, float(threshold)) for seed in seeds]
+            runs = [train(seed, float(threshold)) for seed in seeds]
             gain, word = verdict(runs, plain)
             if word == "better":
                 helped.append(f"{case.name}, above {quantile:.0%}")
@@ -218,7 +223,7 @@ def page(of_norms: list[str], of_runs: list[str], helped: list[str], heading: st
     return "\n".join([
         "### Gradient clipping", "", heading, "", said, "",
         "Why little is to be expected: the loss is L1 and SSIM, whose gradient by a pixel is bounded whatever the "
-        "image holds, and Adam divides by the gradient's own size: a gradient however large moves a parameter by at most "
+        "image holds, and Adam divides by the gradient's own size: however large, it moves a parameter by at most "
         "(1 − β₁)/√(1 − β₂) = 3.2 learning rates. What is not finite stops the run (pipeline/guard.py).", "",
         f"Norms of the batch's gradient over the iterations of one run. Spike: the largest ratio to the median of "
         f"the {BEFORE} iterations before.", "",
@@ -233,17 +238,21 @@ def page(of_norms: list[str], of_runs: list[str], helped: list[str], heading: st
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--iterations", type=int, default=1000, help="of train=fast (1000)")
+    parser.add_argument("--points", type=int, default=8000, help="to start from (8000)")
+    parser.add_argument("--size", type=int, default=200, help="width of the images, pixels (200)")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2], help="(0 1 2)")
     parser.add_argument("--out", type=Path, default=ROOT / "results" / "measured" / "clipping.md")
     options = parser.parse_args(arguments)
     if options.iterations <= 2 * BEFORE:
         parser.error(f"--iterations: expected more than {2 * BEFORE}, found {options.iterations}")
     torch.set_num_threads(1)
-    tables = study(options.iterations, options.seeds, lambda line: print(line, flush=True))
+    configs = {scene: config_of(scene, options.iterations, options.points, options.size)
+               for scene in dict.fromkeys(case.scene for case in CASES)}
+    tables = study(configs, options.seeds, lambda line: print(line, flush=True))
     typed = sys.argv[1:] if arguments is None else arguments
     made = environment(shlex.join(["python", "tools/clipping.py", *typed]))
-    heading = (f"`train=fast` from {POINTS:,} points, {options.iterations} iterations. {made['machine']}; "
-               f"{made['date'][:16]}; commit {made['git_commit'][:10]}; `{made['command']}`.")
+    heading = (f"`train=fast` from {options.points:,} points, {options.size} px, {options.iterations:,} iterations. "
+               f"{made['machine']}; {made['date'][:16]}; commit {made['git_commit'][:10]}; `{made['command']}`.")
     write_text(options.out, page(*tables, heading))
     print(f"written to {options.out}")
     return 0
