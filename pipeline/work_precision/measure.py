@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import ModuleType
 
 import torch
@@ -87,14 +87,6 @@ def render_kernel(kernel: ModuleType, workload: Workload, d_color: Tensor) -> Re
     return Rendered(color, gradients.dense() | {"sh": gradients.sh()})
 
 
-def rounded(workload: Workload, sh_type: torch.dtype | None) -> Workload:
-    """With the coefficients rounded to a narrower type; the kernel still reads them as float32."""
-    if sh_type is None:
-        return workload
-    g = workload.gaussians
-    return replace(workload, gaussians=replace(g, sh=g.sh.to(sh_type).to(g.sh.dtype)))
-
-
 @dataclass(frozen=True)
 class Timing:
     milliseconds: float
@@ -143,15 +135,14 @@ def measure(variants: Sequence[Variant], kernels: Mapping[str, ModuleType], work
     twins, found = Twins(crop), {}
     for variant in variants:
         say(f"errors: {variant.name}")
-        found[variant] = render_kernel(kernels[variant.name], rounded(crop, variant.sh_type), twins.d_color)
+        found[variant] = render_kernel(kernels[variant.name], crop, twins.d_color)
     say("times")
-    # Rounded coefficients are read as float32 here: the time that narrower ones would take is not this kernel's.
-    times = time_kernels({v.name: kernels[v.name] for v in variants if v.sh_type is None}, workload, rounds)
+    times = time_kernels(kernels, workload, rounds)
     points = []
     for variant, rendered in found.items():
         thresholds = variant.choices.thresholds()
         free = without(thresholds, TRADES[variant.trade])
-        points.append(_point(variant.name, variant.trade, variant.label, times.get(variant.name, UNTIMED), rendered,
+        points.append(_point(variant.name, variant.trade, variant.label, times[variant.name], rendered,
                              twins, thresholds, free))
     own = Thresholds()
     single = render_twin(crop, twins.d_color, own, torch.float32)

@@ -15,8 +15,7 @@ from .variants import AGAIN, DEFAULT, TRADES
 
 _NOTES = (
     "ms: forward and backward of the whole workload, CPU time of one thread, minimum; n/a: not measured. The twin "
-    "keeps every (pixel, Gaussian) pair, the whole image is beyond it. Narrow SH coefficients are rounded and then "
-    "read as float32: their error is real, a time would not be.",
+    "keeps every (pixel, Gaussian) pair, the whole image is beyond it.",
     "Error: of the middle of the image, against the float64 twin that leaves nothing out; image in [0, 1]. Gradients: "
     "RMS error over RMS, root mean square over the parameters' fields.",
     "Own: against the twin with the same thresholds but those of the trade-off, so the error of that choice alone (and "

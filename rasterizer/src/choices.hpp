@@ -3,6 +3,8 @@
 // saves.
 #pragma once
 
+#include <cstdint>
+
 #ifndef RASTERIZER_MIN_PRESENCE
 #define RASTERIZER_MIN_PRESENCE 0.05
 #endif
@@ -20,6 +22,9 @@
 #endif
 #ifndef RASTERIZER_BLOCK_MASKS
 #define RASTERIZER_BLOCK_MASKS 1
+#endif
+#ifndef RASTERIZER_SH_TYPE
+#define RASTERIZER_SH_TYPE float
 #endif
 
 namespace splat {
@@ -57,5 +62,14 @@ inline constexpr int kAlphaExpDegree = RASTERIZER_EXP_DEGREE;
 inline constexpr bool kExactCulling = RASTERIZER_EXACT_CULLING;
 // A mask says which 4×4 blocks of the tile are touched, else only whether the tile is. The same image, too.
 inline constexpr bool kBlockMasks = RASTERIZER_BLOCK_MASKS;
+
+// What the SH coefficients, most of the memory a frame reads, are stored in; they are computed with as floats.
+struct Float16 {  // IEEE binary16: 11 bits of precision, largest 65504
+    uint16_t bits;
+};
+struct Bfloat16 {  // the upper half of a float: 8 bits of precision
+    uint16_t bits;
+};
+using ShStored = RASTERIZER_SH_TYPE;
 
 }  // namespace splat

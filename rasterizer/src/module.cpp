@@ -21,7 +21,22 @@
 #include "statistics.hpp"
 #include "sweep.hpp"
 
+#define SPLAT_TEXT_OF(x) #x
+#define SPLAT_TEXT(x) SPLAT_TEXT_OF(x)  // of what the macro x stands for
+
 namespace nb = nanobind;
+
+// Arrays of narrow SH coefficients by the names Python knows them by.
+template <>
+struct nanobind::detail::dtype_traits<splat::Float16> {
+    static constexpr nb::dlpack::dtype value{static_cast<uint8_t>(nb::dlpack::dtype_code::Float), 16, 1};
+    static constexpr auto name = nb::detail::const_name("float16");
+};
+template <>
+struct nanobind::detail::dtype_traits<splat::Bfloat16> {
+    static constexpr nb::dlpack::dtype value{static_cast<uint8_t>(nb::dlpack::dtype_code::Bfloat), 16, 1};
+    static constexpr auto name = nb::detail::const_name("bfloat16");
+};
 
 namespace {
 
@@ -39,7 +54,8 @@ T* pointer(const std::optional<Array<T>>& a) {
 struct Model {
     In mean, log_scale, quat_left;
     std::optional<In> quat_right;
-    In opacity_logit, sh;
+    In opacity_logit;
+    Array<const splat::ShStored> sh;
     int coefficients, stored_order;
 
     splat::Motion motion() const {
@@ -208,7 +224,7 @@ NB_MODULE(KERNEL_MODULE_NAME, m) {
         .def(
             "__init__",
             [](Model* self, In mean, In log_scale, In quat_left, std::optional<In> quat_right,
-               In opacity_logit, In sh, int coefficients, int stored_order) {
+               In opacity_logit, Array<const splat::ShStored> sh, int coefficients, int stored_order) {
                 new (self) Model{mean,          log_scale, quat_left,    quat_right,
                                  opacity_logit, sh,        coefficients, stored_order};
             },
@@ -254,6 +270,7 @@ NB_MODULE(KERNEL_MODULE_NAME, m) {
     choices["exp_degree"] = splat::kAlphaExpDegree;
     choices["exact_culling"] = splat::kExactCulling;
     choices["block_masks"] = splat::kBlockMasks;
+    choices["sh_type"] = SPLAT_TEXT(RASTERIZER_SH_TYPE);
     m.attr("choices") = choices;
     m.def("measure_rates", [] {
         const splat::Rates rates = splat::measure_rates();

@@ -9,6 +9,7 @@
 // multiplication does three channels and memory is read in order.
 #pragma once
 
+#include "narrow.hpp"
 #include "types.hpp"
 #include "vec_math.hpp"
 #include "vec_move.hpp"
@@ -78,14 +79,15 @@ struct ShRow {
         for (auto& x : r.v) x = 0.f;
         return r;
     }
-    SPLAT_INLINE static ShRow load(const float* row, int coefficients) {
+    template <class Stored>
+    SPLAT_INLINE static ShRow load(const Stored* row, int coefficients) {
         ShRow r;
         if (coefficients == 16) [[likely]] {
-            for (int i = 0; i < kRowVectors; ++i) r.v[i] = Float::load(row + kLanes * i);
+            for (int i = 0; i < kRowVectors; ++i) r.v[i] = widened(row + kLanes * i);
         } else {
             for (int i = 0; i < kRowVectors; ++i) {
                 const int left = 3 * coefficients - kLanes * i;
-                r.v[i] = Float::load_first(row + kLanes * i, left < 0 ? 0 : left > kLanes ? kLanes : left);
+                r.v[i] = first_widened(row + kLanes * i, left < 0 ? 0 : left > kLanes ? kLanes : left);
             }
         }
         return r;

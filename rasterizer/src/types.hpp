@@ -32,7 +32,7 @@ struct Parameters {
     const float* quat_left;      // [N, 4]
     const float* quat_right;     // [N, 4], full motion only
     const float* opacity_logit;  // [N]
-    const float* sh;             // [N, (stored_order + 1) · coefficients, 3]
+    const ShStored* sh;          // [N, (stored_order + 1) · coefficients, 3]
     int coefficients;            // per Fourier order: 1, 4, 9 or 16
     int stored_order;            // Fourier orders stored beyond 0
 };
