@@ -97,8 +97,11 @@ class Gradients:
         tensors = [*self.dense().values(), *(view.gradient for view in self.views)]
         return all(kernel.all_finite(array=tensor, threads=threads) for tensor in tensors)
 
-    def sh(self, threads: int = 1, out: Tensor | None = None) -> Tensor:
-        """The SH gradient, dense (N, (n+1)(l+1)², 3), into `out` if given. Training never asks for it."""
+    def sh(self, threads: int = 1, out: Tensor | None = None, kernel: ModuleType = kernel) -> Tensor:
+        """The SH gradient, dense (N, (n+1)(l+1)², 3), into `out` if given. Training never asks for it.
+
+        kernel: the build of it that the views come from.
+        """
         count, orders = split_coefficients(self.sh_shape[1])
         out = torch.empty(self.sh_shape) if out is None else out
         kernel.expand_sh(views=[view.as_tuple() for view in self.views], dense=out, coefficients=count,
