@@ -10,7 +10,7 @@ from dataclasses import asdict, replace
 import pytest
 import torch
 
-from builders import generator, off_centre_camera, random_gaussians, render_and_gradients
+from builders import generator, off_centre_camera, outputs_of, random_gaussians, render_and_gradients
 from pipeline.work_precision import build
 from pipeline.work_precision.build import BuildError, load_variants
 from pipeline.work_precision.measure import UNTIMED, Errors, Point, render_kernel, time_kernels, without
@@ -19,8 +19,9 @@ from pipeline.work_precision.plot import draw
 from pipeline.work_precision.table import comma_separated, markdown, verdicts
 from pipeline.work_precision.truth import Rendered, render_twin
 from pipeline.work_precision.variants import DEFAULT, TRADES, Choices, all_variants, by_name
-from rasterizer import Frame, reference
+from rasterizer import Frame, Gradients, Request, reference
 from rasterizer.bench.workloads import Workload, make_workload
+from rasterizer.gaussians import Motion
 from rasterizer.kernel import kernel
 from rasterizer.reference_blend import Thresholds
 
@@ -37,7 +38,8 @@ def small_workload(seed: int = 0) -> Workload:
 
 def test_the_kernel_is_built_with_the_methods_numbers() -> None:
     spec = {"min_presence": 0.05, "min_alpha": 1 / 255, "min_transmittance": 1e-4}
-    assert kernel.choices == spec | {"exp_degree": 4, "exact_culling": True, "block_masks": True, "sh_type": "float"}
+    assert kernel.choices == spec | {"exp_degree": 4, "exact_culling": True, "block_masks": True, "float64": False,
+                                     "sh_type": "scalar"}
     assert kernel.choices == asdict(Choices())
 
 
@@ -141,6 +143,26 @@ def test_a_kernel_with_narrow_coefficients_reads_them_exactly(name: str, stored:
         assert torch.equal(found.color, expected.color)
         for field, gradient in expected.gradients.items():
             assert torch.equal(found.gradients[field], gradient), field
+
+
+@pytest.mark.parametrize("motion", ["static", "separable", "full"])
+def test_the_float64_kernel_is_the_float64_twin(motion: Motion) -> None:
+    """In every output. Doubles round to 1e-16; sums over pixels and the way back to parameters cost a few digits."""
+    built = load_variants([by_name("float64")])["float64"]
+    assert built.choices == kernel.choices | {"float64": True}
+    rng, outputs = generator(4), outputs_of(motion)
+    gaussians = random_gaussians(60, motion, rng)
+    request = Request(off_centre_camera(), time=0.4, outputs=outputs, flow_dt=0.01)
+    frame, gradients = Frame(1, built), Gradients.zeros_like(gaussians)
+    images = frame.render(gaussians, request)
+    weights = {name: torch.randn(getattr(images, name).shape, generator=rng, dtype=torch.float64) for name in outputs}
+    frame.backward(gradients, **{f"d_{name}": weight for name, weight in weights.items()})
+    expected, expected_gradients = render_and_gradients(reference.rasterize, gaussians, request, weights)
+    for name in outputs:
+        torch.testing.assert_close(getattr(images, name), getattr(expected, name), rtol=0, atol=1e-12)
+    found = gradients.dense() | {"sh": gradients.sh(kernel=built)}
+    for field, gradient in expected_gradients.items():
+        torch.testing.assert_close(found[field], gradient, rtol=0, atol=1e-11 * gradient.abs().max().item())
 
 
 def test_no_compiler_is_said_in_one_line(tmp_path, monkeypatch) -> None:

@@ -16,8 +16,8 @@ from .measure import Point
 from .pareto import on_front
 from .variants import DEFAULT
 
-_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#b5519b", "#e69f00", "#56b4e9", "#7a7f87")  # after Okabe, Ito
-_MARKERS = "osD^vPX"
+_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#b5519b", "#e69f00", "#56b4e9", "#7a7f87", "#882255", "#999933")
+_MARKERS = "osD^vPX*<"
 _WIDEST = 1.9  # × the default's time: what is slower stands at the edge with its time, or the rest would be a dot
 _ROOM = 0.07  # decades of error between two names
 _PANELS = (("image_max", "largest error of the image"), ("gradient_rms", "gradients, relative RMS error"))

@@ -25,7 +25,8 @@ _NOTES = (
     "Front: of the points with a time, no other is as fast and as right and better in one of the two, where times "
     "that differ by less than the noise and errors that differ by less than 1 % are equal. I: maximum of the image, G: "
     "gradients, both against the twin that leaves nothing out.",
-    "There is no float64 kernel; the twin in float64 with the kernel's thresholds stands for it.",
+    "float64: the kernel's source with doubles for floats, parameters and images too: sixteen of them are twice as many "
+    "registers, on vectors as the compiler makes them, exp2 and its like as series of a double's length.",
 )
 
 

@@ -13,6 +13,7 @@ MACROS = {  # of rasterizer/src/choices.hpp
     "exp_degree": "RASTERIZER_EXP_DEGREE",
     "exact_culling": "RASTERIZER_EXACT_CULLING",
     "block_masks": "RASTERIZER_BLOCK_MASKS",
+    "float64": "RASTERIZER_FLOAT64",
     "sh_type": "RASTERIZER_SH_TYPE",
 }
 
@@ -27,7 +28,8 @@ class Choices:
     exp_degree: int = 4
     exact_culling: bool = True
     block_masks: bool = True
-    sh_type: str = "float"
+    float64: bool = False
+    sh_type: str = "scalar"  # as everything else
 
     def definitions(self) -> list[str]:
         """MACRO=value of what differs from the kernel's own."""
@@ -66,6 +68,7 @@ TRADES = {
     "exp degree": Thresholds(),
     "culling and masks": Thresholds(),
     "SH precision": Thresholds(),
+    "floating point": Thresholds(),
     "several at once": Thresholds(0, 0, 0),
     "built again": Thresholds(),
 }
@@ -94,7 +97,7 @@ def all_variants() -> list[Variant]:
              ("exact, whole tiles", True, False), ("exact, blocks", True, True))
     several = (("coarse", 0.1, "2/255", 2 / 255, 1e-3, 3), ("default", 0.05, "1/255", 1 / 255, 1e-4, 4),
                ("fine", 0.01, "1/510", 1 / 510, 1e-5, 4), ("finest", 1e-4, "1/25500", 1 / 25500, 1e-6, 5))
-    precisions = (("bfloat16", "Bfloat16"), ("float16", "Float16"), ("float32", "float"))
+    precisions = (("bfloat16", "Bfloat16"), ("float16", "Float16"), ("float32", "scalar"))
     return [
         *_steps("temporal cut-off", "min_presence", "p(t) >= {}", 0.2, 0.1, 0.05, 0.02, 0.01, 1e-3, 1e-4),
         *(_row("alpha cut-off", f"min_alpha_{label.replace('/', '_')}", f"α' >= {label}", min_alpha=value)
@@ -105,6 +108,7 @@ def all_variants() -> list[Variant]:
           for label, exact, blocks in masks),
         *(_row("SH precision", f"sh_{name}", f"coefficients in {name}", sh_type=stored)
           for name, stored in precisions),
+        _row("floating point", "float32", "float32"), _row("floating point", "float64", "float64", float64=True),
         *(_row("several at once", name, f"p >= {p:g}, α' >= {label}, T >= {stop:g}, degree {degree}",
                min_presence=p, min_alpha=alpha, min_transmittance=stop, exp_degree=degree)
           for name, p, label, alpha, stop, degree in several),

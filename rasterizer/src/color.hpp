@@ -37,8 +37,8 @@ struct Cosines {
 // cos(2πn turns) and its derivative by dt = T · turns, per Gaussian.
 template <int order>
 struct TimeFactors {
-    alignas(64) float cosine[order + 1][kLanes], slope[order + 1][kLanes];
-    SPLAT_INLINE TimeFactors(const Float& turns, float duration) {
+    alignas(64) scalar cosine[order + 1][kLanes], slope[order + 1][kLanes];
+    SPLAT_INLINE TimeFactors(const Float& turns, scalar duration) {
         const Cosines<order> c(turns);
         if constexpr (order >= 1) {
             const Float sine = sin_turns(turns), rate(-kTwoPi / duration);
@@ -98,7 +98,7 @@ struct Color {
 // instead of 576 read again by the backward pass.
 template <int order, bool differentiable>
 SPLAT_INLINE void color(const Parameters& p, const uint32_t* ids, int count, RowFetch next,
-                        const Viewing& view, float duration, int sh_degree, Color& out) {
+                        const Viewing& view, scalar duration, int sh_degree, Color& out) {
     const size_t order_stride = static_cast<size_t>(p.coefficients) * 3,
                  row_stride = order_stride * (p.stored_order + 1);
     const int used = std::min(p.coefficients, (sh_degree + 1) * (sh_degree + 1));

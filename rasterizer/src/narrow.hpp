@@ -10,8 +10,9 @@
 namespace splat {
 
 // Sixteen stored coefficients.
-SPLAT_INLINE Float widened(const float* p) { return Float::load(p); }
+SPLAT_INLINE Float widened(const scalar* p) { return Float::load(p); }
 
+#if !RASTERIZER_FLOAT64
 using NativeNarrow = uint16_t __attribute__((vector_size(2 * kNativeLanes)));
 
 // Register by register, each from as many 16-bit words.
@@ -44,9 +45,10 @@ SPLAT_INLINE Float widened(const Float16* p) {
 #endif
     });
 }
+#endif
 
 // The first `count` <= 16, zeros behind them.
-SPLAT_INLINE Float first_widened(const float* p, int count) { return Float::load_first(p, count); }
+SPLAT_INLINE Float first_widened(const scalar* p, int count) { return Float::load_first(p, count); }
 template <class Narrow>
 SPLAT_INLINE Float first_widened(const Narrow* p, int count) {
     Narrow lane[kLanes] = {};
