@@ -32,7 +32,7 @@ def draw(points: Sequence[Point], title: str, theme: Theme = LIGHT) -> str:
         FigureCanvasSVG(figure)
         figure.patch.set_facecolor("white")
         axes = figure.subplots(
-            1, 2, gridspec_kw={"left": 0.06, "right": 0.985, "bottom": 0.11, "top": 0.78, "wspace": 0.16})
+            1, 2, gridspec_kw={"left": 0.06, "right": 0.985, "bottom": 0.11, "top": 0.76, "wspace": 0.16})
         for axis, (name, label) in zip(axes, _PANELS, strict=True):
             default = next(p for p in timed if p.name == DEFAULT)
             edge = _WIDEST * default.milliseconds

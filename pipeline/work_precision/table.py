@@ -132,4 +132,4 @@ def _verdict(what: str, points: Sequence[Point], errors: Sequence[Errors],
         quicker = f"takes {100 * saved:.1f} % less time" if saved > margins[0] else "takes as long, within the noise"
         parts.append(f"not on the front of time and {name}: \"{points[best].label}\" {quicker}, its error is "
                      f"{measured[best]:.1e} against {own[1]:.1e}")
-    return f"{what.capitalize()}: the default is {'; '.join(parts)}."
+    return f"{what[0].upper()}{what[1:]}: the default is {'; '.join(parts)}."

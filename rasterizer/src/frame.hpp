@@ -26,7 +26,7 @@ struct Frame {
     // prepare: chunk c stages its visible Gaussians at places [c·kChunk, c·kChunk + chunk_count[c]), in order
     // of id
     Buffer<Splat> staged;
-    Buffer<scalar> depth;            // per place, once more: in the splats it would cost sorting a cache line each
+    Buffer<scalar> depth;  // per place, once more: in the splats it would cost sorting a cache line each
     Buffer<ColorSlope> color_slope;  // per place, if a backward pass will follow
     Buffer<scalar> extras;  // per place kExtraStride floats: depth, flow, statistics, as far as asked for
     std::vector<uint32_t> chunk_count, chunk_first;  // chunk_first: visible Gaussians before the chunk
