@@ -95,11 +95,11 @@ def test_a_broken_bound_is_named_and_nan_never_passes():
 
 
 def test_instruction_sets_differ_by_rounding_and_threads_by_nothing():
-    """Float32 rounds to 6e-8; a sum over a splat's pixels and its way back to parameters loses less than 100 times that."""
+    """Float32 rounds to 6e-8; sums over pixels and the way back to parameters lose some hundred times that."""
     spread = measure_spread(*Case("needle", 1).scene())
     assert spread.isas == tuple(available_isas()) and spread.changed_by_threads == ()
     assert spread.image < 1e-5 and spread.gradient < 1e-4
-    if len(spread.isas) > 1:  # exp2 and 1/x are other instructions: to be equal to the bit they would be the same kernel
+    if len(spread.isas) > 1:  # exp2 and 1/x are other instructions: equal to the bit would be the same kernel twice
         assert spread.image > 0 and spread.gradient > 0
 
 

@@ -62,11 +62,11 @@ def spread_cells(spread: Spread | None) -> tuple[str, str]:
             f"other bits: {', '.join(spread.changed_by_threads)}" if spread.changed_by_threads else "same bits")
 
 
-HEADER = ["case", "bound", "float32 kernel", "float32 twin", "float32 textbook", "between instruction sets", "2 threads",
-          "kernel"]
-LEGEND = ("Errors against the float64 twin: image / largest gradient / loss after the optimiser steps. NaN: values that "
-          "are not finite; indef.: 2D covariances that are not positive definite. Between instruction sets: the kernel's "
-          "largest difference, image / gradient. 2 threads: whether each gives the bits that 1 gives.")
+HEADER = ["case", "bound", "float32 kernel", "float32 twin", "float32 textbook", "between instruction sets",
+          "2 threads", "kernel"]
+LEGEND = ("Errors against the float64 twin: image / largest gradient / loss after the optimiser steps. NaN: values "
+          "that are not finite; indef.: 2D covariances that are not positive definite. Between instruction sets: the "
+          "kernel's largest difference, image / gradient. 2 threads: whether each gives the bits that 1 gives.")
 
 
 def show(rows: list[Row], console: Console) -> None:
@@ -79,8 +79,8 @@ def show(rows: list[Row], console: Console) -> None:
 
 
 def write(rows: list[Row], folder: Path, heading: str) -> None:
-    """`stability.csv` and `instruction_sets.csv` with every number, `stability.md` as on the screen under a line that says
-    where and when."""
+    """`stability.csv` and `instruction_sets.csv` with every number, `stability.md` as on the screen under a line that
+    says where and when."""
     folder.mkdir(parents=True, exist_ok=True)
     with open(folder / "stability.csv", "w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)

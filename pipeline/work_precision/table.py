@@ -25,7 +25,7 @@ _NOTES = (
     "Front: of the points with a time, no other is as fast and as right and better in one of the two, where times "
     "that differ by less than the noise and errors that differ by less than 1 % are equal. I: maximum of the image, G: "
     "gradients, both against the twin that leaves nothing out.",
-    "float64: the kernel's source with doubles for floats, parameters and images too: sixteen of them are twice as many "
+    "float64: the kernel's source with doubles for floats, parameters and images too: sixteen are twice as many "
     "registers, on vectors as the compiler makes them, exp2 and its like as series of a double's length.",
 )
 
