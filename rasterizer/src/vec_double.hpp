@@ -27,8 +27,8 @@ SPLAT_INLINE unsigned native_bits(NativeInt m) {
 #endif
 }
 
-// Each of the words at p in the lower half of a lane, the upper half zero.
-SPLAT_INLINE NativeFloat lower_halves(const uint32_t* p) {
+// The words at p, each in the lower half of a lane, the upper half zero.
+SPLAT_INLINE NativeFloat words_in_lanes(const uint32_t* p) {
     NativeInt r;
     for (int i = 0; i < kNativeLanes; ++i) r[i] = p[i];
     return (NativeFloat)r;
