@@ -6,6 +6,7 @@ import csv
 import io
 import math
 from dataclasses import asdict, replace
+from types import ModuleType
 
 import pytest
 import torch
@@ -14,6 +15,7 @@ from builders import generator, off_centre_camera, outputs_of, random_gaussians,
 from pipeline.work_precision import build
 from pipeline.work_precision.build import BuildError, load_variants
 from pipeline.work_precision.measure import UNTIMED, Errors, Point, render_kernel, time_kernels, without
+from pipeline.work_precision.narrowed import Narrowed
 from pipeline.work_precision.pareto import on_front
 from pipeline.work_precision.plot import draw
 from pipeline.work_precision.table import comma_separated, markdown, verdicts
@@ -102,9 +104,16 @@ def test_errors_are_those_of_their_definition() -> None:
 # ---- Builds ------------------------------------------------------------------------------------------------
 
 
-def test_a_later_temporal_cut_off_takes_more_gaussians_and_errs_less() -> None:
+@pytest.fixture(scope="module")
+def kernels() -> dict[str, ModuleType | Narrowed]:
+    """All that are built here, side by side: a compiler takes a minute for one."""
+    names = (DEFAULT, "min_presence_0_0001", "sh_float16", "sh_bfloat16", "float64")
+    return load_variants([by_name(name) for name in names])
+
+
+def test_a_later_temporal_cut_off_takes_more_gaussians_and_errs_less(kernels) -> None:
     variant = by_name("min_presence_0_0001")
-    built = load_variants([variant, next(v for v in all_variants() if v.name == DEFAULT)])
+    built = {name: kernels[name] for name in (variant.name, DEFAULT)}
     assert built[DEFAULT] is kernel and built[variant.name].choices["min_presence"] == 1e-4
     workload = make_workload("W1").cropped(24)
     d_color = workload.image_gradient()
@@ -127,9 +136,10 @@ def test_a_later_temporal_cut_off_takes_more_gaussians_and_errs_less() -> None:
 
 @pytest.mark.parametrize("name, stored, narrow", [("sh_float16", "Float16", torch.float16),
                                                   ("sh_bfloat16", "Bfloat16", torch.bfloat16)])
-def test_a_kernel_with_narrow_coefficients_reads_them_exactly(name: str, stored: str, narrow: torch.dtype) -> None:
+def test_a_kernel_with_narrow_coefficients_reads_them_exactly(kernels, name: str, stored: str,
+                                                              narrow: torch.dtype) -> None:
     """Every 16-bit number is a float32: the same bits as the kernel's own of coefficients rounded beforehand."""
-    built = load_variants([by_name(name)])[name]
+    built = kernels[name]
     assert built.choices == kernel.choices | {"sh_type": stored}
     for degree in (3, 1):  # rows of whole registers, and of less than one
         rng = generator(3)
@@ -146,9 +156,9 @@ def test_a_kernel_with_narrow_coefficients_reads_them_exactly(name: str, stored:
 
 
 @pytest.mark.parametrize("motion", ["static", "separable", "full"])
-def test_the_float64_kernel_is_the_float64_twin(motion: Motion) -> None:
+def test_the_float64_kernel_is_the_float64_twin(kernels, motion: Motion) -> None:
     """In every output. Doubles round to 1e-16; sums over pixels and the way back to parameters cost a few digits."""
-    built = load_variants([by_name("float64")])["float64"]
+    built = kernels["float64"]
     assert built.choices == kernel.choices | {"float64": True}
     rng, outputs = generator(4), outputs_of(motion)
     gaussians = random_gaussians(60, motion, rng)
