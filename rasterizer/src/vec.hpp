@@ -78,7 +78,17 @@ struct Float {
     // To 64-byte aligned p, past the caches: for results nobody reads soon. `end_of_streaming` before anyone
     // does.
     SPLAT_INLINE void stream(scalar* p) const {
+#if SPLAT_AVX512
+        _mm512_stream_ps(p, (__m512)part[0]);
+#elif SPLAT_AVX2
+        for (int i = 0; i < kParts; ++i) _mm256_stream_ps(p + i * kNativeLanes, (__m256)part[i]);
+#elif SPLAT_SSE2
+        for (int i = 0; i < kParts; ++i) _mm_stream_ps(p + i * kNativeLanes, (__m128)part[i]);
+#elif RASTERIZER_FLOAT64
         for (int i = 0; i < kParts; ++i) stream_native(p + i * kNativeLanes, part[i]);
+#else
+        store(p);
+#endif
     }
     // The first `count` <= 16 floats at p, zeros behind them.
     SPLAT_INLINE static Float load_first(const scalar* p, int count) {

@@ -92,18 +92,6 @@ SPLAT_INLINE unsigned native_bits(NativeInt m) {
 }
 #endif
 
-SPLAT_INLINE void stream_native(float* p, NativeFloat a) {
-#if SPLAT_AVX512
-    _mm512_stream_ps(p, (__m512)a);
-#elif SPLAT_AVX2
-    _mm256_stream_ps(p, (__m256)a);
-#elif SPLAT_SSE2
-    _mm_stream_ps(p, (__m128)a);
-#else
-    std::memcpy(p, &a, sizeof a);
-#endif
-}
-
 // The words at p as they are, one a lane.
 SPLAT_INLINE NativeFloat words_in_lanes(const uint32_t* p) {
     NativeFloat r;
