@@ -9,7 +9,7 @@ from torch import Tensor
 
 from .arguments import Request, check_finite
 from .camera import Camera
-from .frame import Frame, Gradients, check_float32
+from .frame import Frame, Gradients, check_stored
 from .gaussians import Gaussians
 from .output import OUTPUT_NAMES, RenderOutput
 
@@ -50,7 +50,7 @@ def rasterize(gaussians: Gaussians, camera: Camera, time: float = 0.0, duration:
     """
     request = Request(camera, time, duration, background, tuple(dict.fromkeys(outputs)),
                       flow_dt, near, sh_degree, fourier_order)
-    check_float32(gaussians)
+    check_stored(gaussians)
     check_finite(gaussians)
     images = _Rasterize.apply(request, threads, *(getattr(gaussians, name) for name in _FIELDS))
     rendered = dict(zip(request.outputs, images, strict=True))

@@ -88,7 +88,8 @@ class Gradients:
         named = {name: getattr(self, name) for name in names}
         return {name: tensor for name, tensor in named.items() if tensor is not None}
 
-    def zero_(self, threads: int = 1) -> None:
+    def zero_(self, threads: int = 1, kernel: ModuleType = kernel) -> None:
+        """kernel: a build of it that computes in the type of the gradients."""
         kernel.set_to_zero(arrays=list(self.dense().values()), threads=threads)
         self.views.clear()
 
@@ -97,10 +98,13 @@ class Gradients:
         tensors = [*self.dense().values(), *(view.gradient for view in self.views)]
         return all(kernel.all_finite(array=tensor, threads=threads) for tensor in tensors)
 
-    def sh(self, threads: int = 1, out: Tensor | None = None) -> Tensor:
-        """The SH gradient, dense (N, (n+1)(l+1)², 3), into `out` if given. Training never asks for it."""
+    def sh(self, threads: int = 1, out: Tensor | None = None, kernel: ModuleType = kernel) -> Tensor:
+        """The SH gradient, dense (N, (n+1)(l+1)², 3), into `out` if given. Training never asks for it.
+
+        kernel: the build of it that the views come from.
+        """
         count, orders = split_coefficients(self.sh_shape[1])
-        out = torch.empty(self.sh_shape) if out is None else out
+        out = torch.empty(self.sh_shape, dtype=self.mean.dtype) if out is None else out
         kernel.expand_sh(views=[view.as_tuple() for view in self.views], dense=out, coefficients=count,
                          orders=orders, threads=threads)
         return out
@@ -114,11 +118,17 @@ def split_coefficients(total: int) -> tuple[int, int]:
     raise ValueError(f"sh must hold (n+1)(l+1)² coefficients, got {total}")
 
 
-def check_float32(gaussians: Gaussians) -> None:
+def _type_name(dtype: torch.dtype) -> str:
+    return str(dtype).removeprefix("torch.")
+
+
+def check_stored(gaussians: Gaussians, dtype: torch.dtype = torch.float32) -> None:
+    """Raise ValueError for the first tensor that is not contiguous and of that type."""
     for name, tensor in gaussians.tensors().items():
-        if tensor.dtype != torch.float32 or not tensor.is_contiguous():
-            kind = str(tensor.dtype).removeprefix("torch.") + ("" if tensor.is_contiguous() else ", not contiguous,")
-            raise ValueError(f"{name} must be contiguous float32 {list(tensor.shape)}, got {kind} {list(tensor.shape)}")
+        if tensor.dtype != dtype or not tensor.is_contiguous():
+            kind = _type_name(tensor.dtype) + ("" if tensor.is_contiguous() else ", not contiguous,")
+            shape = list(tensor.shape)
+            raise ValueError(f"{name} must be contiguous {_type_name(dtype)} {shape}, got {kind} {shape}")
 
 
 class Frame:
@@ -127,19 +137,20 @@ class Frame:
     def __init__(self, threads: int = 0, kernel: ModuleType = kernel) -> None:
         """threads: 0 for as many as the process may use. Results are the same bits for any number.
 
-        kernel: another build of it, for measurements.
+        kernel: another build of it, for measurements. One in float64 takes and gives tensors of that type.
         """
         self.threads = threads or default_threads()
         self._kernel, self._frame = kernel, kernel.Frame()
+        self.dtype = torch.float64 if kernel.choices["float64"] else torch.float32
         self._model = self._request = None
         self._differentiable = False
 
     def render(self, gaussians: Gaussians, request: Request, differentiable: bool = True) -> RenderOutput:
-        """Render one view of float32, contiguous Gaussians. Raises ValueError when they are not.
+        """Render one view of contiguous Gaussians of the frame's type, float32. Raises ValueError when they are not.
 
         differentiable: False leaves out what only `backward` needs.
         """
-        check_float32(gaussians)
+        check_stored(gaussians, self.dtype)
         request.check_against(gaussians)
         camera = request.camera
         intrinsics = [camera.fx, camera.fy, camera.cx, camera.cy]
@@ -157,7 +168,7 @@ class Frame:
             flow_dt=request.flow_dt or 0.0, sh_degree=self.sh_degree, fourier_order=self.fourier_order,
             extras=tuple(name in request.outputs for name in _EXTRAS), differentiable=differentiable,
             threads=self.threads)
-        images = {name: torch.empty(_CHANNELS[name], camera.height, camera.width) for name in request.outputs}
+        images = {name: self._empty(_CHANNELS[name], camera.height, camera.width) for name in request.outputs}
         # Detached: an image's graph holds this frame, which must not hold the graph.
         self._images = {name: image.detach() for name, image in images.items()}
         self._versions = {name: image._version for name, image in self._images.items()}
@@ -187,23 +198,26 @@ class Frame:
                 continue
             if name not in self._images:
                 raise ValueError(f"d_{name}: expected {name!r} among the outputs, found {self._request.outputs}")
-            if image.dtype != torch.float32 or list(image.shape) != [_CHANNELS[name], *size]:
-                raise ValueError(f"d_{name} must be float32 {[_CHANNELS[name], *size]}, got "
-                                 f"{str(image.dtype).removeprefix('torch.')} {list(image.shape)}")
+            if image.dtype != self.dtype or list(image.shape) != [_CHANNELS[name], *size]:
+                raise ValueError(f"d_{name} must be {_type_name(self.dtype)} {[_CHANNELS[name], *size]}, got "
+                                 f"{_type_name(image.dtype)} {list(image.shape)}")
             images[name] = image.detach().contiguous()
         for name, image in self._images.items():
             if image._version != self._versions[name]:
                 raise RuntimeError(f"Frame.backward reads the rendered {name}, which was changed in place after "
                                    "Frame.render: clone it first")
         visible = self._frame.visible
-        out = ViewGradient(torch.empty(visible, dtype=torch.int32), torch.empty(visible, 2),
-                           torch.empty(visible), torch.empty(visible))
-        colors = ViewColors(out.visible, torch.empty(visible, 8), self.sh_degree, self.fourier_order)
+        out = ViewGradient(torch.empty(visible, dtype=torch.int32), self._empty(visible, 2), self._empty(visible),
+                           self._empty(visible))
+        colors = ViewColors(out.visible, self._empty(visible, 8), self.sh_degree, self.fourier_order)
         self._frame.backward(self._model, **{f"d_{name}": image for name, image in images.items()},
                              **{"quat_right": None, **gradients.dense()}, id=out.visible, mean2d=out.mean2d,
                              mean_t=out.mean_t, radius=out.radius, color_gradient=colors.gradient)
         gradients.views.append(colors)
         return out
+
+    def _empty(self, *shape: int) -> Tensor:
+        return torch.empty(shape, dtype=self.dtype)
 
     @property
     def visible(self) -> int:

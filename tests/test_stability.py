@@ -21,10 +21,12 @@ from pipeline.stability import textbook
 from pipeline.stability.__main__ import main
 from pipeline.stability.cases import BOUND, CASES, Case
 from pipeline.stability.families import FAMILIES
+from pipeline.stability.instruction_sets import Spread, largest_difference, measure_spread, same_bits
 from pipeline.stability.measure import kernel_indefinite, measure
 from pipeline.stability.scene import plain_gaussians, plain_request
 from pipeline.stability.table import Row
 from rasterizer import Gaussians, Request, rasterize, reference
+from rasterizer.kernel import available_isas
 
 KERNEL = partial(rasterize, threads=1)
 SLOW = ("stack", "coincident", "wide", "tall")  # families whose twin takes too long for a search
@@ -35,7 +37,8 @@ PROGRAMS = pytest.mark.parametrize("program, dtype", [(KERNEL, torch.float32), (
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 def test_every_case_holds_its_bound(case: Case):
-    row = Row(case, {"kernel": measure(KERNEL, kernel_indefinite, *case.scene(), steps=min(3, case.most_steps))})
+    row = Row(case, {"kernel": measure(KERNEL, kernel_indefinite, *case.scene(), steps=min(3, case.most_steps))},
+              measure_spread(*case.scene()))
     assert not row.broken
 
 
@@ -76,6 +79,10 @@ def test_the_command_writes_its_table_and_says_that_bounds_hold(tmp_path, capsys
     with open(tmp_path / "stability.csv", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert {row["program"] for row in rows} == {"kernel", "twin", "textbook"}
+    with open(tmp_path / "instruction_sets.csv", encoding="utf-8") as file:
+        spreads = list(csv.DictReader(file))
+    assert [row["value"] for row in spreads] == ["0", "1"]
+    assert {row["isas"] for row in spreads} == {" ".join(available_isas())}
     assert "| count 1 |" in (tmp_path / "stability.md").read_text(encoding="utf-8")
 
 
@@ -85,6 +92,38 @@ def test_a_broken_bound_is_named_and_nan_never_passes():
     assert "image" in Row(case, {"kernel": errors}).broken[0]
     for value in (math.nan, math.inf):
         assert Row(replace(case, steps_bound=math.inf), {"kernel": replace(errors, image=0.0, steps=value)}).broken
+
+
+def test_instruction_sets_differ_by_rounding_and_threads_by_nothing():
+    """Float32 rounds to 6e-8; sums over pixels and the way back to parameters lose some hundred times that."""
+    spread = measure_spread(*Case("needle", 1).scene())
+    assert spread.isas == tuple(available_isas()) and spread.changed_by_threads == ()
+    assert spread.image < 1e-5 and spread.gradient < 1e-4
+    if len(spread.isas) > 1:  # exp2 and 1/x are other instructions: equal to the bit would be the same kernel twice
+        assert spread.image > 0 and spread.gradient > 0
+
+
+def test_a_spread_is_that_of_the_two_farthest_apart():
+    one, two, three = (torch.tensor([1.0, value]) for value in (2.0, 2.5, 1.5))
+    assert largest_difference([one, two, three], 4.0) == pytest.approx(0.25)  # (2.5 - 1.5) / 4
+    assert largest_difference([one], 4.0) == 0
+    assert largest_difference([one, torch.tensor([1.0, math.nan])], 4.0) == math.inf
+
+
+def test_bits_are_compared_as_bits():
+    zero, nan = torch.zeros(2), torch.full((2,), math.nan)
+    assert same_bits(zero, zero.clone()) and same_bits(nan, nan.clone())
+    assert not same_bits(zero, -zero) and not same_bits(zero, nan)
+
+
+def test_a_spread_beyond_the_bound_and_bits_that_threads_change_break_a_case():
+    errors, case = measure(KERNEL, kernel_indefinite, *Case("count", 1).scene(), steps=0), Case("count", 1)
+    spread = Spread(("v4", "v3"), 1e-6, 1e-6, "mean", ())
+    assert not Row(case, {"kernel": errors}, spread).broken
+    for changes, named in (({"image": 2e-3}, "image between"), ({"gradient": math.inf}, "gradient between"),
+                           ({"changed_by_threads": ("v3",)}, "threads change")):
+        broken = Row(case, {"kernel": errors}, replace(spread, **changes)).broken
+        assert len(broken) == 1 and named in broken[0]
 
 
 # ---- Where the kernel is not smooth either, it must still agree on what is exact -----------------------------

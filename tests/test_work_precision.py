@@ -5,22 +5,25 @@ from __future__ import annotations
 import csv
 import io
 import math
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from types import ModuleType
 
 import pytest
 import torch
 
-from builders import generator, off_centre_camera, random_gaussians, render_and_gradients
+from builders import generator, off_centre_camera, outputs_of, random_gaussians, render_and_gradients
 from pipeline.work_precision import build
 from pipeline.work_precision.build import BuildError, load_variants
-from pipeline.work_precision.measure import UNTIMED, Errors, Point, render_kernel, rounded, time_kernels, without
+from pipeline.work_precision.measure import UNTIMED, Errors, Point, render_kernel, time_kernels, without
+from pipeline.work_precision.narrowed import Narrowed
 from pipeline.work_precision.pareto import on_front
 from pipeline.work_precision.plot import draw
 from pipeline.work_precision.table import comma_separated, markdown, verdicts
 from pipeline.work_precision.truth import Rendered, render_twin
 from pipeline.work_precision.variants import DEFAULT, TRADES, Choices, all_variants, by_name
-from rasterizer import Frame, reference
+from rasterizer import Frame, Gradients, Request, reference
 from rasterizer.bench.workloads import Workload, make_workload
+from rasterizer.gaussians import Motion
 from rasterizer.kernel import kernel
 from rasterizer.reference_blend import Thresholds
 
@@ -37,7 +40,8 @@ def small_workload(seed: int = 0) -> Workload:
 
 def test_the_kernel_is_built_with_the_methods_numbers() -> None:
     spec = {"min_presence": 0.05, "min_alpha": 1 / 255, "min_transmittance": 1e-4}
-    assert kernel.choices == spec | {"exp_degree": 4, "exact_culling": True, "block_masks": True}
+    assert kernel.choices == spec | {"exp_degree": 4, "exact_culling": True, "block_masks": True, "float64": False,
+                                     "sh_type": "scalar"}
     assert kernel.choices == asdict(Choices())
 
 
@@ -97,24 +101,19 @@ def test_errors_are_those_of_their_definition() -> None:
     assert Errors.of(truth, truth).psnr == math.inf
 
 
-def test_rounded_coefficients_are_those_of_the_narrow_type_and_cost_accuracy() -> None:
-    workload = small_workload(2)
-    half = rounded(workload, torch.float16)
-    assert half.gaussians.sh.dtype == torch.float32
-    assert (half.gaussians.sh == workload.gaussians.sh.half().float()).all()
-    assert rounded(workload, None) is workload
-    d_color = workload.image_gradient()
-    same = render_twin(workload, d_color, Thresholds())
-    full, narrow = (Errors.of(render_kernel(kernel, w, d_color), same) for w in (workload, half))
-    assert narrow.image_rms > 10 * full.image_rms
-
-
 # ---- Builds ------------------------------------------------------------------------------------------------
 
 
-def test_a_later_temporal_cut_off_takes_more_gaussians_and_errs_less() -> None:
+@pytest.fixture(scope="module")
+def kernels() -> dict[str, ModuleType | Narrowed]:
+    """All that are built here, side by side: a compiler takes a minute for one."""
+    names = (DEFAULT, "min_presence_0_0001", "sh_float16", "sh_bfloat16", "float64")
+    return load_variants([by_name(name) for name in names])
+
+
+def test_a_later_temporal_cut_off_takes_more_gaussians_and_errs_less(kernels) -> None:
     variant = by_name("min_presence_0_0001")
-    built = load_variants([variant, next(v for v in all_variants() if v.name == DEFAULT)])
+    built = {name: kernels[name] for name in (variant.name, DEFAULT)}
     assert built[DEFAULT] is kernel and built[variant.name].choices["min_presence"] == 1e-4
     workload = make_workload("W1").cropped(24)
     d_color = workload.image_gradient()
@@ -133,6 +132,47 @@ def test_a_later_temporal_cut_off_takes_more_gaussians_and_errs_less() -> None:
     times = time_kernels(built, workload, rounds=1)
     assert {name: timing.alive for name, timing in times.items()} == alive
     assert all(timing.milliseconds >= timing.forward_ms > 0 for timing in times.values())
+
+
+@pytest.mark.parametrize("name, stored, narrow", [("sh_float16", "Float16", torch.float16),
+                                                  ("sh_bfloat16", "Bfloat16", torch.bfloat16)])
+def test_a_kernel_with_narrow_coefficients_reads_them_exactly(kernels, name: str, stored: str,
+                                                              narrow: torch.dtype) -> None:
+    """Every 16-bit number is a float32: the same bits as the kernel's own of coefficients rounded beforehand."""
+    built = kernels[name]
+    assert built.choices == kernel.choices | {"sh_type": stored}
+    for degree in (3, 1):  # rows of whole registers, and of less than one
+        rng = generator(3)
+        gaussians = random_gaussians(60, "full", rng, sh_degree=degree).to(torch.float32)
+        gaussians.sh[:20] *= 1e-6  # denormal in float16, where some become zero
+        rounded = replace(gaussians, sh=gaussians.sh.to(narrow).float())
+        assert not torch.equal(rounded.sh, gaussians.sh)
+        given, same = (Workload(g, off_centre_camera(), time=0.4, duration=1.0) for g in (gaussians, rounded))
+        d_color = given.image_gradient()
+        found, expected = render_kernel(built, given, d_color), render_kernel(kernel, same, d_color)
+        assert torch.equal(found.color, expected.color)
+        for field, gradient in expected.gradients.items():
+            assert torch.equal(found.gradients[field], gradient), field
+
+
+@pytest.mark.parametrize("motion", ["static", "separable", "full"])
+def test_the_float64_kernel_is_the_float64_twin(kernels, motion: Motion) -> None:
+    """In every output. Doubles round to 1e-16; sums over pixels and the way back to parameters cost a few digits."""
+    built = kernels["float64"]
+    assert built.choices == kernel.choices | {"float64": True}
+    rng, outputs = generator(4), outputs_of(motion)
+    gaussians = random_gaussians(60, motion, rng)
+    request = Request(off_centre_camera(), time=0.4, outputs=outputs, flow_dt=0.01)
+    frame, gradients = Frame(1, built), Gradients.zeros_like(gaussians)
+    images = frame.render(gaussians, request)
+    weights = {name: torch.randn(getattr(images, name).shape, generator=rng, dtype=torch.float64) for name in outputs}
+    frame.backward(gradients, **{f"d_{name}": weight for name, weight in weights.items()})
+    expected, expected_gradients = render_and_gradients(reference.rasterize, gaussians, request, weights)
+    for name in outputs:
+        torch.testing.assert_close(getattr(images, name), getattr(expected, name), rtol=0, atol=1e-13)
+    found = gradients.dense() | {"sh": gradients.sh(kernel=built)}
+    for field, gradient in expected_gradients.items():
+        torch.testing.assert_close(found[field], gradient, rtol=0, atol=1e-13 * gradient.abs().max().item())
 
 
 def test_no_compiler_is_said_in_one_line(tmp_path, monkeypatch) -> None:

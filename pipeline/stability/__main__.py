@@ -17,13 +17,16 @@ from pipeline.run_folder import now
 from pipeline.stability import textbook
 from pipeline.stability.cases import CASES, Case
 from pipeline.stability.families import FAMILIES
+from pipeline.stability.instruction_sets import measure_spread
 from pipeline.stability.measure import kernel_indefinite, measure
 from pipeline.stability.table import Row, show, write
 from rasterizer import rasterize, reference
+from rasterizer.kernel import available_isas
 
 
 def measure_case(case: Case, steps: int) -> Row:
-    """The kernel with every output; the twin in float32 and the textbook's formulas with colour, alpha and depth."""
+    """The kernel with every output, on every instruction set too; the twin in float32 and the textbook's formulas with
+    colour, alpha and depth."""
     gaussians, request = case.scene()
     steps = min(steps, case.most_steps)
     basic = replace(request, outputs=textbook.OUTPUTS)
@@ -32,7 +35,7 @@ def measure_case(case: Case, steps: int) -> Row:
         "kernel": measure(partial(rasterize, threads=1), kernel_indefinite, gaussians, request, steps),
         "twin": measure(reference.rasterize, none, gaussians, basic, steps),
         "textbook": measure(textbook.rasterize, textbook.indefinite, gaussians, basic, steps),
-    })
+    }, measure_spread(gaussians, request))
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -49,7 +52,7 @@ def main(arguments: list[str] | None = None) -> int:
     rows = [measure_case(case, options.steps) for case in track(cases, console=console, transient=True)]
     show(rows, console)
     write(rows, options.out, f"`python -m pipeline.stability --steps {options.steps}` on {machine_line()}, {now()}, "
-                             f"commit {git_commit()}.")
+                             f"commit {git_commit()}. Instruction sets: {', '.join(available_isas())}.")
     broken = [row for row in rows if row.broken]
     for row in broken:
         print(f"{row.case.name}: {'; '.join(row.broken)}", file=sys.stderr)

@@ -17,6 +17,7 @@ from types import ModuleType
 
 from rasterizer.kernel import kernel, load_kernel_at
 
+from .narrowed import SH_TYPES, Narrowed
 from .variants import Choices, Variant
 
 SOURCE = Path(__file__).resolve().parents[2]
@@ -27,7 +28,7 @@ class BuildError(RuntimeError):
     """One line: what could not be built, and why."""
 
 
-def load_variants(variants: Sequence[Variant], folder: Path = SOURCE / "build") -> dict[str, ModuleType]:
+def load_variants(variants: Sequence[Variant], folder: Path = SOURCE / "build") -> dict[str, ModuleType | Narrowed]:
     """The kernel of each variant by its name, for the instruction set of this process; built where it is missing.
 
     Raises BuildError when there is no CMake or no compiler, or when either fails.
@@ -42,7 +43,8 @@ def load_variants(variants: Sequence[Variant], folder: Path = SOURCE / "build") 
         found = Choices(**loaded[variant.name].choices)
         if found != variant.choices:
             raise BuildError(f"variant {variant.name}: expected {variant.choices}, found a kernel with {found}")
-    return others | loaded
+    narrow = {v.name: Narrowed(loaded[v.name]) for v in own if v.choices.sh_type in SH_TYPES}
+    return others | loaded | narrow
 
 
 def _module(variant: Variant) -> str:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cache
 from types import ModuleType
 
 import torch
 from torch import Tensor
 
-from rasterizer import Frame, Gradients
+from rasterizer import Frame, Gaussians, Gradients
 from rasterizer.bench.workloads import Workload
 from rasterizer.reference_blend import Thresholds
 
@@ -80,19 +81,26 @@ class Twins:
         return self._made[thresholds]
 
 
+@dataclass(frozen=True)
+class _Typed:
+    """What a frame reads and what it adds to, in the type that its kernel computes in."""
+
+    gaussians: Gaussians
+    gradients: Gradients
+    d_color: Tensor
+
+    @classmethod
+    def of(cls, gaussians: Gaussians, d_color: Tensor, dtype: torch.dtype) -> _Typed:
+        gaussians = gaussians.to(dtype)
+        return cls(gaussians, Gradients.zeros_like(gaussians), d_color.to(dtype))
+
+
 def render_kernel(kernel: ModuleType, workload: Workload, d_color: Tensor) -> Rendered:
-    frame, gradients = Frame(1, kernel), Gradients.zeros_like(workload.gaussians)
-    color = frame.render(workload.gaussians, workload.request()).color
-    frame.backward(gradients, d_color=d_color)
-    return Rendered(color, gradients.dense() | {"sh": gradients.sh()})
-
-
-def rounded(workload: Workload, sh_type: torch.dtype | None) -> Workload:
-    """With the coefficients rounded to a narrower type; the kernel still reads them as float32."""
-    if sh_type is None:
-        return workload
-    g = workload.gaussians
-    return replace(workload, gaussians=replace(g, sh=g.sh.to(sh_type).to(g.sh.dtype)))
+    frame = Frame(1, kernel)
+    typed = _Typed.of(workload.gaussians, d_color, frame.dtype)
+    color = frame.render(typed.gaussians, workload.request()).color
+    frame.backward(typed.gradients, d_color=typed.d_color)
+    return Rendered(color, typed.gradients.dense() | {"sh": typed.gradients.sh(kernel=kernel)})
 
 
 @dataclass(frozen=True)
@@ -110,19 +118,20 @@ UNTIMED = Timing(*[math.nan] * 5)
 def time_kernels(kernels: Mapping[str, ModuleType], workload: Workload, rounds: int,
                  clock: Callable[[], float] = time.process_time) -> dict[str, Timing]:
     """Minimum over rounds of all kernels in turn, so that each meets the same quiet and busy minutes."""
-    gradients, request = Gradients.zeros_like(workload.gaussians), workload.request()
-    d_color = workload.image_gradient()
+    request, d_color = workload.request(), workload.image_gradient()
+    typed_as = cache(lambda dtype: _Typed.of(workload.gaussians, d_color, dtype))
     spent: dict[str, list[tuple[float, float]]] = {name: [] for name in kernels}
     counts: dict[str, tuple[int, int]] = {}
     for _ in range(rounds):
         for name, kernel in kernels.items():
             frame, best = Frame(1, kernel), (math.inf, math.inf)
+            typed = typed_as(frame.dtype)
             for _ in range(TOGETHER):
-                gradients.zero_()
+                typed.gradients.zero_(kernel=kernel)
                 start = clock()
-                frame.render(workload.gaussians, request)
+                frame.render(typed.gaussians, request)
                 middle = clock()
-                frame.backward(gradients, d_color=d_color)
+                frame.backward(typed.gradients, d_color=typed.d_color)
                 end = clock()
                 best = min(best[0], end - start), min(best[1], middle - start)
             spent[name].append(best)
@@ -143,15 +152,14 @@ def measure(variants: Sequence[Variant], kernels: Mapping[str, ModuleType], work
     twins, found = Twins(crop), {}
     for variant in variants:
         say(f"errors: {variant.name}")
-        found[variant] = render_kernel(kernels[variant.name], rounded(crop, variant.sh_type), twins.d_color)
+        found[variant] = render_kernel(kernels[variant.name], crop, twins.d_color)
     say("times")
-    # Rounded coefficients are read as float32 here: the time that narrower ones would take is not this kernel's.
-    times = time_kernels({v.name: kernels[v.name] for v in variants if v.sh_type is None}, workload, rounds)
+    times = time_kernels(kernels, workload, rounds)
     points = []
     for variant, rendered in found.items():
         thresholds = variant.choices.thresholds()
         free = without(thresholds, TRADES[variant.trade])
-        points.append(_point(variant.name, variant.trade, variant.label, times.get(variant.name, UNTIMED), rendered,
+        points.append(_point(variant.name, variant.trade, variant.label, times[variant.name], rendered,
                              twins, thresholds, free))
     own = Thresholds()
     single = render_twin(crop, twins.d_color, own, torch.float32)

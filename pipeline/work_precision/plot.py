@@ -16,8 +16,8 @@ from .measure import Point
 from .pareto import on_front
 from .variants import DEFAULT
 
-_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#b5519b", "#e69f00", "#56b4e9", "#7a7f87")  # after Okabe, Ito
-_MARKERS = "osD^vPX"
+_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#b5519b", "#e69f00", "#56b4e9", "#7a7f87", "#882255", "#999933")
+_MARKERS = "osD^vPX*<"
 _WIDEST = 1.9  # × the default's time: what is slower stands at the edge with its time, or the rest would be a dot
 _ROOM = 0.07  # decades of error between two names
 _PANELS = (("image_max", "largest error of the image"), ("gradient_rms", "gradients, relative RMS error"))
@@ -32,7 +32,7 @@ def draw(points: Sequence[Point], title: str, theme: Theme = LIGHT) -> str:
         FigureCanvasSVG(figure)
         figure.patch.set_facecolor("white")
         axes = figure.subplots(
-            1, 2, gridspec_kw={"left": 0.06, "right": 0.985, "bottom": 0.11, "top": 0.78, "wspace": 0.16})
+            1, 2, gridspec_kw={"left": 0.06, "right": 0.985, "bottom": 0.11, "top": 0.76, "wspace": 0.16})
         for axis, (name, label) in zip(axes, _PANELS, strict=True):
             default = next(p for p in timed if p.name == DEFAULT)
             edge = _WIDEST * default.milliseconds

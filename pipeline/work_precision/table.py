@@ -15,8 +15,7 @@ from .variants import AGAIN, DEFAULT, TRADES
 
 _NOTES = (
     "ms: forward and backward of the whole workload, CPU time of one thread, minimum; n/a: not measured. The twin "
-    "keeps every (pixel, Gaussian) pair, the whole image is beyond it. Narrow SH coefficients are rounded and then "
-    "read as float32: their error is real, a time would not be.",
+    "keeps every (pixel, Gaussian) pair, the whole image is beyond it.",
     "Error: of the middle of the image, against the float64 twin that leaves nothing out; image in [0, 1]. Gradients: "
     "RMS error over RMS, root mean square over the parameters' fields.",
     "Own: against the twin with the same thresholds but those of the trade-off, so the error of that choice alone (and "
@@ -26,7 +25,8 @@ _NOTES = (
     "Front: of the points with a time, no other is as fast and as right and better in one of the two, where times "
     "that differ by less than the noise and errors that differ by less than 1 % are equal. I: maximum of the image, G: "
     "gradients, both against the twin that leaves nothing out.",
-    "There is no float64 kernel; the twin in float64 with the kernel's thresholds stands for it.",
+    "float64: the kernel's source with doubles for floats, parameters and images too: sixteen are twice as many "
+    "registers, on vectors as the compiler makes them, exp2 and its like as series of a double's length.",
 )
 
 
@@ -132,4 +132,4 @@ def _verdict(what: str, points: Sequence[Point], errors: Sequence[Errors],
         quicker = f"takes {100 * saved:.1f} % less time" if saved > margins[0] else "takes as long, within the noise"
         parts.append(f"not on the front of time and {name}: \"{points[best].label}\" {quicker}, its error is "
                      f"{measured[best]:.1e} against {own[1]:.1e}")
-    return f"{what.capitalize()}: the default is {'; '.join(parts)}."
+    return f"{what[0].upper()}{what[1:]}: the default is {'; '.join(parts)}."

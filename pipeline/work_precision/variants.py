@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 
-import torch
-
 from rasterizer.reference_blend import Thresholds
 
 MACROS = {  # of rasterizer/src/choices.hpp
@@ -15,6 +13,8 @@ MACROS = {  # of rasterizer/src/choices.hpp
     "exp_degree": "RASTERIZER_EXP_DEGREE",
     "exact_culling": "RASTERIZER_EXACT_CULLING",
     "block_masks": "RASTERIZER_BLOCK_MASKS",
+    "float64": "RASTERIZER_FLOAT64",
+    "sh_type": "RASTERIZER_SH_TYPE",
 }
 
 
@@ -28,16 +28,21 @@ class Choices:
     exp_degree: int = 4
     exact_culling: bool = True
     block_masks: bool = True
+    float64: bool = False
+    sh_type: str = "scalar"  # as everything else
 
     def definitions(self) -> list[str]:
         """MACRO=value of what differs from the kernel's own."""
         own = asdict(Choices())
-        return [f"{MACROS[name]}={int(value) if isinstance(value, bool) else repr(value)}"
-                for name, value in asdict(self).items() if value != own[name]]
+        return [f"{MACROS[name]}={_in_cpp(value)}" for name, value in asdict(self).items() if value != own[name]]
 
     def thresholds(self) -> Thresholds:
         """The same cut-offs for the readable twin."""
         return Thresholds(self.min_presence, self.min_alpha, self.min_transmittance)
+
+
+def _in_cpp(value: float | str) -> str:
+    return value if isinstance(value, str) else str(int(value)) if isinstance(value, bool) else repr(value)
 
 
 @dataclass(frozen=True)
@@ -48,12 +53,11 @@ class Variant:
     trade: str  # which trade-off it belongs to, in TRADES
     label: str
     choices: Choices = Choices()
-    sh_type: torch.dtype | None = None  # coefficients rounded to it before rendering; None: float32 as they are
 
     @property
     def is_built(self) -> bool:
         """Whether it is a kernel of its own, not the package's."""
-        return self.name != DEFAULT and self.sh_type is None
+        return self.name != DEFAULT
 
 
 # A trade-off, and the twin's thresholds that its own error leaves standing: those that it sets are zero.
@@ -64,6 +68,7 @@ TRADES = {
     "exp degree": Thresholds(),
     "culling and masks": Thresholds(),
     "SH precision": Thresholds(),
+    "floating point": Thresholds(),
     "several at once": Thresholds(0, 0, 0),
     "built again": Thresholds(),
 }
@@ -75,7 +80,7 @@ def _digits(value: float) -> str:
     return f"{value:g}".replace(".", "_").replace("-", "m")
 
 
-def _row(trade: str, name: str, label: str, **choices: float) -> Variant:
+def _row(trade: str, name: str, label: str, **choices: float | str) -> Variant:
     """The kernel as it is, where that is what the choices say."""
     made = Choices(**choices)
     return Variant(DEFAULT if made == Choices() else name, trade, label, made)
@@ -92,7 +97,7 @@ def all_variants() -> list[Variant]:
              ("exact, whole tiles", True, False), ("exact, blocks", True, True))
     several = (("coarse", 0.1, "2/255", 2 / 255, 1e-3, 3), ("default", 0.05, "1/255", 1 / 255, 1e-4, 4),
                ("fine", 0.01, "1/510", 1 / 510, 1e-5, 4), ("finest", 1e-4, "1/25500", 1 / 25500, 1e-6, 5))
-    precisions = (("bfloat16", torch.bfloat16), ("float16", torch.float16), ("float32", None))
+    precisions = (("bfloat16", "Bfloat16"), ("float16", "Float16"), ("float32", "scalar"))
     return [
         *_steps("temporal cut-off", "min_presence", "p(t) >= {}", 0.2, 0.1, 0.05, 0.02, 0.01, 1e-3, 1e-4),
         *(_row("alpha cut-off", f"min_alpha_{label.replace('/', '_')}", f"α' >= {label}", min_alpha=value)
@@ -101,12 +106,14 @@ def all_variants() -> list[Variant]:
         *_steps("exp degree", "exp_degree", "degree {}", 3, 4, 5),
         *(_row("culling and masks", f"masks_{int(exact)}{int(blocks)}", label, exact_culling=exact, block_masks=blocks)
           for label, exact, blocks in masks),
-        *(Variant(f"sh_{name}" if narrow else DEFAULT, "SH precision", f"coefficients in {name}", sh_type=narrow)
-          for name, narrow in precisions),
+        *(_row("SH precision", f"sh_{name}", f"coefficients in {name}", sh_type=stored)
+          for name, stored in precisions),
+        _row("floating point", "float32", "float32"), _row("floating point", "float64", "float64", float64=True),
         *(_row("several at once", name, f"p >= {p:g}, α' >= {label}, T >= {stop:g}, degree {degree}",
                min_presence=p, min_alpha=alpha, min_transmittance=stop, exp_degree=degree)
           for name, p, label, alpha, stop, degree in several),
-        Variant(DEFAULT, "built again", "the package's own"), Variant(AGAIN, "built again", "built like the others"),
+        Variant(DEFAULT, "built again", "default, the package's own"),
+        Variant(AGAIN, "built again", "default, again: built as the other rows are"),
     ]
 
 

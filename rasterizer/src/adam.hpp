@@ -12,19 +12,19 @@
 namespace splat {
 
 struct AdamStep {
-    float beta1, beta2, epsilon;
-    float one_minus_beta1, one_minus_beta2;  // from double: 1.f - 0.999f is off by 1e-5
-    float inverse_correction1;               // 1/(1-β1ᵗ)
-    float inverse_sqrt_correction2;          // 1/√(1-β2ᵗ)
+    scalar beta1, beta2, epsilon;
+    scalar one_minus_beta1, one_minus_beta2;  // from double: 1.f - 0.999f is off by 1e-5
+    scalar inverse_correction1;               // 1/(1-β1ᵗ)
+    scalar inverse_sqrt_correction2;          // 1/√(1-β2ᵗ)
 
     AdamStep(double beta1, double beta2, double epsilon, long step)
-        : beta1(static_cast<float>(beta1)),
-          beta2(static_cast<float>(beta2)),
-          epsilon(static_cast<float>(epsilon)),
-          one_minus_beta1(static_cast<float>(1 - beta1)),
-          one_minus_beta2(static_cast<float>(1 - beta2)),
-          inverse_correction1(static_cast<float>(1 / (1 - std::pow(beta1, step)))),
-          inverse_sqrt_correction2(static_cast<float>(1 / std::sqrt(1 - std::pow(beta2, step)))) {}
+        : beta1(static_cast<scalar>(beta1)),
+          beta2(static_cast<scalar>(beta2)),
+          epsilon(static_cast<scalar>(epsilon)),
+          one_minus_beta1(static_cast<scalar>(1 - beta1)),
+          one_minus_beta2(static_cast<scalar>(1 - beta2)),
+          inverse_correction1(static_cast<scalar>(1 / (1 - std::pow(beta1, step)))),
+          inverse_sqrt_correction2(static_cast<scalar>(1 / std::sqrt(1 - std::pow(beta2, step)))) {}
 };
 
 SPLAT_INLINE void adam_vector(Float& p, const Float& g, Float& m, Float& v, const Float& rate,
@@ -36,7 +36,7 @@ SPLAT_INLINE void adam_vector(Float& p, const Float& g, Float& m, Float& v, cons
 
 // keep[row] of each of the n floats from `at` on, zeros behind them.
 SPLAT_INLINE Float row_lanes(const uint8_t* keep, size_t at, int n, int columns) {
-    alignas(64) float lane[kLanes] = {};
+    alignas(64) scalar lane[kLanes] = {};
     size_t row = at / columns;
     int column = static_cast<int>(at % columns);
     for (int l = 0; l < n; ++l) {
@@ -48,12 +48,12 @@ SPLAT_INLINE Float row_lanes(const uint8_t* keep, size_t at, int n, int columns)
 
 // Rows of `columns` floats, a learning rate a column. keep: one byte a row, 0 leaves the row and its moments
 // alone; or null.
-inline void adam_rows(float* p, const float* g, float* m, float* v, size_t rows, int columns, const float* lr,
-                      const uint8_t* keep, const AdamStep& a, int threads) {
+inline void adam_rows(scalar* p, const scalar* g, scalar* m, scalar* v, size_t rows, int columns,
+                      const scalar* lr, const uint8_t* keep, const AdamStep& a, int threads) {
     // Rows are one long array; vector k of it has the rates of columns (16 k + lane) mod columns, which recur
     // with k mod columns.
     std::vector<Float> rate(columns);
-    alignas(64) float lane[kLanes];
+    alignas(64) scalar lane[kLanes];
     for (int k = 0; k < columns; ++k) {
         for (int l = 0; l < kLanes; ++l) lane[l] = lr[(kLanes * k + l) % columns] * a.inverse_correction1;
         rate[k] = Float::load(lane);
@@ -67,10 +67,10 @@ inline void adam_rows(float* p, const float* g, float* m, float* v, size_t rows,
             const size_t at = k * kLanes;
             const int n = static_cast<int>(std::min<size_t>(kLanes, floats - at));
             const bool whole = n == kLanes;
-            auto load = [&](const float* from) {
+            auto load = [&](const scalar* from) {
                 return whole ? Float::load(from + at) : Float::load_first(from + at, n);
             };
-            auto store = [&](const Float& value, float* to) {
+            auto store = [&](const Float& value, scalar* to) {
                 whole ? value.store(to + at) : value.store_first(to + at, n);
             };
             const Float p0 = load(p), m0 = load(m), v0 = load(v);
@@ -90,13 +90,13 @@ inline constexpr uint32_t kRowsAhead = 3;
 // Adam on SH coefficients [N, orders · coefficients, 3], their gradient expanded chunk by chunk and never
 // stored. Orders from `active_orders` on, and in each order coefficients from `active_coefficients` on, are
 // left alone: they have had no gradient yet, so their moments are zero. keep: as adam_rows.
-inline void adam_sh(float* sh, float* m, float* v, uint32_t count, int coefficients, int orders,
-                    int active_coefficients, int active_orders, float lr_dc, float lr_rest,
+inline void adam_sh(scalar* sh, scalar* m, scalar* v, uint32_t count, int coefficients, int orders,
+                    int active_coefficients, int active_orders, scalar lr_dc, scalar lr_rest,
                     const uint8_t* keep, const std::vector<ViewColors>& views, const AdamStep& a,
                     int threads) {
     const size_t order_stride = static_cast<size_t>(coefficients) * 3, row_stride = order_stride * orders;
     const Float rest(lr_rest * a.inverse_correction1);
-    alignas(64) float first_lanes[16];
+    alignas(64) scalar first_lanes[16];
     rest.store(first_lanes);
     for (int k = 0; k < 3; ++k) first_lanes[k] = lr_dc * a.inverse_correction1;  // degree 0, order 0
     const Float with_dc = Float::load(first_lanes);

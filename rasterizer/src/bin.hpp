@@ -18,13 +18,13 @@ namespace splat {
 // Bit b: the largest alpha over the pixel centres' square of block b is at least 1/255.
 // ln alpha is concave, so over a rectangle it is largest on the side facing the mean: try the nearest column
 // and the nearest row, each at its best point.
-SPLAT_INLINE unsigned blocks_under_ellipse(const Splat& s, float tile_x, float tile_y) {
+SPLAT_INLINE unsigned blocks_under_ellipse(const Splat& s, scalar tile_x, scalar tile_y) {
     const Float x0 = Float::load(kBlockCorner.x) + Float(tile_x),
                 y0 = Float::load(kBlockCorner.y) + Float(tile_y);
     const Float x1 = x0 + Float(kBlock - 1.f), y1 = y0 + Float(kBlock - 1.f);
     const Float px = clamp(s.x, x0, x1), py = clamp(s.y, y0, y1);
     // On column px: across k (px - x₀ + k py) + along (py - y) = 0. On row py: px - x₀ + k py = 0.
-    const float lean_across = s.lean * s.across, inverse = 1.f / (lean_across * s.lean + s.along);
+    const scalar lean_across = s.lean * s.across, inverse = 1.f / (lean_across * s.lean + s.along);
     const Float start = px - Float(s.intercept);
     const Float y_best = clamp((Float(s.along * s.y) - start * Float(lean_across)) * Float(inverse), y0, y1),
                 x_best = clamp(Float(s.intercept) - py * Float(s.lean), x0, x1);
@@ -33,7 +33,7 @@ SPLAT_INLINE unsigned blocks_under_ellipse(const Splat& s, float tile_x, float t
 }
 
 // Bit b: the rectangle round the alpha >= 1/255 ellipse touches block b's pixel centres.
-SPLAT_INLINE unsigned blocks_under_rectangle(const Splat& s, float tile_x, float tile_y) {
+SPLAT_INLINE unsigned blocks_under_rectangle(const Splat& s, scalar tile_x, scalar tile_y) {
     const Float x0 = Float::load(kBlockCorner.x) + Float(tile_x - s.x),
                 y0 = Float::load(kBlockCorner.y) + Float(tile_y - s.y);
     return bits((x0 <= Float(s.half_width)) & (x0 + Float(kBlock - 1.f) >= Float(-s.half_width)) &
@@ -41,7 +41,7 @@ SPLAT_INLINE unsigned blocks_under_rectangle(const Splat& s, float tile_x, float
 }
 
 // The blocks to blend a splat into: a bit each, none if it does not touch the tile.
-SPLAT_INLINE unsigned touched_blocks(const Splat& s, float tile_x, float tile_y) {
+SPLAT_INLINE unsigned touched_blocks(const Splat& s, scalar tile_x, scalar tile_y) {
     const unsigned touched =
         kExactCulling ? blocks_under_ellipse(s, tile_x, tile_y) : blocks_under_rectangle(s, tile_x, tile_y);
     return kBlockMasks || !touched ? touched : 0xffff;
@@ -51,8 +51,8 @@ struct TileRange {
     int x0, x1, y0, y1;  // inclusive
 };
 inline TileRange tiles_under(const Frame& f, const Splat& s) {
-    auto tile = [](float v, int tiles) {  // clamped as a float: a huge extent does not fit an int
-        return static_cast<int>(std::clamp(v * (1.f / kTile), 0.f, static_cast<float>(tiles - 1)));
+    auto tile = [](scalar v, int tiles) {  // clamped as a float: a huge extent does not fit an int
+        return static_cast<int>(std::clamp(v * (1.f / kTile), scalar{0}, static_cast<scalar>(tiles - 1)));
     };
     return {tile(s.x - s.half_width, f.tiles_x), tile(s.x + s.half_width, f.tiles_x),
             tile(s.y - s.half_height, f.tiles_y), tile(s.y + s.half_height, f.tiles_y)};
@@ -91,7 +91,7 @@ inline void bin(Frame& f) {
             for (int y = range.y0; y <= range.y1; ++y)
                 for (int x = range.x0; x <= range.x1; ++x) {
                     const unsigned mask =
-                        touched_blocks(splat, static_cast<float>(x * kTile), static_cast<float>(y * kTile));
+                        touched_blocks(splat, static_cast<scalar>(x * kTile), static_cast<scalar>(y * kTile));
                     const uint32_t tile = static_cast<uint32_t>(y * f.tiles_x + x), touched = mask != 0;
                     list.tile[n_entries] = tile;  // kept only if touched; a branch here would be a coin toss
                     list.mask[n_entries] = static_cast<uint16_t>(mask);

@@ -34,7 +34,7 @@ struct Blended {
 // Blends splats places[0..count-1] into one block; returns how many it took until every pixel had ended, else
 // -1. places[count] is looked at too.
 template <int extra>
-SPLAT_INLINE int blend_block(const Splat* splats, const float* extras, const uint32_t* places, int count,
+SPLAT_INLINE int blend_block(const Splat* splats, const scalar* extras, const uint32_t* places, int count,
                              const Float& px, const Float& py, Blended<extra>& state) {
     Float T = state.transmittance, C[3 + extra];
     Mask open = state.open;
@@ -59,7 +59,7 @@ SPLAT_INLINE int blend_block(const Splat* splats, const float* extras, const uin
         T = select(open, next, T);
         C[0] += w * Float(s.r), C[1] += w * Float(s.g), C[2] += w * Float(s.b);
         if constexpr (extra > 0) {
-            const float* value = extras + static_cast<size_t>(places[j]) * kExtraStride;
+            const scalar* value = extras + static_cast<size_t>(places[j]) * kExtraStride;
             for (int e = 0; e < extra; ++e) C[3 + e] += w * Float(value[e]);
         }
         if (!bits(open)) [[unlikely]] {
@@ -85,7 +85,7 @@ inline void blend_tile(Frame& f, int tile, Blended<extra> (&state)[kBlocks]) {
         state[b].transmittance = 1.f;
         state[b].open = Float(1.f) > Float(0.f);
         for (auto& c : state[b].channel) c = 0.f;
-        f.blocks_last[tile * kBlocks + b] = static_cast<float>(span.end - span.begin);
+        f.blocks_last[tile * kBlocks + b] = static_cast<scalar>(span.end - span.begin);
     }
     const Float lane_x = Float::load(kBlockPixel.x), lane_y = Float::load(kBlockPixel.y);
     unsigned open = 0xffff;  // blocks with a pixel that has not ended
@@ -103,15 +103,15 @@ inline void blend_tile(Frame& f, int tile, Blended<extra> (&state)[kBlocks]) {
             const int count = pack_matching(&f.entry_splat[first], &f.entry_mask[first], n, b, packed);
             if (count == 0) continue;
             packed[count] = packed[count - 1];
-            const Float px = lane_x + Float(static_cast<float>(span.x + b % 4 * kBlock));
-            const Float py = lane_y + Float(static_cast<float>(span.y + b / 4 * kBlock));
+            const Float px = lane_x + Float(static_cast<scalar>(span.x + b % 4 * kBlock));
+            const Float py = lane_y + Float(static_cast<scalar>(span.y + b / 4 * kBlock));
             const int used =
                 blend_block<extra>(f.staged.data(), f.extras.data(), packed, count, px, py, state[b]);
             if (used < 0) continue;
             open &= ~(1u << b);
             uint32_t last = first;
             while (f.entry_splat[last] != packed[used - 1]) ++last;
-            f.blocks_last[tile * kBlocks + b] = static_cast<float>(last + 1 - span.begin);
+            f.blocks_last[tile * kBlocks + b] = static_cast<scalar>(last + 1 - span.begin);
         }
     }
 }
@@ -126,8 +126,8 @@ struct Planes {
     T* flow;
     T* stats;
 };
-using OutputPlanes = Planes<float>;
-using InputPlanes = Planes<const float>;
+using OutputPlanes = Planes<scalar>;
+using InputPlanes = Planes<const scalar>;
 
 // The planes of the blended channels in their order; alpha is none of them.
 template <class T>
@@ -147,7 +147,7 @@ template <int extra>
 inline void write_tile(const Frame& f, int tile, const Blended<extra> (&state)[kBlocks],
                        const OutputPlanes& out) {
     const int width = f.camera.width, height = f.camera.height;
-    float* planes[3 + kMaxExtra];
+    scalar* planes[3 + kMaxExtra];
     list_planes(f, out, planes);
     const TileSpan span = tile_span(f, tile);
     for (int first = 0; first < kBlocks; first += kBlock) {  // a row of four blocks
@@ -171,7 +171,7 @@ inline void blend(Frame& f, const OutputPlanes& out) {
     StageTimer timer(f, kStageBlend);
     const int tiles = f.tiles();
     f.blocks_last.resize(static_cast<size_t>(tiles) * kBlocks);
-    float* planes[3 + kMaxExtra];
+    scalar* planes[3 + kMaxExtra];
     list_planes(f, out, planes);
 #pragma omp parallel for schedule(dynamic, kTilesTogether) num_threads(f.settings.threads)
     for (int tile = 0; tile < tiles; ++tile) {

@@ -23,7 +23,7 @@ template <int extra>
 inline void start_tile(const Frame& f, const TileSpan& span, const InputPlanes& rendered,
                        const InputPlanes& d, Unblended<extra>& u) {
     const int width = f.camera.width, height = f.camera.height;
-    const float *image[3 + kMaxExtra], *gradient[3 + kMaxExtra];
+    const scalar *image[3 + kMaxExtra], *gradient[3 + kMaxExtra];
     list_planes(f, rendered, image);
     list_planes(f, d, gradient);
     for (int first = 0; first < kBlocks; first += kBlock) {  // a row of four blocks
@@ -67,12 +67,12 @@ inline void blend_backward_tile(Frame& f, int tile, const InputPlanes& rendered,
         __builtin_prefetch(&f.staged[f.entry_splat[ahead]]);
         const uint32_t place = f.entry_splat[e];
         const Splat& s = f.staged[place];
-        const float* value = f.extras.data() + static_cast<size_t>(place) * kExtraStride;
+        const scalar* value = f.extras.data() + static_cast<size_t>(place) * kExtraStride;
         Float sum[4 * kGroups];
         for (auto& v : sum) v = 0.f;
-        const Float px0 = lane_x + Float(static_cast<float>(span.x)),
-                    py0 = lane_y + Float(static_cast<float>(span.y));
-        unsigned blocks = f.entry_mask[e] & bits(last > Float(static_cast<float>(e - span.begin)));
+        const Float px0 = lane_x + Float(static_cast<scalar>(span.x)),
+                    py0 = lane_y + Float(static_cast<scalar>(span.y));
+        unsigned blocks = f.entry_mask[e] & bits(last > Float(static_cast<scalar>(e - span.begin)));
         for (; blocks; blocks &= blocks - 1) {
             const int b = __builtin_ctz(blocks);
             const Float px = px0 + Float(kBlockCorner.x[b]), py = py0 + Float(kBlockCorner.y[b]);

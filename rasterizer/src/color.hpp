@@ -37,8 +37,8 @@ struct Cosines {
 // cos(2πn turns) and its derivative by dt = T · turns, per Gaussian.
 template <int order>
 struct TimeFactors {
-    alignas(64) float cosine[order + 1][kLanes], slope[order + 1][kLanes];
-    SPLAT_INLINE TimeFactors(const Float& turns, float duration) {
+    alignas(64) scalar cosine[order + 1][kLanes], slope[order + 1][kLanes];
+    SPLAT_INLINE TimeFactors(const Float& turns, scalar duration) {
         const Cosines<order> c(turns);
         if constexpr (order >= 1) {
             const Float sine = sin_turns(turns), rate(-kTwoPi / duration);
@@ -63,15 +63,15 @@ public:
           ids_(ids),
           left_(count),
           orders_(order + 1),
-          floats_(3 * coefficients),
+          values_(3 * coefficients),
           order_stride_(static_cast<size_t>(p.coefficients) * 3),
           row_stride_(order_stride_ * (p.stored_order + 1)) {}
 
     SPLAT_INLINE void two_rows() {
         for (int k = 0; k < 2 && left_ > 0; ++k, ++ids_, --left_) {
-            const float* row = sh_ + row_stride_ * *ids_;
+            const ShStored* row = sh_ + row_stride_ * *ids_;
             for (int n = 0; n < orders_; ++n, row += order_stride_)
-                for (int i = 0; i < floats_; i += kLanes) __builtin_prefetch(row + i);
+                for (int i = 0; i < values_; i += kPerLine) __builtin_prefetch(row + i);
         }
     }
     SPLAT_INLINE void rest() {
@@ -79,9 +79,10 @@ public:
     }
 
 private:
-    const float* sh_;
+    static constexpr int kPerLine = 64 / sizeof(ShStored);
+    const ShStored* sh_;
     const uint32_t* ids_;
-    int left_, orders_, floats_;
+    int left_, orders_, values_;
     size_t order_stride_, row_stride_;
 };
 
@@ -97,7 +98,7 @@ struct Color {
 // instead of 576 read again by the backward pass.
 template <int order, bool differentiable>
 SPLAT_INLINE void color(const Parameters& p, const uint32_t* ids, int count, RowFetch next,
-                        const Viewing& view, float duration, int sh_degree, Color& out) {
+                        const Viewing& view, scalar duration, int sh_degree, Color& out) {
     const size_t order_stride = static_cast<size_t>(p.coefficients) * 3,
                  row_stride = order_stride * (p.stored_order + 1);
     const int used = std::min(p.coefficients, (sh_degree + 1) * (sh_degree + 1));
@@ -106,7 +107,7 @@ SPLAT_INLINE void color(const Parameters& p, const uint32_t* ids, int count, Row
     // coefficient and channel: entry 3 lm + c
     Float sum[kRowVectors][kLanes], by_dt[kRowVectors][kLanes];
     for (int g = 0; g < count; ++g) {
-        const float* row = p.sh + row_stride * ids[g];
+        const ShStored* row = p.sh + row_stride * ids[g];
         ShRow total = ShRow::load(row, used), slope;
         for (int n = 1; n <= order; ++n) {
             const ShRow k = ShRow::load(row + order_stride * n, used);

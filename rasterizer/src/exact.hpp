@@ -26,17 +26,17 @@ inline double zero_unless(bool m, double a) { return m ? a : 0.0; }
 template <class Real>
 using MaskOf = std::conditional_t<std::is_same_v<Real, double>, bool, Mask>;
 template <class Real>
-using ScalarOf = std::conditional_t<std::is_same_v<Real, double>, double, float>;
+using ScalarOf = std::conditional_t<std::is_same_v<Real, double>, double, scalar>;
 
-SPLAT_INLINE float lane_of(const Float& a, int lane) {
-    alignas(64) float value[kLanes];
+SPLAT_INLINE scalar lane_of(const Float& a, int lane) {
+    alignas(64) scalar value[kLanes];
     a.store(value);
     return value[lane];
 }
 SPLAT_INLINE void set_lane(Float& a, int lane, double x) {
-    alignas(64) float value[kLanes];
+    alignas(64) scalar value[kLanes];
     a.store(value);
-    value[lane] = static_cast<float>(x);
+    value[lane] = static_cast<scalar>(x);
     a = Float::load(value);
 }
 

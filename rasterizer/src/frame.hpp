@@ -6,6 +6,7 @@
 #pragma once
 
 #include <chrono>
+#include <type_traits>
 #include <vector>
 
 #include "buffer.hpp"
@@ -25,16 +26,18 @@ struct Frame {
     // prepare: chunk c stages its visible Gaussians at places [c·kChunk, c·kChunk + chunk_count[c]), in order
     // of id
     Buffer<Splat> staged;
-    Buffer<float> depth;  // per place, once more: in the splats it would cost sorting a cache line each
+    Buffer<scalar> depth;  // per place, once more: in the splats it would cost sorting a cache line each
     Buffer<ColorSlope> color_slope;  // per place, if a backward pass will follow
-    Buffer<float> extras;  // per place kExtraStride floats: depth, flow, statistics, as far as asked for
+    Buffer<scalar> extras;  // per place kExtraStride floats: depth, flow, statistics, as far as asked for
     std::vector<uint32_t> chunk_count, chunk_first;  // chunk_first: visible Gaussians before the chunk
     std::vector<uint32_t> chunk_alive;
     uint32_t visible = 0, alive = 0;
 
     // sort: places front to back
+    using DepthBits = std::conditional_t<sizeof(scalar) == 4, uint32_t, uint64_t>;
     struct DepthKey {
-        uint32_t bits, place;
+        DepthBits bits;
+        uint32_t place;
     };
     Buffer<DepthKey> keys[2];
     const DepthKey* front_to_back = nullptr;  // [visible], in one of the two
@@ -57,8 +60,8 @@ struct Frame {
     };
     std::vector<Segment> segments;
 
-    Buffer<float> blocks_last;  // blend: [tile][block] entries that had any effect; exact in float up to 2²⁴
-    Buffer<Slot> slots;         // blend_backward: [entry_slot]
+    Buffer<scalar> blocks_last;  // blend: [tile][block] entries that had any effect; exact up to 2²⁴
+    Buffer<Slot> slots;          // blend_backward: [entry_slot]
 
     double stage_ms[8] = {};  // wall time of the stages below
 

@@ -11,14 +11,14 @@ namespace splat {
 // What one view says of its visible Gaussians, in order of id; arrays of `visible` rows. Null: not wanted.
 struct ViewGradient {
     int32_t* id;
-    float* mean2d;  // [V, 2] ∂L/∂ the mean's pixel position
-    float* mean_t;  // [V] ∂L/∂μt of this view alone
-    float* radius;  // [V] pixels
+    scalar* mean2d;  // [V, 2] ∂L/∂ the mean's pixel position
+    scalar* mean_t;  // [V] ∂L/∂μt of this view alone
+    scalar* radius;  // [V] pixels
     ColorGradient* color;
 };
 
-SPLAT_INLINE void add_to_rows3(float* rows, const uint32_t* ids, int count, const Float (&column)[4]) {
-    alignas(64) float lane[3][16];
+SPLAT_INLINE void add_to_rows3(scalar* rows, const uint32_t* ids, int count, const Float (&column)[4]) {
+    alignas(64) scalar lane[3][16];
     for (int k = 0; k < 3; ++k) column[k].store(lane[k]);
     for (int l = 0; l < count; ++l)
         for (int k = 0; k < 3; ++k) rows[3 * static_cast<size_t>(ids[l]) + k] += lane[k][l];
@@ -103,7 +103,7 @@ inline void backward_sixteen(const Frame& f, const Parameters& p, uint32_t place
     }
     add_to_rows4(out.quat_left, ids, count, d_stored.quat_left);
     if constexpr (motion == Motion::kFull) add_to_rows4(out.quat_right, ids, count, d_stored.quat_right);
-    alignas(64) float lane[16];
+    alignas(64) scalar lane[16];
     d_opacity.store(lane);
     for (int l = 0; l < count; ++l) out.opacity_logit[ids[l]] += lane[l];
 
@@ -126,7 +126,7 @@ inline void backward_sixteen(const Frame& f, const Parameters& p, uint32_t place
                      0.f};
     transpose(row);
     for (int l = 0; l < count; ++l) {
-        float value[16];
+        scalar value[16];
         row[l].store(value);
         const size_t v = first_row + l;
         std::memcpy(&view_out.color[v], value, sizeof(ColorGradient));

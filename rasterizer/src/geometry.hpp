@@ -21,8 +21,8 @@ struct Stored {
 
     SPLAT_INLINE static Stored load(const Parameters& p, const uint32_t* ids) {
         Stored s;
-        auto gather = [&](const float* base, int stride, int column) {
-            alignas(64) float lane[kLanes];
+        auto gather = [&](const scalar* base, int stride, int column) {
+            alignas(64) scalar lane[kLanes];
             for (int l = 0; l < kLanes; ++l) lane[l] = base[static_cast<size_t>(stride) * ids[l] + column];
             return Float::load(lane);
         };
@@ -67,7 +67,7 @@ struct Slice {
 };
 
 // Below it 1/Σtt overflows.
-inline constexpr float kMinTimeVariance = 1e-30f;
+inline constexpr scalar kMinTimeVariance = 1e-30f;
 
 template <Motion motion, class Real>
 SPLAT_INLINE Slice<motion, Real> slice_in_time(const Stored<motion, Real>& s,

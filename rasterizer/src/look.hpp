@@ -12,8 +12,8 @@ namespace splat {
 //   tenth of that counts, for scenes whose unit of time is much longer than that of length would all be
 //   caught; some of the lifetime counts as moved even at μt, where gradients still depend on the speed;
 // - Σtt, and with it p(t), where its axes are kShortInTime of what they would be at that angle.
-inline constexpr float kLongPixels = 1000.f, kMotionShare = 0.1f, kLifetimeShare = 0.3f;
-inline constexpr float kShortInTime = 1e-3f;
+inline constexpr scalar kLongPixels = 1000.f, kMotionShare = 0.1f, kLifetimeShare = 0.3f;
+inline constexpr scalar kShortInTime = 1e-3f;
 
 template <Motion motion>
 SPLAT_INLINE Mask rounding_shows(const Slice<motion, Float>& g, const Projection<motion, Float>& p,

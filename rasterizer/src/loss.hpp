@@ -25,19 +25,19 @@ inline constexpr int kWindowReach = 5, kWindow = 2 * kWindowReach + 1;
 inline constexpr int kRows = 4;
 inline constexpr int kMeans = 4, kPartials = 3;
 
-inline std::array<float, kWindow> window_weights() {
-    std::array<float, kWindow> w{};
+inline std::array<scalar, kWindow> window_weights() {
+    std::array<scalar, kWindow> w{};
     double total = 0;
     for (int k = -kWindowReach; k <= kWindowReach; ++k) total += std::exp(-k * k / 4.5);
     for (int k = -kWindowReach; k <= kWindowReach; ++k)
-        w[k + kWindowReach] = static_cast<float>(std::exp(-k * k / 4.5) / total);
+        w[k + kWindowReach] = static_cast<scalar>(std::exp(-k * k / 4.5) / total);
     return w;
 }
 
 // Columns of `maps` maps filtered for kRows rows: at(k, value) gives the maps' values k - kWindowReach rows
 // below the first.
 template <int maps, class At>
-SPLAT_INLINE void filter_columns(const float* w, At&& at, Float (&out)[maps][kRows]) {
+SPLAT_INLINE void filter_columns(const scalar* w, At&& at, Float (&out)[maps][kRows]) {
     for (auto& map : out)
         for (auto& row : map) row = 0.f;
 #pragma GCC unroll 14
@@ -52,7 +52,7 @@ SPLAT_INLINE void filter_columns(const float* w, At&& at, Float (&out)[maps][kRo
     }
 }
 
-SPLAT_INLINE Float filter_row(const float* w, const float* centre) {
+SPLAT_INLINE Float filter_row(const scalar* w, const scalar* centre) {
     Float sum(0.f);
 #pragma GCC unroll 11
     for (int k = 0; k < kWindow; ++k) sum += Float(w[k]) * Float::load(centre + k - kWindowReach);
@@ -65,11 +65,11 @@ struct LossValue {
 
 // A band of rows of one channel, and where its results go.
 struct LossBand {
-    const float *image, *target;  // of the channel
-    float* gradient;
+    const scalar *image, *target;  // of the channel
+    scalar* gradient;
     double *row_l1, *row_ssim;  // sums of each row
     int width, height, first, last;
-    float l1_scale, ssim_scale;  // of the gradient
+    scalar l1_scale, ssim_scale;  // of the gradient
 };
 
 // Scratch of one thread: rows with zeros before and behind them, so that filtering along a row needs no
@@ -79,34 +79,34 @@ public:
     explicit LossRows(int width)
         : stride_((width + kLanes - 1) / kLanes * kLanes + 2 * kLanes),
           data_(static_cast<size_t>(stride_) * (kMeans * kRows + kPartials * kRing + 1), 0.f) {}
-    float* column_filtered(int map, int row) { return at(map * kRows + row); }
-    float* partial(int map, int row) { return at(kMeans * kRows + map * kRing + (row & (kRing - 1))); }
-    const float* zeros() { return at(kMeans * kRows + kPartials * kRing); }
+    scalar* column_filtered(int map, int row) { return at(map * kRows + row); }
+    scalar* partial(int map, int row) { return at(kMeans * kRows + map * kRing + (row & (kRing - 1))); }
+    const scalar* zeros() { return at(kMeans * kRows + kPartials * kRing); }
 
 private:
     static constexpr int kRing = 32;  // at least 14 rows being read and 4 being written
-    float* at(int row) { return data_.data() + static_cast<size_t>(stride_) * row + kLanes; }
+    scalar* at(int row) { return data_.data() + static_cast<size_t>(stride_) * row + kLanes; }
     int stride_;
-    std::vector<float> data_;
+    std::vector<scalar> data_;
 };
 
 SPLAT_INLINE Float first_lanes(const Float& v, int count) {
     if (count >= kLanes) return v;
-    alignas(64) float lane[kLanes];
+    alignas(64) scalar lane[kLanes];
     v.store(lane);
     return Float::load_first(lane, count);
 }
-SPLAT_INLINE float sum_of_lanes(const Float& v) {
-    alignas(64) float lane[kLanes];
+SPLAT_INLINE scalar sum_of_lanes(const Float& v) {
+    alignas(64) scalar lane[kLanes];
     v.store(lane);
-    float sum = 0;
-    for (float x : lane) sum += x;
+    scalar sum = 0;
+    for (scalar x : lane) sum += x;
     return sum;
 }
 
 // Rows [row, row + kRows) of the three partial derivatives of ΣSSIM, and the sums of SSIM over them.
-inline void ssim_rows(const LossBand& p, const float* w, int row, LossRows& rows) {
-    const float *x[kWindow + kRows - 1], *y[kWindow + kRows - 1];
+inline void ssim_rows(const LossBand& p, const scalar* w, int row, LossRows& rows) {
+    const scalar *x[kWindow + kRows - 1], *y[kWindow + kRows - 1];
     for (int k = 0; k < kWindow + kRows - 1; ++k) {
         const int r = row + k - kWindowReach;
         const bool inside = r >= 0 && r < p.height;
@@ -126,8 +126,8 @@ inline void ssim_rows(const LossBand& p, const float* w, int row, LossRows& rows
             for (int j = 0; j < kRows; ++j) mean[m][j].store(rows.column_filtered(m, j) + i);
     };
     const int whole = p.width / kLanes * kLanes, rest = p.width - whole;
-    for (int i = 0; i < whole; i += kLanes) sweep(i, [](const float* from) { return Float::load(from); });
-    if (rest) sweep(whole, [&](const float* from) { return Float::load_first(from, rest); });
+    for (int i = 0; i < whole; i += kLanes) sweep(i, [](const scalar* from) { return Float::load(from); });
+    if (rest) sweep(whole, [&](const scalar* from) { return Float::load_first(from, rest); });
 
     const Float c1(1e-4f), c2(9e-4f), one(1.f), two(2.f);
     for (int j = 0; j < std::min(kRows, p.height - row); ++j) {
@@ -152,8 +152,8 @@ inline void ssim_rows(const LossBand& p, const float* w, int row, LossRows& rows
 }
 
 // Rows [row, row + kRows) of the gradient, as far as they are the band's, and the sums of |x - y| over them.
-inline void gradient_rows(const LossBand& p, const float* w, int row, LossRows& rows) {
-    const float* partial[kPartials][kWindow + kRows - 1];
+inline void gradient_rows(const LossBand& p, const scalar* w, int row, LossRows& rows) {
+    const scalar* partial[kPartials][kWindow + kRows - 1];
     for (int k = 0; k < kWindow + kRows - 1; ++k) {
         const int r = row + k - kWindowReach;
         for (int m = 0; m < kPartials; ++m)
@@ -193,7 +193,7 @@ inline void gradient_rows(const LossBand& p, const float* w, int row, LossRows& 
 
 // One band. The partial derivatives five rows around it are computed here too, so bands do not wait for each
 // other.
-inline void loss_band(const LossBand& p, const float* w, LossRows& rows) {
+inline void loss_band(const LossBand& p, const scalar* w, LossRows& rows) {
     const int end = std::min(p.height, p.last + kWindowReach);
     int next = p.first;
     for (int row = std::max(0, p.first - kWindowReach); row < end; row += kRows) {
@@ -207,11 +207,11 @@ inline void loss_band(const LossBand& p, const float* w, LossRows& rows) {
 }
 
 // image, target: planes [3, height, width]. gradient = share · ∂ ((1-λ) L1 + λ (1-SSIM)) / ∂ image.
-inline LossValue l1_ssim(const float* image, const float* target, int width, int height, float ssim_weight,
-                         float share, float* gradient, int threads) {
+inline LossValue l1_ssim(const scalar* image, const scalar* target, int width, int height, scalar ssim_weight,
+                         scalar share, scalar* gradient, int threads) {
     const auto w = window_weights();
     const size_t plane = static_cast<size_t>(width) * height;
-    const float scale = share / (3.f * plane);
+    const scalar scale = share / (3.f * plane);
     std::vector<double> row_l1(3 * height), row_ssim(3 * height);
     const int bands = std::clamp(height / 32, 1, threads);  // a band of a channel
 #pragma omp parallel num_threads(threads)

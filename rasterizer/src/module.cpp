@@ -21,14 +21,31 @@
 #include "statistics.hpp"
 #include "sweep.hpp"
 
+#define SPLAT_TEXT_OF(x) #x
+#define SPLAT_TEXT(x) SPLAT_TEXT_OF(x)  // of what the macro x stands for
+
 namespace nb = nanobind;
+
+// Arrays of narrow SH coefficients by the names Python knows them by.
+template <>
+struct nanobind::detail::dtype_traits<splat::Float16> {
+    static constexpr nb::dlpack::dtype value{static_cast<uint8_t>(nb::dlpack::dtype_code::Float), 16, 1};
+    static constexpr auto name = nb::detail::const_name("float16");
+};
+template <>
+struct nanobind::detail::dtype_traits<splat::Bfloat16> {
+    static constexpr nb::dlpack::dtype value{static_cast<uint8_t>(nb::dlpack::dtype_code::Bfloat), 16, 1};
+    static constexpr auto name = nb::detail::const_name("bfloat16");
+};
 
 namespace {
 
+using splat::scalar;
+
 template <class T>
 using Array = nb::ndarray<T, nb::c_contig, nb::device::cpu>;
-using In = Array<const float>;
-using Out = Array<float>;
+using In = Array<const scalar>;
+using Out = Array<scalar>;
 
 template <class T>
 T* pointer(const std::optional<Array<T>>& a) {
@@ -39,7 +56,8 @@ T* pointer(const std::optional<Array<T>>& a) {
 struct Model {
     In mean, log_scale, quat_left;
     std::optional<In> quat_right;
-    In opacity_logit, sh;
+    In opacity_logit;
+    Array<const splat::ShStored> sh;
     int coefficients, stored_order;
 
     splat::Motion motion() const {
@@ -74,8 +92,8 @@ Exact camera_from(int width, int height, const std::vector<double>& intrinsics,
 
 class Frame {
 public:
-    void set_view(const Exact& camera, double time, double duration, float near_plane,
-                  const std::vector<float>& background, float flow_dt, int sh_degree, int fourier_order,
+    void set_view(const Exact& camera, double time, double duration, scalar near_plane,
+                  const std::vector<scalar>& background, scalar flow_dt, int sh_degree, int fourier_order,
                   std::tuple<bool, bool, bool> extras, bool differentiable, int threads) {
         frame_.exact_camera = camera;
         frame_.exact_camera.time = time;
@@ -147,7 +165,7 @@ void expand_sh(const std::vector<View>& views, Out dense, int coefficients, int 
                         threads);
 }
 
-void adam(Out p, In g, Out m, Out v, const std::vector<float>& lr, std::optional<Array<const uint8_t>> keep,
+void adam(Out p, In g, Out m, Out v, const std::vector<scalar>& lr, std::optional<Array<const uint8_t>> keep,
           double beta1, double beta2, double epsilon, long step, int threads) {
     const size_t rows = p.shape(0);
     nb::gil_scoped_release release;
@@ -156,7 +174,7 @@ void adam(Out p, In g, Out m, Out v, const std::vector<float>& lr, std::optional
 }
 
 void adam_sh(Out sh, Out m, Out v, int coefficients, int orders, int active_coefficients, int active_orders,
-             float lr_dc, float lr_rest, std::optional<Array<const uint8_t>> keep,
+             scalar lr_dc, scalar lr_rest, std::optional<Array<const uint8_t>> keep,
              const std::vector<View>& views, double beta1, double beta2, double epsilon, long step,
              int threads) {
     const auto colors = view_colors(views);
@@ -177,8 +195,8 @@ bool all_finite(In array, int threads) {
     return splat::all_finite(array.data(), static_cast<int64_t>(array.size()), threads);
 }
 
-void add_view(Array<const int32_t> id, In mean2d, In mean_t, In radius, float half_width, float half_height,
-              float duration, Out space, Out time, Out views, Out largest_radius, int threads) {
+void add_view(Array<const int32_t> id, In mean2d, In mean_t, In radius, scalar half_width, scalar half_height,
+              scalar duration, Out space, Out time, Out views, Out largest_radius, int threads) {
     const splat::Statistics to{space.data(), time.data(), views.data(), largest_radius.data()};
     nb::gil_scoped_release release;
     splat::add_view(id.data(), mean2d.data(), mean_t.data(), radius.data(), static_cast<int64_t>(id.size()),
@@ -190,7 +208,7 @@ void mark_seen(Array<const int32_t> id, Array<uint8_t> seen, int threads) {
     splat::mark_seen(id.data(), static_cast<int64_t>(id.size()), seen.data(), threads);
 }
 
-std::tuple<double, double> l1_ssim(In image, In target, Out gradient, float ssim_weight, float share,
+std::tuple<double, double> l1_ssim(In image, In target, Out gradient, scalar ssim_weight, scalar share,
                                    int threads) {
     const int height = static_cast<int>(image.shape(1)), width = static_cast<int>(image.shape(2));
     nb::gil_scoped_release release;
@@ -208,7 +226,7 @@ NB_MODULE(KERNEL_MODULE_NAME, m) {
         .def(
             "__init__",
             [](Model* self, In mean, In log_scale, In quat_left, std::optional<In> quat_right,
-               In opacity_logit, In sh, int coefficients, int stored_order) {
+               In opacity_logit, Array<const splat::ShStored> sh, int coefficients, int stored_order) {
                 new (self) Model{mean,          log_scale, quat_left,    quat_right,
                                  opacity_logit, sh,        coefficients, stored_order};
             },
@@ -254,6 +272,8 @@ NB_MODULE(KERNEL_MODULE_NAME, m) {
     choices["exp_degree"] = splat::kAlphaExpDegree;
     choices["exact_culling"] = splat::kExactCulling;
     choices["block_masks"] = splat::kBlockMasks;
+    choices["float64"] = static_cast<bool>(RASTERIZER_FLOAT64);
+    choices["sh_type"] = SPLAT_TEXT(RASTERIZER_SH_TYPE);
     m.attr("choices") = choices;
     m.def("measure_rates", [] {
         const splat::Rates rates = splat::measure_rates();

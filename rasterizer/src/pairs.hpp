@@ -23,10 +23,10 @@ inline Pairs count_pairs(const Frame& f) {
             for (unsigned blocks = f.entry_mask[e]; blocks; blocks &= blocks - 1) {
                 const int b = __builtin_ctz(blocks);
                 if (f.blocks_last[static_cast<size_t>(tile) * kBlocks + b] <=
-                    static_cast<float>(e - span.begin))
+                    static_cast<scalar>(e - span.begin))
                     continue;
-                const Float px = lane_x + Float(static_cast<float>(span.x + b % 4 * kBlock));
-                const Float py = lane_y + Float(static_cast<float>(span.y + b / 4 * kBlock));
+                const Float px = lane_x + Float(static_cast<scalar>(span.x + b % 4 * kBlock));
+                const Float py = lane_y + Float(static_cast<scalar>(span.y + b / 4 * kBlock));
                 const Float power = log2_alpha(s, px, py);
                 const Mask seen = power >= Float(kLog2MinAlpha);
                 const Float next = T[b] * (Float(1.f) - zero_unless(seen, min(exp2_fast(power), kMaxAlpha)));

@@ -13,7 +13,7 @@ namespace splat {
 
 // Σtt's time row is R's times the scales, R good to 1e-7: Σtt at most so much larger, in parts of itself and
 // of the largest scale's square. What is let in wrongly is left out after its slice.
-inline constexpr float kVarianceSlack = 1e-4f, kScaleSlack = 1e-8f;
+inline constexpr scalar kVarianceSlack = 1e-4f, kScaleSlack = 1e-8f;
 
 // Ids of the chunk's Gaussians that may have p(t) >= 0.05, packed; returns how many. Only M's time row is
 // computed.
@@ -77,7 +77,7 @@ struct Packed {
         kOffset,
         kExtraField = kOffset + 3
     };
-    alignas(64) float value[kFields][kChunk + kLanes];
+    alignas(64) scalar value[kFields][kChunk + kLanes];
     uint32_t id[kChunk + kLanes];
     int count = 0;
 
@@ -87,12 +87,12 @@ struct Packed {
 // (t - μt)/T less the nearest integer, in double: after a million turns float32 has no digit of the last one
 // left.
 SPLAT_INLINE Float turns_of(const Float& mean_t, const CameraOf<double>& c, double duration) {
-    alignas(64) float lane[kLanes];
+    alignas(64) scalar lane[kLanes];
     mean_t.store(lane);
     const double rate = 1.0 / duration;
-    for (float& x : lane) {
+    for (scalar& x : lane) {
         const double turns = (c.time - static_cast<double>(x)) * rate;
-        x = static_cast<float>(turns - __builtin_nearbyint(turns));
+        x = static_cast<scalar>(turns - __builtin_nearbyint(turns));
     }
     return Float::load(lane);
 }
@@ -161,7 +161,7 @@ inline int project_chunk(const Parameters& p, const Camera& c, const CameraOf<do
 
 template <int order, bool differentiable>
 inline void color_and_stage(const Parameters& p, const Settings& s, Packed& in, Splat* staged,
-                            ColorSlope* slopes, float* extras) {
+                            ColorSlope* slopes, scalar* extras) {
     const int extra_channels = s.extra_channels();
     const int used = std::min(p.coefficients, (s.sh_degree + 1) * (s.sh_degree + 1));
     auto fetch = [&](int i) {
@@ -176,7 +176,7 @@ inline void color_and_stage(const Parameters& p, const Settings& s, Packed& in, 
         if constexpr (order > 0) turns = in.at(Packed::kTurns, i);
         Color c;
         color<order, differentiable>(p, in.id + i, n, fetch(i + kLanes), viewing(offset, turns),
-                                     static_cast<float>(s.duration), s.sh_degree, c);
+                                     static_cast<scalar>(s.duration), s.sh_degree, c);
         Float row[16] = {in.at(Packed::kX, i),
                          in.at(Packed::kY, i),
                          in.at(Packed::kIntercept, i),

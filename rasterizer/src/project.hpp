@@ -159,7 +159,7 @@ struct Flow {
 };
 template <class Real>
 SPLAT_INLINE Flow<Real> flow_of(const Slice<Motion::kFull, Real>& g, const Projection<Motion::kFull, Real>& p,
-                                const CameraOf<ScalarOf<Real>>& c, float flow_dt, float near_plane) {
+                                const CameraOf<ScalarOf<Real>>& c, scalar flow_dt, scalar near_plane) {
     Flow<Real> f;
     Real later[3];
     for (int i = 0; i < 3; ++i) later[i] = g.offset[i] + g.velocity[i] * Real(flow_dt);
@@ -175,7 +175,7 @@ SPLAT_INLINE Flow<Real> flow_of(const Slice<Motion::kFull, Real>& g, const Proje
 }
 // Adds to ∂L/∂μ(t) and ∂L/∂h; the part through proj(μ(t)) goes into d_pixel.
 template <class Real>
-SPLAT_INLINE void flow_backward(const Flow<Real>& f, const CameraOf<ScalarOf<Real>>& c, float flow_dt,
+SPLAT_INLINE void flow_backward(const Flow<Real>& f, const CameraOf<ScalarOf<Real>>& c, scalar flow_dt,
                                 const Real (&d_flow)[2], Real (&d_pixel)[2], Real (&d_mean)[3],
                                 Real (&d_velocity)[3]) {
     const ScalarOf<Real> focal[2] = {c.fx, c.fy};

@@ -38,9 +38,9 @@ inline Rates measure_rates() {
 #pragma GCC unroll 12
             for (auto& v : chain) v = v * a + b;
     });
-    float seen[kLanes];
+    scalar seen[kLanes];
     for (const auto& v : chain) v.store(seen);
-    volatile float sink = seen[0];  // or the chains would be left out
+    volatile scalar sink = seen[0];  // or the chains would be left out
     (void)sink;
     constexpr size_t kBytes = size_t{64} << 20;
     Buffer<char> from, to;

@@ -9,7 +9,7 @@
 namespace splat {
 
 // 1/|q| is cut off here, so that the gradient of a denormal quaternion stays finite.
-inline constexpr float kLargestInverse = 1e30f;
+inline constexpr scalar kLargestInverse = 1e30f;
 
 template <class Real>
 struct UnitQuaternion {
@@ -46,8 +46,8 @@ SPLAT_INLINE void normalise_backward(const UnitQuaternion<Real>& u, const Real (
 
 // L(q)[i][j] = kLeftSign[i][j] q[kQuatIndex[i][j]], R(q) likewise with kRightSign (SPEC 1).
 inline constexpr int kQuatIndex[4][4] = {{0, 1, 2, 3}, {1, 0, 3, 2}, {2, 3, 0, 1}, {3, 2, 1, 0}};
-inline constexpr float kLeftSign[4][4] = {{1, -1, -1, -1}, {1, 1, -1, 1}, {1, 1, 1, -1}, {1, -1, 1, 1}};
-inline constexpr float kRightSign[4][4] = {{1, -1, -1, -1}, {1, 1, 1, -1}, {1, -1, 1, 1}, {1, 1, -1, 1}};
+inline constexpr scalar kLeftSign[4][4] = {{1, -1, -1, -1}, {1, 1, -1, 1}, {1, 1, 1, -1}, {1, -1, 1, 1}};
+inline constexpr scalar kRightSign[4][4] = {{1, -1, -1, -1}, {1, 1, 1, -1}, {1, -1, 1, 1}, {1, 1, -1, 1}};
 
 template <class Real>
 SPLAT_INLINE Real left_matrix(const UnitQuaternion<Real>& u, int i, int j) {

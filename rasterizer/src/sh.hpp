@@ -9,19 +9,20 @@
 // multiplication does three channels and memory is read in order.
 #pragma once
 
+#include "narrow.hpp"
 #include "types.hpp"
 #include "vec_math.hpp"
 #include "vec_move.hpp"
 
 namespace splat {
 
-inline constexpr float kShC0 = 0.28209479177387814f;
-inline constexpr float kShC1 = 0.4886025119029199f;
-inline constexpr float kShC2[5] = {1.0925484305920792f, -1.0925484305920792f, 0.31539156525252005f,
-                                   -1.0925484305920792f, 0.5462742152960396f};
-inline constexpr float kShC3[7] = {-0.5900435899266435f, 2.890611442640554f,   -0.4570457994644658f,
-                                   0.3731763325901154f,  -0.4570457994644658f, 1.445305721320277f,
-                                   -0.5900435899266435f};
+inline constexpr scalar kShC0 = 0.28209479177387814;
+inline constexpr scalar kShC1 = 0.4886025119029199;
+inline constexpr scalar kShC2[5] = {1.0925484305920792, -1.0925484305920792, 0.31539156525252005,
+                                    -1.0925484305920792, 0.5462742152960396};
+inline constexpr scalar kShC3[7] = {-0.5900435899266435, 2.890611442640554,   -0.4570457994644658,
+                                    0.3731763325901154,  -0.4570457994644658, 1.445305721320277,
+                                    -0.5900435899266435};
 
 // Y_lm of the unit direction (x, y, z), zero above `degree`.
 SPLAT_INLINE void sh_basis(const Float& x, const Float& y, const Float& z, int degree, Float (&b)[16]) {
@@ -78,14 +79,15 @@ struct ShRow {
         for (auto& x : r.v) x = 0.f;
         return r;
     }
-    SPLAT_INLINE static ShRow load(const float* row, int coefficients) {
+    template <class Stored>
+    SPLAT_INLINE static ShRow load(const Stored* row, int coefficients) {
         ShRow r;
         if (coefficients == 16) [[likely]] {
-            for (int i = 0; i < kRowVectors; ++i) r.v[i] = Float::load(row + kLanes * i);
+            for (int i = 0; i < kRowVectors; ++i) r.v[i] = widened(row + kLanes * i);
         } else {
             for (int i = 0; i < kRowVectors; ++i) {
                 const int left = 3 * coefficients - kLanes * i;
-                r.v[i] = Float::load_first(row + kLanes * i, left < 0 ? 0 : left > kLanes ? kLanes : left);
+                r.v[i] = first_widened(row + kLanes * i, left < 0 ? 0 : left > kLanes ? kLanes : left);
             }
         }
         return r;
@@ -98,7 +100,7 @@ struct ShRow {
         for (auto& x : a.v) x *= b;
         return a;
     }
-    SPLAT_INLINE void store(float* row, int coefficients) const {
+    SPLAT_INLINE void store(scalar* row, int coefficients) const {
         for (int i = 0; i < kRowVectors; ++i) {
             const int left = 3 * coefficients - kLanes * i;
             if (left >= kLanes)

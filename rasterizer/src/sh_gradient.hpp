@@ -76,7 +76,7 @@ inline void expand(const std::vector<ViewColors>& views, uint32_t first, uint32_
 // Dense gradient [N, stored orders · coefficients, 3]. Whole cache lines go past the caches (W1: 9.4 ms
 // → 4.8).
 inline void expand_dense(const std::vector<ViewColors>& views, uint32_t count, int coefficients, int orders,
-                         float* dense, int threads) {
+                         scalar* dense, int threads) {
     const size_t order_stride = static_cast<size_t>(coefficients) * 3;
     const bool whole_lines = coefficients == 16 && reinterpret_cast<uintptr_t>(dense) % 64 == 0;
 #pragma omp parallel num_threads(threads)
@@ -87,7 +87,7 @@ inline void expand_dense(const std::vector<ViewColors>& views, uint32_t count, i
             const uint32_t last = std::min(count, first + kShChunk);
             expand(views, first, last, chunk);
             for (size_t k = 0; k < static_cast<size_t>(last - first) * orders; ++k) {
-                float* to = dense + (static_cast<size_t>(first) * orders + k) * order_stride;
+                scalar* to = dense + (static_cast<size_t>(first) * orders + k) * order_stride;
                 if (whole_lines)
                     for (int v = 0; v < kRowVectors; ++v) chunk.rows[k].v[v].stream(to + v * kLanes);
                 else

@@ -38,13 +38,13 @@ inline void sort_by_depth(Frame& f) {
     const uint32_t n = f.visible;
     for (auto& keys : f.keys) keys.resize(n);
     const int chunks = static_cast<int>(f.chunk_count.size()), threads = f.settings.threads;
-    uint32_t nearest = ~0u, farthest = 0;
+    Frame::DepthBits nearest = ~Frame::DepthBits{0}, farthest = 0;
 #pragma omp parallel for schedule(static) num_threads(threads) reduction(min : nearest) \
     reduction(max : farthest)
     for (int c = 0; c < chunks; ++c) {
         const uint32_t place = static_cast<uint32_t>(c) * kChunk;
         for (uint32_t i = 0; i < f.chunk_count[c]; ++i) {
-            const uint32_t bits = std::bit_cast<uint32_t>(f.depth[place + i]);
+            const auto bits = std::bit_cast<Frame::DepthBits>(f.depth[place + i]);
             f.keys[0][f.chunk_first[c] + i] = {bits, place + i};
             nearest = std::min(nearest, bits), farthest = std::max(farthest, bits);
         }

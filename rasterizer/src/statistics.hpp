@@ -9,20 +9,20 @@ namespace splat {
 
 // Of each Gaussian, over the views of an iteration; radius over all views since it was cleared.
 struct Statistics {
-    float* space;   // Σ |∂L/∂ the mean's position|, normalised device coordinates
-    float* time;    // Σ |∂L/∂μt|, per duration
-    float* views;   // that saw it
-    float* radius;  // largest, pixels
+    scalar* space;   // Σ |∂L/∂ the mean's position|, normalised device coordinates
+    scalar* time;    // Σ |∂L/∂μt|, per duration
+    scalar* views;   // that saw it
+    scalar* radius;  // largest, pixels
 };
 
 // One view of `count` Gaussians, each at most once, with mean2d [count, 2] in pixels.
-inline void add_view(const int32_t* id, const float* mean2d, const float* mean_t, const float* radius,
-                     int64_t count, float half_width, float half_height, float duration, const Statistics& to,
-                     int threads) {
+inline void add_view(const int32_t* id, const scalar* mean2d, const scalar* mean_t, const scalar* radius,
+                     int64_t count, scalar half_width, scalar half_height, scalar duration,
+                     const Statistics& to, int threads) {
 #pragma omp parallel for schedule(static) num_threads(threads)
     for (int64_t i = 0; i < count; ++i) {
         const int32_t g = id[i];
-        const float x = mean2d[2 * i] * half_width, y = mean2d[2 * i + 1] * half_height;
+        const scalar x = mean2d[2 * i] * half_width, y = mean2d[2 * i + 1] * half_height;
         to.space[g] += std::sqrt(x * x + y * y);
         to.time[g] += std::abs(mean_t[i]) * duration;
         to.views[g] += 1.f;

@@ -2,8 +2,8 @@
 #pragma once
 
 #include <algorithm>
-#include <cfloat>
 #include <cstring>
+#include <limits>
 
 #include "vec.hpp"
 
@@ -11,14 +11,14 @@ namespace splat {
 
 inline constexpr int64_t kSweep = 1 << 16;  // floats a thread takes at a time
 
-inline void set_to_zero(float* p, int64_t count, int threads) {
+inline void set_to_zero(scalar* p, int64_t count, int threads) {
 #pragma omp parallel for schedule(static) num_threads(threads)
     for (int64_t first = 0; first < count; first += kSweep)
-        std::memset(p + first, 0, sizeof(float) * std::min(kSweep, count - first));
+        std::memset(p + first, 0, sizeof(scalar) * std::min(kSweep, count - first));
 }
 
 // Neither NaN nor infinity among them.
-inline bool all_finite(const float* p, int64_t count, int threads) {
+inline bool all_finite(const scalar* p, int64_t count, int threads) {
     bool finite = true;
 #pragma omp parallel for schedule(static) num_threads(threads) reduction(&& : finite)
     for (int64_t first = 0; first < count; first += kSweep) {
@@ -26,7 +26,7 @@ inline bool all_finite(const float* p, int64_t count, int threads) {
         Float largest(0.f);
         for (int64_t i = first; i < last; i += kLanes) {
             const Float v = Float::load_first(p + i, static_cast<int>(std::min<int64_t>(kLanes, last - i)));
-            largest = max(largest, select(abs(v) <= Float(FLT_MAX), 0.f, 1.f));
+            largest = max(largest, select(abs(v) <= Float(std::numeric_limits<scalar>::max()), 0.f, 1.f));
         }
         finite = finite && bits(largest > Float(0.f)) == 0;
     }

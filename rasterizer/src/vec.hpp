@@ -4,88 +4,111 @@
 // native registers as the instruction set needs: one on AVX-512, two on AVX2, four elsewhere; the code above
 // this file is the same for all. Compiling 64-byte generic vectors where AVX-512 is missing turns into scalar
 // code under GCC, hence the native width.
+//
+// With sixteen doubles (choices.hpp) it is the code for processors of which only the width of a register is
+// known.
 #pragma once
 
 #include <cstdint>
 #include <cstring>
+#include <type_traits>
 #if defined(__x86_64__)
 #include <immintrin.h>
 #endif
 
+#include "choices.hpp"
+
 namespace splat {
 
 #if defined(__AVX512F__) && defined(__AVX512BW__) && defined(__AVX512DQ__) && defined(__AVX512VL__)
-#define SPLAT_AVX512 1
-inline constexpr int kNativeLanes = 16;
+#define SPLAT_AVX512 !RASTERIZER_FLOAT64
+inline constexpr int kNativeBytes = 64;
 #elif defined(__AVX2__)
-#define SPLAT_AVX2 1
-inline constexpr int kNativeLanes = 8;
+#define SPLAT_AVX2 !RASTERIZER_FLOAT64
+inline constexpr int kNativeBytes = 32;
 #else
-inline constexpr int kNativeLanes = 4;
+inline constexpr int kNativeBytes = 16;
+#endif
+#if defined(__SSE2__)
+#define SPLAT_SSE2 !RASTERIZER_FLOAT64
 #endif
 
 inline constexpr int kLanes = 16;
+inline constexpr int kNativeLanes = kNativeBytes / sizeof(scalar);
 inline constexpr int kParts = kLanes / kNativeLanes;
 
 #define SPLAT_INLINE inline __attribute__((always_inline))
 
-using NativeFloat = float __attribute__((vector_size(4 * kNativeLanes)));
-using NativeInt = int32_t __attribute__((vector_size(4 * kNativeLanes)));
-using Quad = float __attribute__((vector_size(16)));  // four floats: a row of a mean, scale or quaternion
+using Word = std::conditional_t<sizeof(scalar) == 4, int32_t, int64_t>;  // as wide as a lane
+using NativeFloat = scalar __attribute__((vector_size(kNativeBytes)));
+using NativeInt = Word __attribute__((vector_size(kNativeBytes)));
+using Quad = scalar __attribute__((vector_size(4 * sizeof(scalar))));  // a row of a mean, scale or quaternion
+
+}  // namespace splat
+
+#if RASTERIZER_FLOAT64
+#include "vec_double.hpp"
+#else
+#include "vec_float.hpp"
+#endif
+
+namespace splat {
 
 struct Float {
     NativeFloat part[kParts];
     Float() = default;
-    SPLAT_INLINE Float(float x) {
+    SPLAT_INLINE Float(scalar x) {
         for (auto& p : part) p = x - NativeFloat{};  // x - 0 is x for every x, so this is a plain broadcast
     }
     // Register by register: copied whole, GCC takes a detour through memory where there are several.
-    SPLAT_INLINE static Float load(const float* p) {
+    SPLAT_INLINE static Float load(const scalar* p) {
         Float r;
         for (int i = 0; i < kParts; ++i) std::memcpy(&r.part[i], p + i * kNativeLanes, sizeof r.part[i]);
         return r;
     }
-    // Sixteen words as they are, to be moved and not computed with.
+    // Sixteen words as they are, each at the beginning of its lane, to be moved and not computed with.
     SPLAT_INLINE static Float load_bits(const uint32_t* p) {
         Float r;
-        for (int i = 0; i < kParts; ++i) std::memcpy(&r.part[i], p + i * kNativeLanes, sizeof r.part[i]);
+        for (int i = 0; i < kParts; ++i) r.part[i] = words_in_lanes(p + i * kNativeLanes);
         return r;
     }
-    SPLAT_INLINE void store(float* p) const {
+    SPLAT_INLINE void store(scalar* p) const {
         for (int i = 0; i < kParts; ++i) std::memcpy(p + i * kNativeLanes, &part[i], sizeof part[i]);
     }
     // To 64-byte aligned p, past the caches: for results nobody reads soon. `end_of_streaming` before anyone
     // does.
-    SPLAT_INLINE void stream(float* p) const {
+    SPLAT_INLINE void stream(scalar* p) const {
 #if SPLAT_AVX512
         _mm512_stream_ps(p, (__m512)part[0]);
 #elif SPLAT_AVX2
         for (int i = 0; i < kParts; ++i) _mm256_stream_ps(p + i * kNativeLanes, (__m256)part[i]);
-#elif defined(__SSE2__)
+#elif SPLAT_SSE2
         for (int i = 0; i < kParts; ++i) _mm_stream_ps(p + i * kNativeLanes, (__m128)part[i]);
+#elif RASTERIZER_FLOAT64
+        for (int i = 0; i < kParts; ++i) stream_native(p + i * kNativeLanes, part[i]);
 #else
         store(p);
 #endif
     }
     // The first `count` <= 16 floats at p, zeros behind them.
-    SPLAT_INLINE static Float load_first(const float* p, int count) {
+    SPLAT_INLINE static Float load_first(const scalar* p, int count) {
 #if SPLAT_AVX512
         Float r;
         r.part[0] = (NativeFloat)_mm512_maskz_loadu_ps(static_cast<__mmask16>((1u << count) - 1), p);
         return r;
 #else
         if (count == kLanes) return load(p);
-        alignas(64) float lane[kLanes] = {};
+        alignas(64) scalar lane[kLanes] = {};
         for (int i = 0; i < count; ++i) lane[i] = p[i];
         return load(lane);
 #endif
     }
-    SPLAT_INLINE void store_first(float* p, int count) const {
+    SPLAT_INLINE void store_first(scalar* p, int count) const {
 #if SPLAT_AVX512
         _mm512_mask_storeu_ps(p, static_cast<__mmask16>((1u << count) - 1), (__m512)part[0]);
 #else
         if (count == kLanes) return store(p);
-        alignas(64) float lane[kLanes];
+        alignas(64) scalar lane[kLanes];
         store(lane);
         for (int i = 0; i < count; ++i) p[i] = lane[i];
 #endif
@@ -166,15 +189,6 @@ SPLAT_INLINE Mask operator|(Mask a, Mask b) {
     for (int i = 0; i < kParts; ++i) a.part[i] |= b.part[i];
     return a;
 }
-SPLAT_INLINE unsigned native_bits(NativeInt m) {
-#if SPLAT_AVX2
-    return static_cast<unsigned>(_mm256_movemask_ps((__m256)m));
-#elif defined(__SSE2__)
-    return static_cast<unsigned>(_mm_movemask_ps((__m128)m));
-#else
-    return (m[0] & 1u) | (m[1] & 2u) | (m[2] & 4u) | (m[3] & 8u);
-#endif
-}
 SPLAT_INLINE unsigned bits(const Mask& m) {
     unsigned r = 0;
     for (int i = 0; i < kParts; ++i) r |= native_bits(m.part[i]) << (i * kNativeLanes);
@@ -195,84 +209,6 @@ SPLAT_INLINE Float zero_unless(const Mask& m, const Float& a) {
 #endif
 SPLAT_INLINE Mask operator<=(const Float& a, const Float& b) { return b >= a; }
 SPLAT_INLINE Mask operator<(const Float& a, const Float& b) { return b > a; }
-
-// ---- arithmetic one native register at a time
-
-#if SPLAT_AVX512
-SPLAT_INLINE NativeFloat native_min(NativeFloat a, NativeFloat b) {
-    return (NativeFloat)_mm512_min_ps((__m512)a, (__m512)b);
-}
-SPLAT_INLINE NativeFloat native_max(NativeFloat a, NativeFloat b) {
-    return (NativeFloat)_mm512_max_ps((__m512)a, (__m512)b);
-}
-SPLAT_INLINE NativeFloat native_sqrt(NativeFloat a) { return (NativeFloat)_mm512_sqrt_ps((__m512)a); }
-SPLAT_INLINE NativeFloat unpack_low(NativeFloat a, NativeFloat b) {
-    return (NativeFloat)_mm512_unpacklo_ps((__m512)a, (__m512)b);
-}
-SPLAT_INLINE NativeFloat unpack_high(NativeFloat a, NativeFloat b) {
-    return (NativeFloat)_mm512_unpackhi_ps((__m512)a, (__m512)b);
-}
-SPLAT_INLINE NativeFloat unpack_low_pairs(NativeFloat a, NativeFloat b) {
-    return (NativeFloat)_mm512_unpacklo_pd((__m512d)a, (__m512d)b);
-}
-SPLAT_INLINE NativeFloat unpack_high_pairs(NativeFloat a, NativeFloat b) {
-    return (NativeFloat)_mm512_unpackhi_pd((__m512d)a, (__m512d)b);
-}
-// 128-bit lanes 0 and 2 of a, then of b; 1 and 3 of a, then of b.
-SPLAT_INLINE NativeFloat even_quads(NativeFloat a, NativeFloat b) {
-    return (NativeFloat)_mm512_shuffle_f32x4((__m512)a, (__m512)b, 0x88);
-}
-SPLAT_INLINE NativeFloat odd_quads(NativeFloat a, NativeFloat b) {
-    return (NativeFloat)_mm512_shuffle_f32x4((__m512)a, (__m512)b, 0xdd);
-}
-#elif SPLAT_AVX2
-SPLAT_INLINE NativeFloat native_min(NativeFloat a, NativeFloat b) {
-    return (NativeFloat)_mm256_min_ps((__m256)a, (__m256)b);
-}
-SPLAT_INLINE NativeFloat native_max(NativeFloat a, NativeFloat b) {
-    return (NativeFloat)_mm256_max_ps((__m256)a, (__m256)b);
-}
-SPLAT_INLINE NativeFloat native_sqrt(NativeFloat a) { return (NativeFloat)_mm256_sqrt_ps((__m256)a); }
-SPLAT_INLINE NativeFloat unpack_low(NativeFloat a, NativeFloat b) {
-    return (NativeFloat)_mm256_unpacklo_ps((__m256)a, (__m256)b);
-}
-SPLAT_INLINE NativeFloat unpack_high(NativeFloat a, NativeFloat b) {
-    return (NativeFloat)_mm256_unpackhi_ps((__m256)a, (__m256)b);
-}
-SPLAT_INLINE NativeFloat unpack_low_pairs(NativeFloat a, NativeFloat b) {
-    return (NativeFloat)_mm256_unpacklo_pd((__m256d)a, (__m256d)b);
-}
-SPLAT_INLINE NativeFloat unpack_high_pairs(NativeFloat a, NativeFloat b) {
-    return (NativeFloat)_mm256_unpackhi_pd((__m256d)a, (__m256d)b);
-}
-SPLAT_INLINE Quad fold_to_quad(NativeFloat a) {
-    return (Quad)_mm_add_ps(_mm256_castps256_ps128((__m256)a), _mm256_extractf128_ps((__m256)a, 1));
-}
-#else
-SPLAT_INLINE NativeFloat native_min(NativeFloat a, NativeFloat b) { return a < b ? a : b; }
-SPLAT_INLINE NativeFloat native_max(NativeFloat a, NativeFloat b) { return a > b ? a : b; }
-#if defined(__SSE2__)
-SPLAT_INLINE NativeFloat native_sqrt(NativeFloat a) { return (NativeFloat)_mm_sqrt_ps((__m128)a); }
-#else
-SPLAT_INLINE NativeFloat native_sqrt(NativeFloat a) {
-    for (int i = 0; i < 4; ++i) a[i] = __builtin_sqrtf(a[i]);
-    return a;
-}
-#endif
-SPLAT_INLINE NativeFloat unpack_low(NativeFloat a, NativeFloat b) {
-    return __builtin_shufflevector(a, b, 0, 4, 1, 5);
-}
-SPLAT_INLINE NativeFloat unpack_high(NativeFloat a, NativeFloat b) {
-    return __builtin_shufflevector(a, b, 2, 6, 3, 7);
-}
-SPLAT_INLINE NativeFloat unpack_low_pairs(NativeFloat a, NativeFloat b) {
-    return __builtin_shufflevector(a, b, 0, 1, 4, 5);
-}
-SPLAT_INLINE NativeFloat unpack_high_pairs(NativeFloat a, NativeFloat b) {
-    return __builtin_shufflevector(a, b, 2, 3, 6, 7);
-}
-SPLAT_INLINE Quad fold_to_quad(NativeFloat a) { return a; }
-#endif
 
 SPLAT_INLINE Float min(const Float& a, const Float& b) {
     Float r;

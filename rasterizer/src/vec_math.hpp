@@ -6,10 +6,11 @@
 
 namespace splat {
 
-inline constexpr float kLog2E = 1.44269504f;
-inline constexpr float kTwoPi = 6.28318531f;
-// Adding and subtracting 1.5·2²³ rounds a float of magnitude below 2²² to the nearest integer.
-inline constexpr float kRoundMagic = 12582912.f;
+inline constexpr scalar kLog2E = 1.44269504088896341;
+inline constexpr scalar kTwoPi = 6.28318530717958648;
+// Adding and subtracting 1.5·2²³ rounds a float of magnitude below 2²² to the nearest integer; so do 1.5·2⁵²
+// and 2⁵¹ a double.
+inline constexpr scalar kRoundMagic = sizeof(scalar) == 4 ? 0x1.8p23 : 0x1.8p52;
 
 SPLAT_INLINE Float round_to_integer(const Float& x) { return (x + Float(kRoundMagic)) - Float(kRoundMagic); }
 
@@ -22,7 +23,7 @@ SPLAT_INLINE Float fast_inverse(const Float& a) {
         NativeFloat guess = (NativeFloat)_mm512_rcp14_ps((__m512)a.part[i]);
 #elif SPLAT_AVX2
         NativeFloat guess = (NativeFloat)_mm256_rcp_ps((__m256)a.part[i]);
-#elif defined(__SSE2__)
+#elif SPLAT_SSE2
         NativeFloat guess = (NativeFloat)_mm_rcp_ps((__m128)a.part[i]);
 #else
         NativeFloat guess = 1.f / a.part[i];
@@ -31,6 +32,13 @@ SPLAT_INLINE Float fast_inverse(const Float& a) {
     }
     return r;
 }
+
+}  // namespace splat
+
+#if RASTERIZER_FLOAT64
+#include "vec_math_double.hpp"
+#else
+namespace splat {
 
 // 2^f by the minimax polynomial of degree 3, 4 or 5: relative error 7.5e-5, 2.7e-6 or 2e-7. f is a native
 // vector's distance from the integer below (AVX-512, where one instruction gives it) or from the nearest one.
@@ -70,15 +78,6 @@ SPLAT_INLINE Float exp2_poly(const Float& x) {
     }
     return r;
 }
-SPLAT_INLINE Float exp2(const Float& x) { return exp2_poly<5>(x); }
-// For alpha.
-SPLAT_INLINE Float exp2_fast(const Float& x) { return exp2_poly<kAlphaExpDegree>(x); }
-
-// e^x with x clamped to ±80: large enough for every scale and logit that means something in float32.
-inline constexpr float kLargestExponent = 80.f;
-SPLAT_INLINE Float exp(const Float& x) {
-    return exp2(clamp(x, -kLargestExponent, kLargestExponent) * Float(kLog2E));
-}
 
 // log2 of a positive normal x, absolute error 1e-7: log2(m) = 2/ln 2 · atanh((m-1)/(m+1)), m in [√½, √2).
 SPLAT_INLINE Float log2(const Float& x) {
@@ -108,6 +107,22 @@ SPLAT_INLINE Float cos_turns(const Float& u) {
     s = s * y2 + Float(-1.66666667e-1f);
     return -(s * y2 * y + y);
 }
+
+}  // namespace splat
+#endif
+
+namespace splat {
+
 SPLAT_INLINE Float sin_turns(const Float& u) { return cos_turns(u - Float(0.25f)); }
+
+SPLAT_INLINE Float exp2(const Float& x) { return exp2_poly<5>(x); }
+// For alpha.
+SPLAT_INLINE Float exp2_fast(const Float& x) { return exp2_poly<kAlphaExpDegree>(x); }
+
+// e^x with x clamped to ±80: large enough for every scale and logit that means something in float32.
+inline constexpr scalar kLargestExponent = 80.f;
+SPLAT_INLINE Float exp(const Float& x) {
+    return exp2(clamp(x, -kLargestExponent, kLargestExponent) * Float(kLog2E));
+}
 
 }  // namespace splat

@@ -3,6 +3,9 @@
 
 #include "vec.hpp"
 
+#if RASTERIZER_FLOAT64
+#include "vec_move_double.hpp"
+#else
 namespace splat {
 
 // ---- horizontal sums
@@ -172,6 +175,11 @@ SPLAT_INLINE void add_to_rows4(float* rows, const uint32_t* ids, int count, cons
     }
 }
 
+}  // namespace splat
+#endif
+
+namespace splat {
+
 // Lane l of the result is lane index[l] of a. The eight indices of each half must lie in one half of a: then
 // one instruction does it on AVX2 too.
 SPLAT_INLINE Float permute(const Float& a, const int32_t (&index)[kLanes]) {
@@ -186,7 +194,7 @@ SPLAT_INLINE Float permute(const Float& a, const int32_t (&index)[kLanes]) {
         r.part[i] = (NativeFloat)_mm256_permutevar8x32_ps(from, at);
     }
 #else
-    alignas(64) float from[kLanes], to[kLanes];
+    alignas(64) scalar from[kLanes], to[kLanes];
     a.store(from);
     for (int l = 0; l < kLanes; ++l) to[l] = from[index[l]];
     r = Float::load(to);
@@ -195,12 +203,12 @@ SPLAT_INLINE Float permute(const Float& a, const int32_t (&index)[kLanes]) {
 }
 
 // Writes the lanes whose bit is set in `keep` to p, packed; up to 16 floats from p on may be overwritten.
-SPLAT_INLINE void store_packed(float* p, unsigned keep, const Float& a) {
+SPLAT_INLINE void store_packed(scalar* p, unsigned keep, const Float& a) {
 #if SPLAT_AVX512
     _mm512_storeu_ps(p, _mm512_maskz_compress_ps(static_cast<__mmask16>(keep), (__m512)a.part[0]));
 #else
     if (keep == 0xffff) return a.store(p);
-    alignas(64) float lane[16];
+    alignas(64) scalar lane[16];
     a.store(lane);
     for (; keep; keep &= keep - 1) *p++ = lane[__builtin_ctz(keep)];
 #endif
@@ -209,7 +217,7 @@ SPLAT_INLINE void store_packed(float* p, unsigned keep, const Float& a) {
 // Copies items[l] for each set bit l of `keep` to `out`, packed; returns how many. Up to 16 words from `out`
 // on may be overwritten.
 SPLAT_INLINE int pack_kept(const uint32_t* items, unsigned keep, uint32_t* out) {
-#if SPLAT_AVX512
+#if defined(SPLAT_AVX512)  // these are words, whatever a lane is
     _mm512_storeu_si512(out,
                         _mm512_maskz_compress_epi32(static_cast<__mmask16>(keep), _mm512_loadu_si512(items)));
 #else
@@ -223,7 +231,7 @@ SPLAT_INLINE int pack_kept(const uint32_t* items, unsigned keep, uint32_t* out) 
 SPLAT_INLINE int pack_matching(const uint32_t* items, const uint16_t* masks, int count, int bit,
                                uint32_t* out) {
     int n = 0;
-#if SPLAT_AVX512
+#if defined(SPLAT_AVX512)  // these are words, whatever a lane is
     const __m256i wanted = _mm256_set1_epi16(static_cast<short>(1u << bit));
     for (int j = 0; j < count; j += 16) {
         unsigned hit = _mm256_test_epi16_mask(_mm256_loadu_si256((const __m256i*)(masks + j)), wanted);

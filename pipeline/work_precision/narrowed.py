@@ -1,0 +1,31 @@
+"""Kernels built to store SH coefficients in 16 bits, for callers who have them in float32."""
+
+from __future__ import annotations
+
+from types import ModuleType
+from typing import Any
+
+import torch
+from torch import Tensor
+
+SH_TYPES = {"Float16": torch.float16, "Bfloat16": torch.bfloat16}  # by their names in rasterizer/src/choices.hpp
+
+
+class Narrowed:
+    """The kernel `module`, its models made of float32 coefficients, each set of which is rounded once.
+
+    A model stored narrow would have been rounded long before: that is no part of a frame's time. Coefficients must
+    not change between frames.
+    """
+
+    def __init__(self, module: ModuleType) -> None:
+        self._module, self._type = module, SH_TYPES[module.choices["sh_type"]]
+        self._given = self._rounded = None
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._module, name)
+
+    def Model(self, sh: Tensor, **others: Any) -> Any:  # noqa: N802  # the module's class
+        if self._given is None or self._given.data_ptr() != sh.data_ptr():
+            self._given, self._rounded = sh, sh.to(self._type)
+        return self._module.Model(sh=self._rounded, **others)
