@@ -7,6 +7,7 @@ replays it printed.
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import tempfile
 from pathlib import Path
@@ -18,6 +19,7 @@ from fuzz.targets import MODULES, target_of
 
 def main(arguments: list[str] | None = None) -> int:
     """The command; returns the exit status."""
+    os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # of the searches: more threads than free processors are usual
     parser = argparse.ArgumentParser(prog="python -m fuzz", description="Odd inputs for readers and rasterizer.")
     parser.add_argument("names", nargs="*", metavar="NAME", help="targets; all: every one; none: list them")
     parser.add_argument("--seconds", type=float, default=60.0, help="for each target (default: %(default)s)")

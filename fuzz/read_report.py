@@ -54,7 +54,7 @@ def changes(files: Files) -> SearchStrategy[Changes]:
 
 
 def check(folder: Path) -> str:
-    """A run that cannot be read is named in one line and left out; the tables of the others can be made."""
+    """A run that cannot be read is named in one line and left out; of what was read in full the tables can be made."""
     with valid_or_refused(folder):
         try:
             collected = collect(folder)
@@ -65,9 +65,10 @@ def check(folder: Path) -> str:
             check_line(line, RUNS[0].split("/")[0], "")
         numbers = [*REQUIRED, *COST, *(f"{protocol}.{key}" for protocol in PROTOCOLS for key in QUALITY)]
         require(not np.isinf(collected.runs[numbers].to_numpy(float)).any(), "a number that is infinite")
-        curves = collected.curves
-        curves = curves[["train_seconds", "iteration", "psnr"]].to_numpy(float)
+        curves = collected.curves[["train_seconds", "iteration", "psnr"]].to_numpy(float)
         require(bool(np.isfinite(curves).all()), "a number of a curve that is not finite")
+        if collected.left_out or collected.warnings:
+            return REFUSED
         named = name_variants(collected)
         strips, strip_warnings = make_strips(named.runs)
         structure, structure_warnings = structure_from_motion(named.runs)
@@ -76,7 +77,7 @@ def check(folder: Path) -> str:
         tables = [*paper_tables(named.runs)[:1], *run_tables(named, ())]
         text = "\n".join([summary_markdown(summarise(named, [])), *(markdown(table) for table in tables)])
         text.encode("utf-8")
-    return VALID if not collected.left_out and not collected.warnings else REFUSED
+    return VALID
 
 
 TARGET = Target("report", "run folders that the report reads: metrics, curves, settings, pictures", example, changes,

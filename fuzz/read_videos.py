@@ -50,5 +50,4 @@ def check(folder: Path) -> str:
     return outcome[0]
 
 
-TARGET = Target("videos", "the Plenoptic layout as videos: cam00.mp4 … and poses_bounds.npy", example, changes, check,
-                limit=60.0)
+TARGET = Target("videos", "the Plenoptic layout as videos: cam00.mp4 … and poses_bounds.npy", example, changes, check)

@@ -20,8 +20,9 @@ FILE = "call.json"
 CHANNELS = {"color": 3, "alpha": 1, "depth": 1, "flow": 2, "stats": 2}
 # Where float32, its square, its exponential or a constant of the kernel ends.
 EDGES = (0.0, 1e-45, 1.2e-38, 1e-30, 1e-20, 1e-12, 1e-7, 1e-3, 0.05, 0.2, 0.5, 1.0, 3.0, 10.0, 40.0, 44.0, 80.0, 88.0,
-         89.0, 104.0, 1e3, 1e5, 1e7, 1e9, 1e12, 1e15, 1.8e19, 1e20, 1e30, 1e37, 3.4028235e38)
+         89.0, 104.0, 1e3, 1e5, 1e7, 1e9, 1e12, 1e15, 1.8e19, 1e20, 1e30, 1e37, 3.4028234e38)
 NUMBERS = st.sampled_from(EDGES) | st.sampled_from(EDGES).map(lambda x: -x) | st.floats(-10, 10) | st.floats(width=32)
+LENGTHS = st.sampled_from([edge for edge in EDGES for _ in range(4)] + [-1.0, float("inf")])
 ODD = st.sampled_from((None, True, "0.5", "", [], {}, [1.0, 2.0], float("nan"), float("inf"), 1e39, 1e300, -1e300,
                        2**70, 10**400, {"numpy": "float32", "value": 0.5}, {"numpy": "int64", "value": 2},
                        {"numpy": "complex64", "value": 1.0}, {"tensor": 0.5}, {"tensor": [0.5, 0.5]}, {"tensor": []}))
@@ -51,14 +52,14 @@ def calls(draw: DrawFn) -> dict[str, Any]:
         long, short = draw(st.permutations(("width", "height")))
         camera[long], camera[short] = draw(LONG), draw(st.integers(1, 3))
     for name in ("fx", "fy", "cx", "cy", "distance"):
-        if _one_in(draw, 5):
-            camera[name] = draw(NUMBERS)
+        if _one_in(draw, 8):
+            camera[name] = draw(LENGTHS)
     arguments["outputs"] = draw(st.lists(st.sampled_from(tuple(CHANNELS)), min_size=1, max_size=5))
     if call["motion"] == "static":
         arguments["outputs"] = [name for name in arguments["outputs"] if name != "stats"] or ["color"]
     for name in ("time", "duration", "near", "flow_dt"):
         if _one_in(draw, 3):
-            arguments[name] = draw(NUMBERS)
+            arguments[name] = draw(NUMBERS if name in ("time", "flow_dt") else LENGTHS)
     arguments["background"] = draw(st.lists(NUMBERS, min_size=3, max_size=3)) if _one_in(draw, 3) else [0.1, 0.2, 0.3]
     for name in ("sh_degree", "fourier_order"):
         if _one_in(draw, 4):

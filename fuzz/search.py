@@ -45,6 +45,8 @@ def search(target: Target, folder: Path, seed: int = 0, seconds: float | None = 
     strategy = target.changes(example)
     outcomes: Counter[str] = Counter()
     failing: list[Finding] = []
+    write_files(folder, example)
+    target.check(folder)  # what is imported late is imported now: no case waits for it
     started = time.monotonic()
 
     def one(changes: Changes) -> None:

@@ -35,7 +35,7 @@ class Target:
     example: Callable[[], Files]  # valid; the same at each call
     changes: Callable[[Files], SearchStrategy[Changes]]  # of the example
     check: Callable[[Path], str]  # of a folder with the case's files; VALID or REFUSED, or raises
-    limit: float = 20.0  # seconds a case may take
+    limit: float = 60.0  # seconds a case may take: milliseconds, but the machine may be busy
 
 
 def write_files(folder: Path, files: Mapping[str, bytes | None]) -> None:

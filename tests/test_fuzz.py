@@ -16,7 +16,7 @@ from fuzz.targets import MODULES, target_of
 FOUND = Path(__file__).parents[1] / "fuzz" / "found"
 KEPT = sorted(path for target in FOUND.iterdir() for path in target.iterdir())
 # As many as take half a second at most: hours are for `python -m fuzz`.
-CASES = {"videos": 5, "report": 5, "images": 15}
+CASES = {"videos": 5, "report": 5, "images": 15, "rasterize": 20}
 
 
 @pytest.mark.parametrize("name", MODULES)
