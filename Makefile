@@ -1,11 +1,12 @@
 # Everything starts here: `make` lists the targets, and each of them first sets up what it needs.
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help setup build test reproduce bench work-precision scaling stability report sanitize clean
+.PHONY: help setup build test reproduce bench work-precision scaling stability report sanitize fuzz clean
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 RUN := .venv/bin/python -m
 RUNS ?= results/runs
+FUZZ_SECONDS ?= 20
 
 # What make compares to decide whether there is work: packages after pyproject.toml, kernel after its sources.
 INSTALLED := .venv/.installed
@@ -46,6 +47,9 @@ report: $(BUILT) ## tables, plots and the HTML page from the run folders under R
 
 sanitize: $(BUILT) ## the kernel's tests with every memory access and operation checked
 	.venv/bin/python tools/sanitize.py
+
+fuzz: $(BUILT) ## odd files for every reader, odd arguments for rasterize: FUZZ_SECONDS=20 each; fails if a rule breaks
+	$(RUN) fuzz all --seconds $(FUZZ_SECONDS)
 
 clean: ## remove the built kernel and caches; .venv and results stay
 	rm -rf build rasterizer/*.so .pytest_cache .hypothesis

@@ -12,7 +12,6 @@ Every fault is a `SceneError`, raised before an image is decoded where the heade
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -23,17 +22,19 @@ import numpy as np
 from PIL import Image
 
 from datasets.canonical import canonical_space
-from datasets.scene import Scene, SceneError, View, camera_extent, validate_scene
-from rasterizer.camera import Camera
+from datasets.fault import read_json
+from datasets.scene import Scene, SceneError, View, camera_extent, camera_of, validate_scene
+from rasterizer.camera import FARTHEST, Camera
 
 # RᵀR may differ from I by this much: D-NeRF stores float32 (2e-7), files rounded to four decimals reach 1e-4.
 RIGID_TOLERANCE = 1e-3
+SMALLEST_ANGLE = 1e-6  # radians; a telescope sees 1e-3
 
 # Times that lie in [0, 1] and span more of it than this are the layout's own.
 LEAST_SPAN = 0.5
-# A first or last time so many times farther from the next one than all others lie apart is a slip, and would leave the
-# whole scene one moment.
-STRAY = 10.0
+# A first or last time so far from the next one is a slip, and would leave the rest a small part of the scene's time:
+FAR_FROM_OWN = 2.0  # × the longest step between the others, where these lie in [0, 1]
+STRAY = 10.0  # × all that the others span, in any other unit
 
 
 @dataclass(frozen=True)
@@ -118,11 +119,9 @@ def _read_transforms(root: Path, split: str) -> list[Frame]:
 def load_transforms(path: Path) -> tuple[dict, list]:
     """A transforms file's content, and the list of its frames: one at least."""
     try:
-        content = json.loads(path.read_text())
+        content = read_json(path, SceneError)
     except FileNotFoundError:
         raise SceneError(path, "a file (D-NeRF layout)", "none") from None
-    except (json.JSONDecodeError, UnicodeDecodeError, OSError) as error:
-        raise SceneError(path, "valid JSON", str(error)) from None
     if not isinstance(content, dict):
         raise SceneError(path, "an object with camera_angle_x and frames", type(content).__name__)
     entries = get_key(content, "frames", path)
@@ -135,8 +134,9 @@ def load_transforms(path: Path) -> tuple[dict, list]:
 def read_angle_x(content: dict, path: Path) -> float:
     """The horizontal field of view, radians."""
     angle_x = read_number(get_key(content, "camera_angle_x", path), f"{path}: camera_angle_x")
-    if not 0 < angle_x < math.pi:
-        raise SceneError(f"{path}: camera_angle_x", "an angle in (0, π) radians", f"{angle_x}")
+    if not SMALLEST_ANGLE <= angle_x < math.pi:
+        raise SceneError(f"{path}: camera_angle_x", f"an angle in (0, π) radians, {SMALLEST_ANGLE:g} at least",
+                         f"{angle_x}")
     return angle_x
 
 
@@ -156,32 +156,45 @@ def find_image(entry: Any, where: str, root: Path) -> tuple[str, Path]:
     if not isinstance(entry, dict):
         raise SceneError(where, "an object", type(entry).__name__)
     file_path = get_key(entry, "file_path", where)
-    if not isinstance(file_path, str) or not file_path:
+    if not isinstance(file_path, str) or not Path(file_path).name:
         raise SceneError(f"{where}: file_path", "a file name", repr(file_path))
     image_path = root / file_path
-    if not image_path.is_file() and image_path.suffix.lower() != ".png":
+    if not _is_file(image_path) and image_path.suffix.lower() != ".png":
         image_path = image_path.with_name(image_path.name + ".png")  # D-NeRF leaves it out
-    if not image_path.is_file():
+    if not _is_file(image_path):
         raise SceneError(image_path, f"an image, named by {where}", "no such file")
     return file_path, image_path
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:  # a name that is too long, a folder that may not be entered
+        return False
 
 
 def read_pose(value: Any, where: str) -> np.ndarray:
     """(4, 4) float64, rigid."""
     try:
-        pose = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
+        pose = np.array(value)
+        if pose.dtype.kind not in "fiuO":  # O: integers too large for numpy's; text is no number
+            raise TypeError
+        pose = pose.astype(np.float64)
+    except (TypeError, ValueError, OverflowError, RecursionError):
         raise SceneError(where, "4 x 4 numbers", "ragged rows or something not a number") from None
     if pose.shape != (4, 4):
         raise SceneError(where, "4 x 4 numbers", f"shape {pose.shape}")
     if not np.isfinite(pose).all():
         raise SceneError(where, "finite numbers", "NaN or Inf")
-    rotation = pose[:3, :3]
-    error = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
-    if error > RIGID_TOLERANCE or np.linalg.det(rotation) < 0 or np.abs(pose[3] - [0, 0, 0, 1]).max() > RIGID_TOLERANCE:
+    rotation, position = pose[:3, :3], pose[:3, 3]
+    error = float(np.abs(rotation.T @ rotation - np.eye(3)).max()) if np.abs(rotation).max() <= 2 else math.inf
+    determinant = np.linalg.det(rotation) if error < math.inf else math.nan
+    if not (error <= RIGID_TOLERANCE and determinant > 0 and np.abs(pose[3] - [0, 0, 0, 1]).max() <= RIGID_TOLERANCE):
         raise SceneError(where, "a rigid pose (a rotation, last row 0 0 0 1)",
-                         f"|RᵀR - I| up to {error:.2g}, det R {np.linalg.det(rotation):.3g}, "
-                         f"last row {pose[3].tolist()}")
+                         f"|RᵀR - I| up to {error:.2g}, det R {determinant:.3g}, last row {pose[3].tolist()}")
+    if np.abs(position).max() > FARTHEST:
+        raise SceneError(where, f"a position within {FARTHEST:g} of the origin", f"{position.tolist()}")
+    pose[3] = 0, 0, 0, 1
     return pose
 
 
@@ -201,10 +214,12 @@ def _time_range(root: Path, frames: list[Frame]) -> tuple[float, float]:
     if 0 <= low and high <= 1 and (high - low > LEAST_SPAN or high == low):
         return 0.0, 1.0
     for stray, others in ((ordered[0], ordered[1:]), (ordered[-1], ordered[:-1])):
-        gap = min(abs(stray.time - other.time) for other in others)
-        if 0 < STRAY * (others[-1].time - others[0].time) < gap:
-            raise SceneError(root / stray.name, f"a time near the other frames', {others[0].time:.13g} to "
-                             f"{others[-1].time:.13g}", f"{stray.time:.13g}")
+        times = [frame.time for frame in others]
+        steps, gap = np.diff(times), min(abs(stray.time - time) for time in times)
+        own = times[0] >= 0 and times[-1] <= 1  # the layout's range
+        if 0 < (FAR_FROM_OWN * steps.max(initial=0) if own else STRAY * (times[-1] - times[0])) <= gap:
+            raise SceneError(root / stray.name, "a time in [0, 1], as the other frames have" if own else
+                             f"a time near the other frames', {times[0]:.13g} to {times[-1]:.13g}", f"{stray.time:.13g}")
     duration = high - low or 1.0
     while low + duration < high:  # by rounding
         duration = math.nextafter(duration, math.inf)
@@ -242,12 +257,18 @@ def read_rgba(path: Path) -> np.ndarray:
 def _read_view(frame: Frame, size: tuple[int, int], downscale: int, background: tuple[float, float, float]) -> View:
     rgba = read_rgba(frame.image_path)
     width, height = size
-    focal = 0.5 * width / math.tan(0.5 * frame.angle_x)
-    camera = Camera.from_blender(width, height, focal, frame.cam_to_world)
+    if rgba.shape[:2] != (height, width):
+        raise SceneError(frame.image_path, f"{width} x {height} pixels as its header says",
+                         "{1} x {0}".format(*rgba.shape))
     small = compose(rgba, background, downscale)
-    # First the part of the image that `compose` kept (intrinsics in pixels from the top left stay), then its scale.
-    kept = replace(camera, width=small.shape[1] * downscale, height=small.shape[0] * downscale)
-    return View(kept.resized(small.shape[1], small.shape[0]), frame.time or 0.0, small, frame.name,
+
+    def camera() -> Camera:
+        whole = Camera.from_blender(width, height, 0.5 * width / math.tan(0.5 * frame.angle_x), frame.cam_to_world)
+        # First the part of the image that `compose` kept (intrinsics in pixels from the top left stay), then its scale.
+        kept = replace(whole, width=small.shape[1] * downscale, height=small.shape[0] * downscale)
+        return kept.resized(small.shape[1], small.shape[0])
+
+    return View(camera_of(frame.image_path, camera), frame.time or 0.0, small, frame.name,
                 coverage(rgba, downscale))
 
 
@@ -257,7 +278,14 @@ def get_key(container: dict, key: str, where: str | Path) -> Any:
     return container[key]
 
 
-def read_number(value: Any, where: str) -> float:
+def read_number(value: Any, where: str, largest: float | None = None) -> float:
+    """A float, within ±largest; where that is None NaN and infinity too."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise SceneError(where, "a number", repr(value))
-    return float(value)
+    try:
+        number = float(value)
+    except OverflowError:
+        raise SceneError(where, "a number below 1.8e308", "a larger one") from None
+    if largest is not None and not abs(number) <= largest:
+        raise SceneError(where, f"a number within ±{largest:g}", f"{number}")
+    return number

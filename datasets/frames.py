@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 
+from datasets.fault import DataError, read_json
 from datasets.scene import SceneError
 
 TEMPORARY = ".tmp-"  # how the names of unfinished files begin
@@ -136,13 +137,14 @@ def read_frames(folder: Path, camera: str, shape: tuple[int, int, int, int]) -> 
     """One camera's frames; None if they were never finished, or are not of `shape` = (frames, H, W, 3)."""
     path = folder / f"{camera}.npy"
     try:
-        content = json.loads((folder / f"{camera}.json").read_text())
-        offset, checksums = int(content["offset"]), tuple(content["checksums"])
-        sound = tuple(content["shape"]) == shape and len(checksums) == shape[0]
+        content = read_json(folder / f"{camera}.json")
+        offset, checksums = content["offset"], tuple(content["checksums"])
+        sound = (isinstance(offset, int) and offset >= 0 and tuple(content["shape"]) == shape
+                 and len(checksums) == shape[0] and all(isinstance(checksum, str) for checksum in checksums))
         # A file cut short must not be mapped: reading behind its end kills the process.
         if not sound or path.stat().st_size != offset + math.prod(shape):
             return None
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, DataError, KeyError, TypeError):
         return None
     file = FrameFile(path, shape, offset, checksums)
     return tuple(StoredFrame(file, index) for index in range(shape[0]))

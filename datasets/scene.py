@@ -5,13 +5,16 @@ A reader (`datasets/dnerf.py`, …) turns one layout on disk into a `Scene`; not
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, Union
 
 import numpy as np
 
+from datasets.fault import DataError
+from rasterizer.arguments import SHORTEST_DURATION
 from rasterizer.camera import Camera
 
 # 3DGS scales its position learning rate by 1.1 × the distance of the farthest training camera from their centre.
@@ -22,12 +25,8 @@ Corner = Union[float, tuple[float, float, float]]
 Box = tuple[Corner, Corner]
 
 
-class SceneError(ValueError):
+class SceneError(DataError):
     """Data on disk is not what its layout promises. One line: the file or key, what was expected, what was found."""
-
-    def __init__(self, where: str | Path, expected: str, found: str) -> None:
-        # Found text may quote a library's message: keep it to one line.
-        super().__init__(" ".join(f"{where}: expected {expected}, found {found}".split()))
 
 
 class Image(Protocol):
@@ -97,6 +96,14 @@ def cube_round(places: np.ndarray, margin: float = 0.0) -> Box:
     return tuple((middle - half).tolist()), tuple((middle + half).tolist())
 
 
+def camera_of(where: str | Path, make: Callable[[], Camera]) -> Camera:
+    """The camera that `make` makes of what a file says; SceneError that names the file where there can be none."""
+    try:
+        return make()
+    except ValueError as error:
+        raise SceneError(where, "what makes a camera", str(error)) from None
+
+
 def validate_scene(scene: Scene) -> Scene:
     """The scene itself, if it can be trained on; otherwise SceneError.
 
@@ -106,13 +113,18 @@ def validate_scene(scene: Scene) -> Scene:
     for split, views in (("train", scene.train), ("test", scene.test)):
         if not views:
             raise SceneError(scene.source, f"at least one {split} view", "none")
-    if not (np.isfinite(scene.duration) and scene.duration > 0 and np.isfinite(scene.time_start)):
+    if not (0 < scene.duration < math.inf and math.isfinite(scene.time_start)):
         raise SceneError(scene.source, "a finite start and a duration > 0",
                          f"start {scene.time_start}, duration {scene.duration}")
+    if scene.duration < SHORTEST_DURATION:
+        raise SceneError(scene.source, f"a duration of at least {SHORTEST_DURATION:g}", f"{scene.duration:g}")
     if len(scene.background) != 3 or not all(0 <= channel <= 1 for channel in scene.background):
         raise SceneError(scene.source, "a background of three values in [0, 1]", f"{scene.background}")
-    if not np.less(*scene.init_box).all():
+    if not (np.isfinite(np.concatenate([np.ravel(corner) for corner in scene.init_box])).all()
+            and np.less(*scene.init_box).all()):
         raise SceneError(scene.source, "init_box [low, high] with low < high", f"{scene.init_box}")
+    if not 0 < scene.unit < math.inf:
+        raise SceneError(scene.source, "a unit > 0", f"{scene.unit}")
 
     first = scene.train[0]
     seen: set[str] = set()

@@ -7,16 +7,24 @@ after a kill or a power cut, the name holds either the old one or the new one, w
 from __future__ import annotations
 
 import json
+import math
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import get_args
 
+import numpy as np
 import torch
-from safetensors import SafetensorError, safe_open
+from safetensors import safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
+from datasets.fault import DataError
+from pipeline.densify import Statistics
 from pipeline.model import Model, ModelKind
+from rasterizer.gaussians import MAX_FOURIER_ORDER, SH_DEGREES, Motion
 
 FILE_NAME = "checkpoint.safetensors"
 VERSION = 1
@@ -72,37 +80,108 @@ def load(path: Path) -> Checkpoint:
     """Read a checkpoint back. Raises ValueError, one line with the file's name, when it is not one."""
     header, tensors = _read(path)
     if header.get("version") != VERSION:
-        raise ValueError(f"{path}: expected checkpoint version {VERSION}, found {header.get('version')}")
-    kind = ModelKind(*header["kind"])
-    groups: dict[str, dict[str, Tensor]] = {}
-    for name, tensor in tensors.items():
-        group, _, rest = name.partition(".")
-        groups.setdefault(group, {})[rest] = tensor
-    environment = groups.get("environment")
-    sampler = dict(header["sampler"], order=tensors["sampler.order"].numpy())
-    return Checkpoint(
-        iteration=header["iteration"], train_seconds=header["train_seconds"], seed=header["seed"],
-        model=Model.restored(kind, groups["model"]), step_count=header["step_count"],
-        moments=(groups["first"], groups["second"]) if "first" in groups else None,
-        environment_moments=(environment["first"], environment["second"]) if environment else None,
-        statistics=groups["statistics"], sampler=sampler, split_generator=tensors["split_generator"],
-        best=header["best"], best_model=Model.restored(kind, groups["best"]) if "best" in groups else None)
+        raise DataError(path, f"checkpoint version {VERSION}", str(header.get("version")))
+    with _named(path):
+        return _assembled(header, tensors)
 
 
 def load_model(path: Path) -> Model:
     """The model of a checkpoint alone, without reading Adam's moments."""
     header, tensors = _read(path, prefix="model.")
     state = {name.removeprefix("model."): tensor for name, tensor in tensors.items()}
-    return Model.restored(ModelKind(*header["kind"]), state)
+    with _named(path):
+        return _model(header, state)
+
+
+def _assembled(header: dict, tensors: dict[str, Tensor]) -> Checkpoint:
+    """Every part is tried as a resumed run will use it: a run must not find out hours later."""
+    groups: dict[str, dict[str, Tensor]] = {}
+    for name, tensor in tensors.items():
+        group, _, rest = name.partition(".")
+        groups.setdefault(group, {})[rest] = tensor
+    model = _model(header, groups["model"])
+    rows = {name: p.shape for name, p in model.parameters.items()}
+    moments = (groups["first"], groups["second"]) if "first" in groups else None
+    for moment in moments or ():
+        _require_floats(moment, rows)
+    environment = groups.get("environment")
+    if environment is not None:
+        image = model.environment.image.shape if model.environment is not None else None
+        _require_floats(environment, {"first": image, "second": image})
+    _require_floats(groups["statistics"], dict.fromkeys(Statistics.FIELDS, torch.Size([len(model)])))
+    sampler = dict(header["sampler"], order=tensors["sampler.order"].numpy())
+    order = sampler["order"]
+    if order.dtype != np.int64 or not np.array_equal(np.sort(order), np.arange(order.size)):
+        raise ValueError("sampler.order: expected a permutation")
+    _whole("sampler.position", sampler["position"], len(order))
+    np.random.default_rng().bit_generator.state = json.loads(sampler["generator"])
+    torch.Generator().set_state(tensors["split_generator"])
+    best = header["best"]
+    if best is not None:
+        _number("best.psnr", best["psnr"])
+        _whole("best.iteration", best["iteration"])
+    return Checkpoint(
+        iteration=_whole("iteration", header["iteration"]), train_seconds=_number("train_seconds",
+                                                                                  header["train_seconds"]),
+        seed=_whole("seed", header["seed"]), model=model, step_count=_whole("step_count", header["step_count"]),
+        moments=moments, environment_moments=(environment["first"], environment["second"]) if environment else None,
+        statistics=groups["statistics"], sampler=sampler, split_generator=tensors["split_generator"], best=best,
+        best_model=_model(header, groups["best"]) if "best" in groups else None)
+
+
+def _model(header: dict, state: dict[str, Tensor]) -> Model:
+    motion, fourier_order, sh_degree = header["kind"]
+    if motion not in get_args(Motion):
+        raise ValueError(f"kind: expected one of {', '.join(get_args(Motion))}, found {motion!r}")
+    _whole("kind: Fourier order", fourier_order, 0 if motion == "static" else MAX_FOURIER_ORDER)
+    _whole("kind: SH degree", sh_degree, max(SH_DEGREES.values()))
+    return Model.restored(ModelKind(motion, fourier_order, sh_degree), state).checked()
+
+
+def _require_floats(tensors: dict[str, Tensor], shapes: dict[str, torch.Size | None]) -> None:
+    for name in {**shapes, **tensors}:
+        found = tensors.get(name)
+        if found is None or found.dtype != torch.float32 or found.shape != shapes.get(name):
+            raise ValueError(f"{name}: expected float32 {list(shapes.get(name) or [])}, found "
+                             f"{found if found is None else (found.dtype, list(found.shape))}")
+        if not torch.isfinite(found.sum(dtype=torch.float64)):
+            raise ValueError(f"{name}: NaN or Inf")
+
+
+def _whole(name: str, value: object, largest: int = 2**53) -> int:
+    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value <= largest:
+        raise ValueError(f"{name}: expected an integer in 0..{largest}, found {value!r}")
+    return value
+
+
+def _number(name: str, value: object) -> float:
+    if not isinstance(value, (int, float)) or isinstance(value, bool) or not math.isfinite(value):
+        raise ValueError(f"{name}: expected a finite number, found {value!r}")
+    return value
+
+
+@contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """What is wrong with a checkpoint's parts, in one line with its name."""
+    try:
+        yield
+    except (KeyError, IndexError, TypeError, AttributeError, ValueError, ArithmeticError, RuntimeError) as error:
+        what = f"no {error}" if isinstance(error, KeyError) else str(error)
+        raise DataError(path, "a checkpoint of this program", what) from None
 
 
 def _read(path: Path, prefix: str = "") -> tuple[dict, dict[str, Tensor]]:
     try:
         with safe_open(path, framework="pt") as file:
             header = json.loads((file.metadata() or {})["state"])
-            return header, {name: file.get_tensor(name) for name in file.keys() if name.startswith(prefix)}
-    except (SafetensorError, KeyError, json.JSONDecodeError) as error:
-        raise ValueError(f"{path}: expected a checkpoint of this program, found {error}") from error
+            tensors = {name: file.get_tensor(name) for name in file.keys() if name.startswith(prefix)}
+    except FileNotFoundError:
+        raise
+    except Exception as error:  # safetensors, json and torch raise many types for broken files
+        raise DataError(path, "a checkpoint of this program", str(error)) from None
+    if not isinstance(header, dict):
+        raise DataError(path, "a checkpoint of this program", f"a header that is a {type(header).__name__}")
+    return header, tensors
 
 
 def _sync(path: Path) -> None:

@@ -128,6 +128,17 @@ class Model:
         environment = EnvironmentMap(state["environment"]) if "environment" in state else None
         return cls(kind, parameters, state.get("sphere"), environment, float(state.get("low_pass", 0.0)))
 
+    def checked(self) -> Model:
+        """The model itself, if the rasterizer can take it: ValueError for a value that is not finite."""
+        if broken := self.first_non_finite():
+            raise ValueError(f"{broken[0]} of Gaussian {broken[1]}: expected a finite number, found NaN or Inf")
+        if self.environment is not None:
+            image = self.environment.image
+            if image.numel() == 0 or not torch.isfinite(image).all():
+                raise ValueError("environment: expected finite pixels, found NaN, Inf or none")
+        self.gaussians()
+        return self
+
     def __len__(self) -> int:
         return self.parameters["mean"].shape[0]
 

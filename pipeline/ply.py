@@ -12,13 +12,18 @@ origin float32 would lose what it needs. The run's canonical.json says how they 
 
 from __future__ import annotations
 
+import itertools
+import os
 from pathlib import Path
 
 import numpy as np
 import torch
-from plyfile import PlyData, PlyElement, PlyParseError
+from plyfile import PlyData, PlyElement
 
+from datasets.fault import DataError
 from pipeline.model import Model, ModelKind
+
+LONGEST_HEADER, LONGEST_LINE = 1000, 1000  # lines, bytes; a full model has 170 lines
 
 
 def save_ply(path: Path, model: Model) -> None:
@@ -38,28 +43,69 @@ def save_ply(path: Path, model: Model) -> None:
 
 def load_ply(path: Path) -> Model:
     """Read a file of `save_ply` or of 3DGS. Raises ValueError naming the file and what is missing."""
-    try:
-        vertices = PlyData.read(str(path))["vertex"].data
-    except (PlyParseError, KeyError, OSError) as error:
-        raise ValueError(f"{path}: expected a .ply file with vertices, found {error}") from error
+    vertices = _vertices(path)
     present = set(vertices.dtype.names)
     kind = _kind(path, present)
     parameters = {field: torch.zeros(len(vertices), int(np.prod(row, initial=1)))
                   for field, row in kind.shapes().items()}
     for name, field, index in _layout(kind):
         if name not in present:
-            raise ValueError(f"{path}: expected a property {name} of a {kind.motion} model, found none")
-        parameters[field][:, index] = torch.from_numpy(np.array(vertices[name], dtype=np.float32))
+            raise DataError(path, f"a property {name} of a {kind.motion} model", "none")
+        parameters[field][:, index] = _column(vertices, name)
     parameters = {field: parameters[field].reshape(len(vertices), *row) for field, row in kind.shapes().items()}
-    sphere = torch.from_numpy(np.array(vertices["sphere"], dtype=bool)) if "sphere" in present else None
-    return Model(kind, parameters, sphere)
+    sphere = _column(vertices, "sphere") != 0 if "sphere" in present else None
+    try:
+        return Model(kind, parameters, sphere).checked()
+    except ValueError as error:
+        raise DataError(path, "the Gaussians of a model", str(error)) from None
+
+
+def _vertices(path: Path) -> np.ndarray:
+    """The rows of the file's element `vertex`, one at least."""
+    try:
+        _check_header(path)
+        vertices = PlyData.read(str(path))["vertex"].data
+    except Exception as error:  # plyfile and numpy raise many types for broken files
+        what = f"no element {error}" if isinstance(error, KeyError) else str(error)
+        raise DataError(path, "a .ply file with vertices", what) from None
+    if len(vertices) == 0:
+        raise DataError(path, "at least one Gaussian", "none")
+    return vertices
+
+
+def _check_header(path: Path) -> None:
+    """ValueError for a header that promises more than the file can hold, before plyfile takes memory for it, or lists:
+    a Gaussian has none, and plyfile reads them one by one."""
+    elements: list[list[int]] = []  # rows, properties of each
+    with open(path, "rb") as file:
+        for line in itertools.islice(iter(lambda: file.readline(LONGEST_LINE), b""), LONGEST_HEADER):
+            word, *rest = line.split() or [b""]
+            if word == b"end_header":
+                break
+            if word == b"element" and len(rest) == 2:
+                elements.append([int(rest[1]), 0])
+            elif word == b"property" and elements:
+                if rest[:1] == [b"list"]:
+                    raise ValueError("a list property")
+                elements[-1][1] += 1
+        else:
+            raise ValueError("no end_header")
+        size = file.seek(0, os.SEEK_END)
+    for rows, properties in elements:  # a value takes a byte at least
+        if not 0 <= rows * max(1, properties) <= size:
+            raise ValueError(f"a header that promises {rows} rows of {properties} values in {size} bytes")
+
+
+def _column(vertices: np.ndarray, name: str) -> torch.Tensor:
+    with np.errstate(over="ignore"):  # a double too large for float32 becomes infinite, and is refused as such
+        return torch.from_numpy(np.array(vertices[name], dtype=np.float32))
 
 
 def _kind(path: Path, present: set[str]) -> ModelKind:
     rest = sum(name.startswith("f_rest_") for name in present)
     degree = {0: 0, 9: 1, 24: 2, 45: 3}.get(rest)  # 3 ((l+1)² - 1)
     if degree is None:
-        raise ValueError(f"{path}: expected 0, 9, 24 or 45 properties f_rest_*, found {rest}")
+        raise DataError(path, "0, 9, 24 or 45 properties f_rest_*", f"{rest}")
     fourier = sum(f"f_fourier{n}_0" in present for n in (1, 2))
     motion = "static" if "t" not in present else "full" if "rot_right_0" in present else "separable"
     return ModelKind(motion, fourier, degree)

@@ -16,13 +16,17 @@ import io
 import json
 import os
 import shutil
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
+import yaml
 from omegaconf import OmegaConf
+
+from datasets.fault import DataError, clear, read_json
 
 # Keys that say where and how a run is made, not what it computes: a finished run may be repeated with others.
 FREE_KEYS = ("out", "threads", "resume", "scene.cache", "evaluate", "estimate")
@@ -157,22 +161,25 @@ class RunFolder:
     def truncate_after(self, iteration: int) -> None:
         """Forget what was logged after `iteration`: a resumed run does it again."""
         if self.log_file.exists():
-            rows = [row for row in self.log_rows() if row.get("iteration", 0) <= iteration]
+            rows = [row for row in self.log_rows() if _iteration_of(row.get("iteration", 0)) <= iteration]
             write_text(self.log_file, "".join(json.dumps(row) + "\n" for row in rows))
         if self.curve.exists():
-            header, *lines = self.curve.read_text().splitlines() or [""]
+            header, *lines = self.curve.read_text(errors="replace").splitlines() or [""]
             complete = [line for line in lines if line.count(",") == len(CURVE_COLUMNS) - 1]
-            kept = [line for line in complete if int(line.split(",")[1]) <= iteration]
+            kept = [line for line in complete if _iteration_of(line.split(",")[1]) <= iteration]
             write_text(self.curve, "\n".join([",".join(CURVE_COLUMNS), *kept]) + "\n")
 
     def log_rows(self) -> list[dict]:
-        """The lines of log.jsonl; one cut short by a kill is left out."""
+        """The lines of log.jsonl; one cut short by a kill, or damaged otherwise, is left out."""
         rows = []
-        for line in self.log_file.read_text().splitlines() if self.log_file.exists() else []:
+        lines = self.log_file.read_text(errors="replace").splitlines() if self.log_file.exists() else []
+        for line in lines:
             try:
-                rows.append(json.loads(line))
-            except json.JSONDecodeError:
+                row = json.loads(line)
+            except (ValueError, RecursionError):
                 continue
+            if isinstance(row, dict):
+                rows.append(row)
         return rows
 
     # What is done: one record a finished stage, with the hash of what went into it.
@@ -192,17 +199,25 @@ class RunFolder:
 
     def _stages(self) -> dict:
         path = self.path / "stages.json"
-        return json.loads(path.read_text()) if path.exists() else {}
+        if not path.exists():
+            return {}
+        stages = read_json(path)
+        if not isinstance(stages, dict) or not all(
+                isinstance(record, dict) and isinstance(record.get("inputs"), str)
+                and isinstance(record.get("values"), dict) for record in stages.values()):
+            raise DataError(path, "a record of each finished stage", "another thing; resume=false starts the run anew")
+        return stages
 
     def _check_same_run(self, config: dict) -> None:
         if not self.config.exists() or not self._stages():
             return  # nothing was made yet: a run that failed over a wrong path may be corrected
-        there, asked = _comparable(OmegaConf.to_container(OmegaConf.load(self.config))), _comparable(config)
+        there, asked = _comparable(read_config(self.config)), _comparable(config)
         differing = [key for key in {**there, **asked} if there.get(key) != asked.get(key)]
         if differing:
             first = differing[0]
-            more = f" (and {', '.join(differing[1:4])}{', …' if len(differing) > 4 else ''})" if differing[1:] else ""
-            raise ValueError(f"{self.path}: holds another run, with {first}={there.get(first)} where "
+            others = clear(', '.join(differing[1:4])) + (', …' if len(differing) > 4 else '')
+            more = f" (and {others})" if differing[1:] else ""
+            raise ValueError(f"{self.path}: holds another run, with {clear(f'{first}={there.get(first)}')} where "
                              f"{asked.get(first)} is asked for{more}; give another out=DIR, or resume=false to "
                              "replace it")
 
@@ -213,6 +228,29 @@ class RunFolder:
                 shutil.rmtree(path)
             else:
                 path.unlink(missing_ok=True)
+
+
+def read_config(path: Path, where: str | None = None) -> dict:
+    """config.yaml as plain dicts. DataError, which names `where` (None: the path), for what is no such file."""
+    try:
+        text = path.read_text(encoding="utf-8")
+        # No run writes aliases (*name), of which a few lines make a tree that fills the memory.
+        if any(isinstance(token, yaml.AliasToken) for token in yaml.scan(text)):
+            raise ValueError("an alias")
+        tree = OmegaConf.to_container(OmegaConf.create(text), resolve=False)
+    except Exception as error:  # yaml and OmegaConf raise unrelated types for unreadable files
+        raise DataError(where or path, "YAML", str(error)) from None
+    if not isinstance(tree, dict):
+        raise DataError(where or path, "keys and values", f"a {type(tree).__name__}")
+    return tree
+
+
+def _iteration_of(value: Any) -> int:
+    """What a line says of its iteration; where that is no number, one that no run reaches."""
+    try:
+        return int(value)
+    except (TypeError, ValueError, OverflowError):
+        return sys.maxsize
 
 
 def now() -> str:
@@ -249,10 +287,10 @@ def _comparable(config: dict, prefix: str = "") -> dict[str, Any]:
     """Dotted key -> value, without FREE_KEYS."""
     flat: dict[str, Any] = {}
     for name, value in config.items():
-        key = prefix + name
+        key = f"{prefix}{name}"
         if key in FREE_KEYS:
             continue
-        if key == "scene.path" and value is not None:
+        if key == "scene.path" and isinstance(value, str) and "\0" not in value:
             value = str(Path(value).resolve())
         flat |= _comparable(value, f"{key}.") if isinstance(value, dict) else {key: value}
     return flat

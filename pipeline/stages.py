@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from datasets import Scene
+from datasets.fault import read_json
 from pipeline import checkpoint as checkpoints
 from pipeline.config import Config
 from pipeline.estimate import estimate_if_large
@@ -56,7 +57,7 @@ def run(cfg: Config, command: str, say: Say) -> dict:
             say(f"{stage}: {folder.path}")
             folder.finish(stage, inputs[stage], **_WORK[stage](cfg, data, folder))
             folder.log({"event": f"finished {stage}"})
-        return json.loads(folder.metrics.read_text())
+        return read_json(folder.metrics)
 
 
 def stage_inputs(cfg: Config, data: Prepared) -> dict[str, str]:

@@ -3,26 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
 
 from .camera import Camera
 from .gaussians import Gaussians
+from .number import as_float, is_whole, shown
 from .output import OUTPUT_NAMES
 
 SHORTEST_DURATION = 1e-30  # colours change by up to 2π/T a unit of time, which float32 must hold
 LONGEST_FLOW = 1e30  # likewise the way moved in δ, at any speed that float32's scales give
 LARGEST_FLOAT32 = torch.finfo(torch.float32).max
-
-
-def _number(value: object) -> float:
-    """A float; NaN for what is no number, so that the check for finite values refuses it."""
-    try:
-        return float(value)
-    except (TypeError, ValueError):
-        return math.nan
 
 
 @dataclass(frozen=True)
@@ -40,25 +33,30 @@ class Request:
     fourier_order: int | None = None  # likewise
 
     def __post_init__(self) -> None:
-        time, duration, near = (_number(value) for value in (self.time, self.duration, self.near))
+        time, duration, near = (as_float(value) for value in (self.time, self.duration, self.near))
         if not math.isfinite(time):
-            raise ValueError(f"time must be finite, got {self.time!r}")
+            raise ValueError(f"time must be finite, got {shown(self.time)}")
         if not (math.isfinite(duration) and duration > 0):
-            raise ValueError(f"duration must be finite and > 0, got {self.duration!r}")
+            raise ValueError(f"duration must be finite and > 0, got {shown(self.duration)}")
         if duration < SHORTEST_DURATION:
-            raise ValueError(f"duration must be at least {SHORTEST_DURATION:g}, got {self.duration!r}")
+            raise ValueError(f"duration must be at least {SHORTEST_DURATION:g}, got {shown(self.duration)}")
         if not (math.isfinite(near) and near >= 0):
-            raise ValueError(f"near must be finite and >= 0, got {self.near!r}")
-        for name, value in (("time", time), ("duration", duration), ("near", near)):
-            object.__setattr__(self, name, value)  # a number of any kind may be given; from here on it is a float
-        values = tuple(_number(v) for v in self.background) if isinstance(self.background, Iterable) else ()
-        if len(values) != 3 or not all(abs(value) <= LARGEST_FLOAT32 for value in values):
-            raise ValueError(f"background must be 3 finite numbers, got {self.background}")
-        for name in self.outputs:
-            if name not in OUTPUT_NAMES:
-                raise ValueError(f"outputs must be among {', '.join(OUTPUT_NAMES)}, got {name!r}")
-        if "flow" in self.outputs and not abs(_number(self.flow_dt)) <= LONGEST_FLOW:
-            raise ValueError(f"flow_dt must be finite when outputs has 'flow', got {self.flow_dt}")
+            raise ValueError(f"near must be finite and >= 0, got {shown(self.near)}")
+        background = tuple(as_float(value) for value in _listed(self.background))
+        if len(background) != 3 or not all(abs(value) <= LARGEST_FLOAT32 for value in background):
+            raise ValueError(f"background must be 3 finite numbers, got {shown(self.background)}")
+        outputs = _listed(self.outputs)
+        for name in outputs:
+            if not (isinstance(name, str) and name in OUTPUT_NAMES):
+                raise ValueError(f"outputs must be among {', '.join(OUTPUT_NAMES)}, got {shown(name)}")
+        if not outputs:
+            raise ValueError(f"outputs must be some of {', '.join(OUTPUT_NAMES)}, got none")
+        if "flow" in outputs and not abs(as_float(self.flow_dt)) <= LONGEST_FLOW:
+            raise ValueError(f"flow_dt must be finite when outputs has 'flow', got {shown(self.flow_dt)}")
+        # Numbers of any kind may be given; from here on they are floats. An output named twice is one.
+        for name, value in (("time", time), ("duration", duration), ("near", near), ("background", background),
+                            ("outputs", tuple(dict.fromkeys(outputs)))):
+            object.__setattr__(self, name, value)
 
     def check_against(self, gaussians: Gaussians) -> None:
         """Raise ValueError where the Gaussians do not have what is asked of them."""
@@ -66,8 +64,16 @@ class Request:
             raise ValueError("outputs must not have 'stats' for a static model, which has no time")
         for name in ("sh_degree", "fourier_order"):
             limit, stored = getattr(self, name), getattr(gaussians, name)
-            if limit is not None and not 0 <= limit <= stored:
-                raise ValueError(f"{name} must be in 0..{stored}, as stored, got {limit}")
+            if limit is not None and not is_whole(limit, 0, stored):
+                raise ValueError(f"{name} must be in 0..{stored}, as stored, got {shown(limit)}")
+
+
+def _listed(value: object) -> list:
+    """Its items; the thing itself where it has none, text too."""
+    try:
+        return [value] if isinstance(value, str) else list(value)
+    except TypeError:
+        return [value]
 
 
 def check_finite(gaussians: Gaussians) -> None:

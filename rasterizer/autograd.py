@@ -11,6 +11,7 @@ from .arguments import Request, check_finite
 from .camera import Camera
 from .frame import Frame, Gradients, check_stored
 from .gaussians import Gaussians
+from .kernel import kernel
 from .output import OUTPUT_NAMES, RenderOutput
 
 _FIELDS = tuple(Gaussians.__dataclass_fields__)
@@ -24,7 +25,9 @@ class _Rasterize(torch.autograd.Function):
         out = frame.render(gaussians, request, differentiable=any(ctx.needs_input_grad))
         ctx.frame, ctx.gaussians, ctx.names = frame, gaussians, tuple(request.outputs)
         ctx.set_materialize_grads(False)
-        return tuple(getattr(out, name) for name in ctx.names)
+        images = {name: getattr(out, name) for name in ctx.names}
+        _check_held(images, "with these Gaussians and this camera", frame.threads)
+        return tuple(images.values())
 
     @staticmethod
     def backward(ctx, *image_gradients: Tensor | None) -> tuple[Tensor | None, ...]:
@@ -32,7 +35,18 @@ class _Rasterize(torch.autograd.Function):
         given = {f"d_{name}": gradient for name, gradient in zip(ctx.names, image_gradients, strict=True)}
         ctx.frame.backward(gradients, **given)
         named = gradients.dense() | {"sh": gradients.sh(ctx.frame.threads)}
+        _check_held({f"the gradient of {name}": tensor for name, tensor in named.items()},
+                    "with these Gaussians and image gradients", ctx.frame.threads)
         return None, None, *(named.get(name) for name in _FIELDS)
+
+
+def _check_held(tensors: dict[str, Tensor], given: str, threads: int) -> None:
+    """Raise ValueError, naming the first entry, where float32 did not hold a result: its inputs were finite."""
+    for name, tensor in tensors.items():
+        if not kernel.all_finite(array=tensor, threads=threads):
+            index = torch.nonzero(~torch.isfinite(tensor))[0].tolist()
+            raise ValueError(f"{name}{index} must be a number that float32 holds, got {tensor[tuple(index)].item()} "
+                             f"{given}")
 
 
 def rasterize(gaussians: Gaussians, camera: Camera, time: float = 0.0, duration: float = 1.0,
@@ -48,8 +62,7 @@ def rasterize(gaussians: Gaussians, camera: Camera, time: float = 0.0, duration:
     `rasterizer.reference.rasterize` is the same function in plain PyTorch. Raises ValueError for wrong shapes, types
     and values that are not finite.
     """
-    request = Request(camera, time, duration, background, tuple(dict.fromkeys(outputs)),
-                      flow_dt, near, sh_degree, fourier_order)
+    request = Request(camera, time, duration, background, outputs, flow_dt, near, sh_degree, fourier_order)
     check_stored(gaussians)
     check_finite(gaussians)
     images = _Rasterize.apply(request, threads, *(getattr(gaussians, name) for name in _FIELDS))

@@ -18,10 +18,12 @@ from .arguments import Request
 from .camera import Camera
 from .gaussians import Gaussians
 from .kernel import kernel
+from .number import is_whole, shown
 from .output import RenderOutput
 
 STAGES = ("prepare", "sort", "bin", "blend", "blend_backward", "gaussian_backward")
 _EXTRAS = ("depth", "flow", "stats")
+MOST_THREADS = 1024  # each has a stack and a share of the lists
 _CHANNELS = {"color": 3, "alpha": 1, "depth": 1, "flow": 2, "stats": 2}
 
 
@@ -125,9 +127,13 @@ def _type_name(dtype: torch.dtype) -> str:
 def check_stored(gaussians: Gaussians, dtype: torch.dtype = torch.float32) -> None:
     """Raise ValueError for the first tensor that is not contiguous and of that type."""
     for name, tensor in gaussians.tensors().items():
-        if tensor.dtype != dtype or not tensor.is_contiguous():
-            kind = _type_name(tensor.dtype) + ("" if tensor.is_contiguous() else ", not contiguous,")
-            shape = list(tensor.shape)
+        plain = tensor.device.type == "cpu" and tensor.layout == torch.strided and not tensor.is_neg()
+        if tensor.dtype != dtype or not plain or not tensor.is_contiguous():
+            kind, shape = _type_name(tensor.dtype), list(tensor.shape)
+            if not plain:
+                kind += f", {'negated' if tensor.layout == torch.strided else tensor.layout} on {tensor.device},"
+            elif not tensor.is_contiguous():
+                kind += ", not contiguous,"
             raise ValueError(f"{name} must be contiguous {_type_name(dtype)} {shape}, got {kind} {shape}")
 
 
@@ -139,7 +145,9 @@ class Frame:
 
         kernel: another build of it, for measurements. One in float64 takes and gives tensors of that type.
         """
-        self.threads = threads or default_threads()
+        if not is_whole(threads, 0, MOST_THREADS):
+            raise ValueError(f"threads must be in 0..{MOST_THREADS}, got {shown(threads)}")
+        self.threads = int(threads) or default_threads()
         self._kernel, self._frame = kernel, kernel.Frame()
         self.dtype = torch.float64 if kernel.choices["float64"] else torch.float32
         self._model = self._request = None
@@ -155,8 +163,8 @@ class Frame:
         camera = request.camera
         intrinsics = [camera.fx, camera.fy, camera.cx, camera.cy]
         self._gaussians, self._request, self._differentiable = gaussians, request, differentiable
-        self.sh_degree = gaussians.sh_degree if request.sh_degree is None else request.sh_degree
-        self.fourier_order = gaussians.fourier_order if request.fourier_order is None else request.fourier_order
+        self.sh_degree = gaussians.sh_degree if request.sh_degree is None else int(request.sh_degree)
+        self.fourier_order = gaussians.fourier_order if request.fourier_order is None else int(request.fourier_order)
         coefficients, orders = split_coefficients(gaussians.sh.shape[1])
         detached = {name: tensor.detach() for name, tensor in gaussians.tensors().items()}
         self._model = self._kernel.Model(**{"quat_right": None, **detached}, coefficients=coefficients,
@@ -165,7 +173,8 @@ class Frame:
             camera=self._kernel.Camera.make(camera.width, camera.height, intrinsics, camera.world_to_cam,
                                             list(camera.position)),
             time=request.time, duration=request.duration, near=request.near, background=list(request.background),
-            flow_dt=request.flow_dt or 0.0, sh_degree=self.sh_degree, fourier_order=self.fourier_order,
+            flow_dt=float(request.flow_dt) if "flow" in request.outputs else 0.0, sh_degree=self.sh_degree,
+            fourier_order=self.fourier_order,
             extras=tuple(name in request.outputs for name in _EXTRAS), differentiable=differentiable,
             threads=self.threads)
         images = {name: self._empty(_CHANNELS[name], camera.height, camera.width) for name in request.outputs}

@@ -34,6 +34,10 @@ class Gaussians:
     sh: Tensor  # (N, (n+1)(l+1)², 3), Fourier order major
 
     def __post_init__(self) -> None:
+        for name in self.__dataclass_fields__:
+            value = getattr(self, name)
+            if not isinstance(value, Tensor) and not (name == "quat_right" and value is None):
+                raise ValueError(f"{name} must be a tensor, got {type(value).__name__}")
         n = self.mean.shape[0] if self.mean.ndim == 2 else -1
         dims = self.mean.shape[1] if self.mean.ndim == 2 else -1
         if dims not in (3, 4):

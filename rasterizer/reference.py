@@ -261,11 +261,11 @@ def rasterize(
     request.check_against(gaussians)
     check_finite(gaussians)
     sums, transmittance = blend(make_splats(gaussians, request), camera)
-    named = [name for name in FEATURE_CHANNELS if name in outputs]
+    named = [name for name in FEATURE_CHANNELS if name in request.outputs]
     images = dict(zip(named, sums.split([FEATURE_CHANNELS[name] for name in named])))
-    if "color" in outputs:
-        behind = torch.tensor(background, dtype=sums.dtype, device=sums.device)
+    if "color" in request.outputs:
+        behind = torch.tensor(request.background, dtype=sums.dtype, device=sums.device)
         images["color"] = images["color"] + transmittance * behind[:, None, None]
-    if "alpha" in outputs:
+    if "alpha" in request.outputs:
         images["alpha"] = 1 - transmittance[None]
     return RenderOutput(**{"color": None, **images})

@@ -205,7 +205,7 @@ BAD_INPUT: dict[str, tuple[Callable[[Path], object], str]] = {
                                        frame(file_path="images/left")(f)),
                             rf"{WHERE}: file_path: expected a name like images/cam00_0000, found images/left"),
     "no time": (lambda f: edit(f, lambda c: c["frames"][1].pop("time")), rf"{WHERE}: expected the key time"),
-    "time NaN": (frame(time=float("nan")), rf"{WHERE}: time: expected .* equal steps in time, found nan"),
+    "time NaN": (frame(time=float("nan")), rf"{WHERE}: time: expected a number within ±1e\+19, found nan"),
     "time out of step": (frame(time=0.058), rf"{WHERE}: time: expected 0\.0333\d*, at equal steps .* found 0\.058$"),
     "times all alike": (every(2, lambda e: e.update(time=0.5)), "time: expected a time after that of frame 0, 0.5, found"),
     "other rate": (every(2, lambda e: e.update(time=2 * e["time"])),

@@ -17,7 +17,7 @@ from datasets.canonical import FRAMES_A_UNIT
 from datasets.plenoptic.decode import Recipe, Stream, Undistortion, decode, reduce_camera, store_folder, straighten
 from datasets.plenoptic.display import Say
 from datasets.plenoptic.sync import drop_advice
-from datasets.scene import Box, Image, Scene, SceneError, View, camera_extent, cube_round, validate_scene
+from datasets.scene import Box, Image, Scene, SceneError, View, camera_extent, camera_of, cube_round, validate_scene
 from rasterizer.camera import Camera
 
 # Images may count time in frames or milliseconds: a rate beyond these is none of a film in seconds.
@@ -110,7 +110,8 @@ class Footage:
         reading = self.reading
         self._check_cameras(cameras)
         undistortion = {name: lens for name, lens in (undistortion or {}).items() if any(lens.coefficients)}
-        small = {name: reduce_camera(cameras[name], reading.downscale) for name in self.names}
+        small = {name: camera_of(self.source / name, lambda: reduce_camera(cameras[name], reading.downscale))
+                 for name in self.names}
         init_box = init_box or _cube_round(list(small.values()), unit)
         # Not one pixel is needed to see whether the scene can be trained on.
         camera = small[self.names[0]]

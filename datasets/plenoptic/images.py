@@ -23,7 +23,7 @@ import numpy as np
 from datasets.dnerf import (common_size, compose, find_image, get_key, load_transforms, read_angle_x, read_number,
                             read_pose, read_rgba)
 from datasets.plenoptic.decode import Undistortion
-from datasets.scene import SceneError
+from datasets.scene import SceneError, camera_of
 from rasterizer.camera import Camera
 
 FRAME_NAME = re.compile(r"(?P<camera>\D*(?P<number>\d+))_(?P<frame>\d+)")  # cam00_0000
@@ -31,6 +31,8 @@ SPLITS = ("train", "test")
 LENS_KEYS = ("k1", "k2", "p1", "p2", "k3")  # in OpenCV's order
 LENS_MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV")
 STILL_TOLERANCE = 1e-6  # world units; a camera's pose is repeated in each of its frames
+LATEST = 1e19  # nanoseconds since 1970 are 2e18
+LARGEST_LENS = 1e6  # of a coefficient; those of real lenses are below 100
 SINGLE_FRAME_RATE = 30.0  # what the converter divides frame numbers by; from one frame no rate can be told
 
 
@@ -82,7 +84,7 @@ def read_entries(root: Path) -> dict[str, list[Entry]]:
             if parts is None:
                 raise SceneError(f"{where}: file_path", "a name like images/cam00_0000", file_path)
             entry = Entry(where, image_path, int(parts["frame"]),
-                          read_number(get_key(frame, "time", where), f"{where}: time"),
+                          read_number(get_key(frame, "time", where), f"{where}: time", LATEST),
                           read_pose(get_key(frame, "transform_matrix", where), f"{where}: transform_matrix"),
                           {**shared, **frame}, path)
             cameras.setdefault(parts["camera"], []).append(entry)
@@ -122,7 +124,8 @@ def read_camera(entries: list[Entry], size: tuple[int, int]) -> tuple[Camera, Un
         fx, fy, cx, cy = (read_number(get_key(values, key, where), f"{where}: {key}") for key in keys)
         # The file's size may be another scale of the same image than the files'.
         width, height = (read_number(values.get(key, pixels), f"{where}: {key}") for key, pixels in zip("wh", size))
-        if not (width > 0 and height > 0) or abs(width * size[1] / height - size[0]) > max(1.0, size[1] / height):
+        if not (width > 0 and height > 0
+                and abs(width * size[1] / height - size[0]) <= max(1.0, size[1] / height) < math.inf):
             raise SceneError(where, "w x h of {} x {} or the same shape at another scale".format(*size),
                              f"{width:g} x {height:g}")
         fx, cx, fy, cy = fx * size[0] / width, cx * size[0] / width, fy * size[1] / height, cy * size[1] / height
@@ -131,8 +134,8 @@ def read_camera(entries: list[Entry], size: tuple[int, int]) -> tuple[Camera, Un
         cx, cy = size[0] / 2, size[1] / 2
     if not (fx > 0 and fy > 0 and np.isfinite([fx, fy, cx, cy]).all()):
         raise SceneError(where, "finite intrinsics, fl_x and fl_y > 0", f"{fx:g}, {fy:g}, {cx:g}, {cy:g}")
-    pose = Camera.from_blender(*size, fx, first.cam_to_world).world_to_cam
-    camera = Camera(*size, fx, fy, cx, cy, pose)
+    pose = camera_of(where, lambda: Camera.from_blender(*size, fx, first.cam_to_world).world_to_cam)
+    camera = camera_of(where, lambda: Camera(*size, fx, fy, cx, cy, pose))
     return camera, Undistortion.of(camera, *_lens(values, where))
 
 
@@ -142,7 +145,7 @@ def _lens(values: dict, where: str) -> tuple[float, ...]:
     if model not in LENS_MODELS or values.get("is_fisheye"):
         raise SceneError(f"{where}: camera_model", ", ".join(LENS_MODELS), "a fisheye" if model in LENS_MODELS else
                          repr(model))
-    return tuple(read_number(values.get(key, 0.0), f"{where}: {key}") for key in LENS_KEYS)
+    return tuple(read_number(values.get(key, 0.0), f"{where}: {key}", LARGEST_LENS) for key in LENS_KEYS)
 
 
 def _rate(entries: list[Entry]) -> float:

@@ -57,6 +57,8 @@ class Video:
                                      f"{index}, a truncated video; {self.advice}")
                 if index >= first:
                     yield self._retrieve(capture, index)
+        except cv2.error as error:
+            raise SceneError(self.path, "a video that can be decoded", f"{error}; {self.advice}") from None
         finally:
             capture.release()
 
@@ -103,9 +105,12 @@ def open_video(path: Path, threads: int, advice: str) -> cv2.VideoCapture:
     level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
         capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, threads])
+        opened = capture.isOpened()
+    except cv2.error:
+        opened = False
     finally:
         cv2.utils.logging.setLogLevel(level)
-    if not capture.isOpened():
+    if not opened:
         raise SceneError(path, "a video", f"a file that cannot be opened as one; {advice}")
     return capture
 
@@ -113,13 +118,14 @@ def open_video(path: Path, threads: int, advice: str) -> cv2.VideoCapture:
 def _probe(file: VideoFile, advice: str) -> Video:
     capture = open_video(file.path, 1, advice)
     try:
-        width, height, count = (int(capture.get(key)) for key in (
-            cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT, cv2.CAP_PROP_FRAME_COUNT))
-        rate = capture.get(cv2.CAP_PROP_FPS)
-        if not (math.isfinite(rate) and rate > 0 and count > 0 and capture.grab()):
+        width, height, count, rate = (capture.get(key) for key in (
+            cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT, cv2.CAP_PROP_FRAME_COUNT, cv2.CAP_PROP_FPS))
+        if not (0 < rate < math.inf and 0 < count < math.inf and min(width, height) >= 1 and capture.grab()):
             raise SceneError(file.path, "a length, a rate and a first frame that can be decoded",
-                             f"{count} frames at {rate:g} a second, and no first frame; {advice}")
+                             f"{count:.0f} frames at {rate:g} a second, and no first frame; {advice}")
         start = capture.get(cv2.CAP_PROP_PTS)
+    except cv2.error as error:
+        raise SceneError(file.path, "a first frame that can be decoded", f"{error}; {advice}") from None
     finally:
         capture.release()
-    return Video(file.name, file.number, file.path, (width, height), rate, count, start, advice)
+    return Video(file.name, file.number, file.path, (int(width), int(height)), rate, int(count), start, advice)

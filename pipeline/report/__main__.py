@@ -38,7 +38,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         out = options.out or options.runs_dir.resolve().parent / "report"
         write_report(options.runs_dir, out, tuple(options.no_pictures), tuple(options.psnr))
-    except (FileNotFoundError, PermissionError) as error:
+    except (ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
     return 0

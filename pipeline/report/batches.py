@@ -20,7 +20,7 @@ from .our_rows import FLICKER_HEADER, FLICKER_NOTE
 from .table import Cell, Column, Row, Table, measured, number, text
 from .variants import schedule_settings
 
-KEYS = ("train.sampler", "train.batch")
+KEYS = {"train.sampler": str, "train.batch": int}  # and what a setting must be to be compared
 _IN_NAME = re.compile(r"\b(sampler|batch)=\w+")  # as variants.py writes them into a schedule's name
 SAMPLER_NOTE = (
     "",
@@ -38,11 +38,11 @@ def batches(collection: Collection) -> Table | None:
     """A row for each sampler × batch size where a scene, ablation and schedule has two at least; else None."""
     settings = collection.settings
     runs = collection.runs
-    runs = runs[[all(key in settings[run] for key in KEYS) for run in runs["run"]]]
+    runs = runs[[all(isinstance(settings[run].get(key), kind) for key, kind in KEYS.items()) for run in runs["run"]]]
     runs = runs.assign(
         schedule=[without_batch(name) for name in runs["train"]],
-        sampler=[str(settings[run][KEYS[0]]) for run in runs["run"]],
-        batch=[int(settings[run][KEYS[1]]) for run in runs["run"]],
+        sampler=[settings[run]["train.sampler"] for run in runs["run"]],
+        batch=[settings[run]["train.batch"] for run in runs["run"]],
         rest=[_rest(settings[run]) for run in runs["run"]],
     )
     rows = []

@@ -10,12 +10,15 @@ from __future__ import annotations
 import io
 import json
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
-from omegaconf import OmegaConf
+
+from datasets.fault import DataError, clear
+from pipeline.run_folder import read_config
 
 PROTOCOLS = ("final", "best_on_test")  # the last iteration; the release's pick among the test evaluations
 QUALITY = (
@@ -43,10 +46,16 @@ REQUIRED = ("final.psnr", "final.ssim", "iterations", "train_seconds", "n_gaussi
 CURVE_COLUMNS = ("train_seconds", "iteration", "psnr", "n_gaussians")
 CURVE_MORE = ("ssim", "test_loss")  # a curve without them is drawn without them
 ENVIRONMENT = ("machine", "date", "git_commit", "command")  # these stand beside the numbers
+LARGEST_NUMBER = 1e15  # of a measurement; its square is a number too
+LARGEST_SEED = 2**63 - 1  # of pandas
+LONGEST_NOTE = 4000  # characters, of a command too
 
 
 class BrokenRun(ValueError):
     """A run folder that can't be used; the message is one line: what was expected, what was found."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(clear(message))
 
 
 @dataclass(frozen=True)
@@ -128,21 +137,16 @@ def read_metrics(path: Path) -> dict[str, Any]:
     """metrics.json, checked and flattened: `final.psnr` … as float, null as NaN."""
     if not path.is_file():
         raise BrokenRun("unfinished: no metrics.json")
-    try:
-        # A report is passed on: notes that name files under somebody's home folder keep it to themselves.
-        data = json.loads(path.read_text(encoding="utf-8").replace(str(Path.home()), "~"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise BrokenRun(f"metrics.json: expected JSON, found {error}") from None
-    if not isinstance(data, dict):
-        raise BrokenRun(f"metrics.json: expected an object, found {type(data).__name__}")
+    # A report is passed on: notes that name files under somebody's home folder keep it to themselves.
+    data = _object(path, lambda text: text.replace(str(Path.home()), "~"))
     row: dict[str, Any] = {}
     for key in ("scene", "ablation", "train"):
         row[key] = data.get(key)
-        if not isinstance(row[key], str) or not row[key]:
+        if not isinstance(row[key], str) or not row[key] or clear(row[key]) != row[key]:
             raise BrokenRun(f"metrics.json: {key}: expected a name, found {row[key]!r}")
     row["seed"] = data.get("seed")
-    if not isinstance(row["seed"], int) or isinstance(row["seed"], bool):
-        raise BrokenRun(f"metrics.json: seed: expected an integer, found {row['seed']!r}")
+    if not isinstance(row["seed"], int) or isinstance(row["seed"], bool) or not 0 <= row["seed"] <= LARGEST_SEED:
+        raise BrokenRun(f"metrics.json: seed: expected an integer in 0..{LARGEST_SEED}, found {row['seed']!r}")
     for protocol in PROTOCOLS:
         part = data.get(protocol) or {}
         if not isinstance(part, dict):
@@ -157,9 +161,8 @@ def read_metrics(path: Path) -> dict[str, Any]:
         if math.isnan(row[key]):
             raise BrokenRun(f"metrics.json: {key}: expected a number, found none")
     for key in ("lpips_note", "ms_ssim_note"):  # why a number is missing
-        row[key] = str(data["final"].get(key) or "")
+        row[key] = _note(data["final"].get(key))
     return row
-
 
 def read_curve(path: Path) -> pd.DataFrame:
     """error_vs_time.csv, one row an evaluation; a last line without an end, cut by a kill, is dropped."""
@@ -168,17 +171,24 @@ def read_curve(path: Path) -> pd.DataFrame:
     try:
         lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
         whole = lines if not lines or lines[-1].endswith("\n") else lines[:-1]
+        # pandas takes what longer lines have in front for an index, and so shifts the columns.
+        longer = [number for number, line in enumerate(whole, 1) if line.count(",") > whole[0].count(",")]
+        if longer:
+            raise BrokenRun(f"{path.name}: expected as many columns as in the first line, found more in {longer[0]}")
         curve = pd.read_csv(io.StringIO("".join(whole)))
-    except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
-        raise BrokenRun(f"{path.name}: expected a CSV table, found {str(error).splitlines()[0]}") from None
+    except BrokenRun:
+        raise
+    except (ValueError, OverflowError, OSError) as error:  # pandas' own are among the first
+        raise BrokenRun(f"{path.name}: expected a CSV table, found {error}") from None
     missing = [c for c in CURVE_COLUMNS if c not in curve]
     if missing:
         raise BrokenRun(
             f"{path.name}: expected columns {', '.join(CURVE_COLUMNS)}; missing {', '.join(missing)}"
         )
     numbers = curve[list(CURVE_COLUMNS)].apply(pd.to_numeric, errors="coerce")
-    if numbers.empty or numbers.isna().any(axis=None):
-        bad = "no rows" if numbers.empty else f"none in line {2 + int(numbers.isna().any(axis=1).idxmax())}"
+    wrong = ~(numbers.abs() <= LARGEST_NUMBER)  # NaN, too
+    if numbers.empty or wrong.any(axis=None):
+        bad = "no rows" if numbers.empty else f"none in line {2 + int(wrong.any(axis=1).idxmax())}"
         raise BrokenRun(f"{path.name}: expected numbers, found {bad}")
     more = curve.reindex(columns=list(CURVE_MORE)).apply(pd.to_numeric, errors="coerce")
     return numbers.join(more).sort_values("iteration", kind="stable").reset_index(drop=True)
@@ -188,13 +198,8 @@ def read_environment(path: Path) -> dict[str, str]:
     """machine, date, git_commit and command of environment.json; `unknown` where one is not there."""
     if not path.is_file():
         raise BrokenRun(f"no {path.name}: machine and date unknown")
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise BrokenRun(f"{path.name}: expected JSON, found {error}") from None
-    if not isinstance(data, dict):
-        raise BrokenRun(f"{path.name}: expected an object, found {type(data).__name__}")
-    return {key: str(data.get(key) or "unknown") for key in ENVIRONMENT}
+    data = _object(path)
+    return {key: _note(data.get(key)) or "unknown" for key in ENVIRONMENT}
 
 
 def read_settings(path: Path) -> dict[str, Any]:
@@ -202,27 +207,43 @@ def read_settings(path: Path) -> dict[str, Any]:
     if not path.is_file():
         return {}
     try:
-        tree = OmegaConf.to_container(OmegaConf.load(path), resolve=False)
-    except Exception as error:  # yaml and OmegaConf raise unrelated types for unreadable files
-        raise BrokenRun(f"config.yaml: expected YAML, found {str(error).splitlines()[0]}") from None
+        tree = read_config(path, path.name)
+    except DataError as error:
+        raise BrokenRun(str(error)) from None
     flat: dict[str, Any] = {}
 
     def walk(prefix: str, node: Any) -> None:
         if isinstance(node, dict) and node:
             for key, value in node.items():
-                walk(f"{prefix}.{key}" if prefix else str(key), value)
+                walk(f"{prefix}.{_note(str(key))}" if prefix else _note(str(key)), value)
         else:
-            flat[prefix] = node
+            flat[prefix] = _note(node) if isinstance(node, str) else node
 
     walk("", tree)
     return flat
+
+
+def _object(path: Path, prepared: Callable[[str], str] = str) -> dict[str, Any]:
+    """The object a JSON file holds. prepared: what is done to its text first."""
+    try:
+        data = json.loads(prepared(path.read_text(encoding="utf-8")))
+    except (ValueError, RecursionError, OSError) as error:  # no text, no JSON, a number of 5,000 digits; too deep
+        raise BrokenRun(f"{path.name}: expected JSON, found {error}") from None
+    if not isinstance(data, dict):
+        raise BrokenRun(f"{path.name}: expected an object, found {type(data).__name__}")
+    return data
+
+
+def _note(value: Any) -> str:
+    """A text to be shown; empty where there is none."""
+    return clear(value, LONGEST_NOTE) if value else ""
 
 
 def _number(value: Any, key: str) -> float:
     """A finite float, or NaN for null and absent; anything else breaks the run."""
     if value is None:
         return math.nan
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= LARGEST_NUMBER:
         raise BrokenRun(f"metrics.json: {key}: expected a finite number, found {value!r}")
     return float(value)
 

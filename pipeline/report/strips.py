@@ -12,7 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
+
+from datasets.fault import clear
 
 from . import scenes
 
@@ -73,8 +75,8 @@ def make_strips(runs: pd.DataFrame, no_pictures: tuple[str, ...] = ()) -> tuple[
                 for why, view in chosen if name == "full" else chosen[:1]:
                     try:
                         webp = compose([folder / "renders" / f"{view}_{part}.png" for part in PARTS])
-                    except (OSError, UnidentifiedImageError) as error:
-                        warnings.append(f"{row['run']}: no strip of {view}: {error}")
+                    except Exception as error:  # PIL raises many types for broken files
+                        warnings.append(f"{row['run']}: no strip of {clear(view)}: {clear(error)}")
                         continue
                     strips.append(
                         Strip(scene, name, train, int(row["seed"]), view, why, psnr_of.get(view), webp)
@@ -125,7 +127,7 @@ def _psnr_by_view(path: Path) -> dict[str, float]:
     """per_image.csv: view (/ as _, as in file names) -> PSNR of the final model; {} if it can't be read."""
     try:
         table = pd.read_csv(path)
-    except (OSError, ValueError):
+    except (OSError, ValueError, OverflowError):
         return {}
     if not {"view", "psnr"} <= set(table):
         return {}

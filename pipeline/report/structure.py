@@ -7,15 +7,16 @@ the table has a row a scene; where results differ, one for each.
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
-from PIL import UnidentifiedImageError
+
+from datasets.fault import clear
 
 from . import scenes
+from .collect import LARGEST_NUMBER
 from .strips import compose, kept_back, webp_name
 from .table import Column, Row, Table, number, text
 
@@ -72,8 +73,8 @@ def structure_from_motion(
                 continue
             try:
                 webp = compose([folder / "sfm.png"], _MAX_SIDE)
-            except (OSError, UnidentifiedImageError) as error:
-                warnings.append(f"{scene}: no picture of points and cameras: {error}")
+            except Exception as error:  # PIL raises many types for broken files
+                warnings.append(f"{scene}: no picture of points and cameras: {clear(error)}")
                 continue
             pictures.append(StructurePicture(scene, webp_name(scene, f"sfm_{i + 1}" if i else "sfm"), webp))
     return (Structure(_table(rows), tuple(pictures)) if rows else None), warnings
@@ -83,16 +84,16 @@ def read_sfm(path: Path) -> dict[str, Any]:
     """sfm.json, checked: _NUMBERS as finite floats, `poses` as one of _POSES. ValueError says what is wrong."""
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path.name}: expected JSON, found {error}") from None
+    except (ValueError, RecursionError, OSError) as error:  # no text, no JSON, a number of 5,000 digits; too deep
+        raise ValueError(f"{path.name}: expected JSON, found {clear(error)}") from None
     if not isinstance(data, dict):
         raise ValueError(f"{path.name}: expected an object, found {type(data).__name__}")
     for key in _NUMBERS:
         value = data.get(key)
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-            raise ValueError(f"{path.name}: {key}: expected a finite number, found {value!r}")
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= LARGEST_NUMBER:
+            raise ValueError(f"{path.name}: {key}: expected a finite number, found {clear(repr(value))}")
     if data.get("poses") not in _POSES:
-        raise ValueError(f"{path.name}: poses: expected {', '.join(_POSES)}, found {data.get('poses')!r}")
+        raise ValueError(f"{path.name}: poses: expected {', '.join(_POSES)}, found {clear(repr(data.get('poses')))}")
     return {key: data[key] for key in (*_NUMBERS, "poses")}
 
 

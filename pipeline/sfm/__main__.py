@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from datasets.fault import DataError
 from pipeline.config import InitConfig
 from pipeline.sfm.photograph import Photograph
 from pipeline.sfm.run import reconstruct
@@ -59,8 +60,8 @@ def read_photographs(folder: Path, downscale: int = 1) -> list[Photograph]:
         try:
             with Image.open(path) as image:
                 photographs.append(Photograph(path.stem, np.asarray(image.convert("RGB").reduce(downscale))))
-        except OSError as error:
-            raise ValueError(f"{path}: expected a readable image, found {error}") from None
+        except Exception as error:  # PIL raises many types for broken files
+            raise DataError(path, "a readable image", str(error)) from None
     return photographs
 
 

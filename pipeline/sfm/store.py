@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import asdict
 from importlib import metadata
@@ -18,11 +19,12 @@ from pathlib import Path
 import numpy as np
 
 from datasets.draft import draft_of, write_json
+from datasets.fault import DataError, read_json
 from pipeline.config import InitConfig
 from pipeline.sfm.photograph import Lens, Photograph, Reconstruction
 from pipeline.sfm.picture import draw
 from pipeline.sfm.run import reconstruct
-from rasterizer.camera import Camera
+from rasterizer.camera import FARTHEST, Camera
 
 VERSION = 1  # of what this program makes of COLMAP's points
 # Settings of InitConfig that come after structure from motion.
@@ -69,11 +71,34 @@ def save(result: Reconstruction, folder: Path) -> None:
 
 
 def load(folder: Path) -> Reconstruction:
-    rest = json.loads((folder / "result.json").read_text())
-    lenses = {name: Lens(Camera(**described["camera"]), described["radial"])
-              for name, described in rest.pop("lenses").items()}
-    with np.load(folder / "result.npz") as arrays:
-        return Reconstruction(**arrays, lenses=lenses, **rest)
+    """What `save` kept there; DataError, one line that names the folder, where it is damaged."""
+    try:
+        rest = read_json(folder / "result.json")
+        lenses = {name: Lens(Camera(**described["camera"]), described["radial"])
+                  for name, described in rest.pop("lenses").items()}
+        with np.load(folder / "result.npz", allow_pickle=False) as arrays:
+            return _checked(Reconstruction(**arrays, lenses=lenses, **rest))
+    except Exception as error:  # numpy, zipfile and json raise many types for broken files
+        what = f"no {error}" if isinstance(error, KeyError) else str(error)
+        raise DataError(folder, "what structure from motion found (result.json, result.npz)",
+                        f"{what}; delete the folder and run again") from None
+
+
+def _checked(found: Reconstruction) -> Reconstruction:
+    """The result itself; ValueError where it is not what `save` is given."""
+    count = len(found.points)
+    for name, kinds, shape in (("points", "f", (count, 3)), ("colors", "u", (count, 3)), ("errors", "f", (count,)),
+                               ("track_lengths", "iu", (count,))):
+        array = getattr(found, name)
+        if array.dtype.kind not in kinds or array.shape != shape or not np.isfinite(array).all():
+            raise ValueError(f"{name} {array.dtype} {array.shape}, or not finite")
+    if count == 0 or np.abs(found.points).max() > FARTHEST or found.colors.dtype != np.uint8:
+        raise ValueError(f"no points, points beyond {FARTHEST:g}, or colours that are not bytes")
+    numbers = (found.seconds, found.photographs, *(lens.radial for lens in found.lenses.values()))
+    if found.poses not in ("known", "refined", "estimated") or not all(
+            isinstance(number, (int, float)) and math.isfinite(number) for number in numbers):
+        raise ValueError(f"poses {found.poses!r}, or seconds, photographs or a lens that are no numbers")
+    return found
 
 
 def _described(lens: Lens) -> dict:
