@@ -32,8 +32,8 @@ SMALLEST_ANGLE = 1e-6  # radians; a telescope sees 1e-3
 
 # Times that lie in [0, 1] and span more of it than this are the layout's own.
 LEAST_SPAN = 0.5
-# A first or last time so far from the next one is a slip, and would leave the rest a small part of the scene's time:
-FAR_FROM_OWN = 2.0  # × the longest step between the others, where these lie in [0, 1]
+# A first or last time that does not go on as the others do is a slip, and would leave them a part of the scene's time.
+REGULAR = (0.75, 1.5)  # × the longest step between the others, where these lie in [0, 1]
 STRAY = 10.0  # × all that the others span, in any other unit
 
 
@@ -217,7 +217,9 @@ def _time_range(root: Path, frames: list[Frame]) -> tuple[float, float]:
         times = [frame.time for frame in others]
         steps, gap = np.diff(times), min(abs(stray.time - time) for time in times)
         own = times[0] >= 0 and times[-1] <= 1  # the layout's range
-        if 0 < (FAR_FROM_OWN * steps.max(initial=0) if own else STRAY * (times[-1] - times[0])) <= gap:
+        step = steps.max(initial=0)
+        regular = REGULAR[0] * step < gap < REGULAR[1] * step if own else gap < STRAY * (times[-1] - times[0])
+        if gap > 0 and step > 0 and not regular:
             raise SceneError(root / stray.name, "a time in [0, 1], as the other frames have" if own else
                              f"a time near the other frames', {times[0]:.13g} to {times[-1]:.13g}", f"{stray.time:.13g}")
     duration = high - low or 1.0

@@ -14,7 +14,7 @@ from builders import generator, off_centre_camera, random_gaussians
 from pipeline.model import Model
 from pipeline.optimiser import Adam
 from pipeline.schedule import rates
-from pipeline.config import RateConfig
+from pipeline.train_config import RateConfig
 from rasterizer import Frame, Gradients, Request
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tools"))

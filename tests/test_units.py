@@ -13,7 +13,8 @@ import pytest
 from PIL import Image
 
 from datasets.scene import View
-from pipeline.config import Config, DensifyConfig, RateConfig
+from pipeline.config import Config
+from pipeline.train_config import DensifyConfig, RateConfig
 from pipeline.evaluate import quick_evaluate
 from pipeline.initialise import initialise
 from pipeline.prepare import prepare

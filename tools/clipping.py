@@ -32,7 +32,8 @@ from hydra import compose, initialize_config_dir  # noqa: E402
 
 from datasets import Scene  # noqa: E402
 from pipeline import train as training  # noqa: E402
-from pipeline.config import Config, RateConfig  # noqa: E402
+from pipeline.config import Config  # noqa: E402
+from pipeline.train_config import RateConfig  # noqa: E402
 from pipeline.configure import CONFIG_DIR, register_schema, to_config  # noqa: E402
 from pipeline.evaluate import quick_evaluate  # noqa: E402
 from pipeline.guard import NonFiniteError  # noqa: E402
