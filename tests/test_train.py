@@ -58,8 +58,8 @@ def batch_losses(path: Path, scene, cfg) -> list[float]:
     losses: list[float] = []
     original = train_module.Batch.backward
 
-    def record(self, target, gradients):
-        view = original(self, target, gradients)
+    def record(self, target, gradients, generator=None):
+        view = original(self, target, gradients, generator)
         losses.append(view.loss)
         return view
 
@@ -208,8 +208,8 @@ def poison_gradient(monkeypatch, at_call: int, row: int) -> None:
     """From the `at_call`-th view on, that view's backward pass puts a NaN into the mean's gradient."""
     original, names = train_module.Batch.backward, []
 
-    def backward(self, target, gradients):
-        view = original(self, target, gradients)
+    def backward(self, target, gradients, generator=None):
+        view = original(self, target, gradients, generator)
         names.append(target.name)
         if target.name == names[min(at_call, len(names) - 1)] and len(names) > at_call:
             gradients.mean[row, 1] = float("nan")
