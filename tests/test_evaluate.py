@@ -132,7 +132,8 @@ def test_quick_evaluate_takes_views_spread_evenly(model: Model) -> None:
     scene, cfg = tiny_film(frames=5, held_out=("cam00",)), config()
     few = replace(cfg, train=replace(cfg.train, eval_views=3))
     found = quick_evaluate(model, scene, few, Frame(threads=1))
-    assert found == quick_evaluate(model, replace(scene, test=scene.test[::2]), cfg, Frame(threads=1))
+    spread = replace(scene, test=scene.test[::2], train=[scene.train[i] for i in (0, len(scene.train) // 2, -1)])
+    assert found == quick_evaluate(model, spread, cfg, Frame(threads=1))
     assert found != quick_evaluate(model, scene, cfg, Frame(threads=1))
 
 
