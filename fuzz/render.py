@@ -97,8 +97,11 @@ def check(folder: Path) -> str:
         require(0 <= images["alpha"].min() and images["alpha"].max() <= 1, "alpha outside [0, 1]")
     if "depth" in images:
         require(images["depth"].min() >= 0, "depth below 0")
+    # Of copies in memory of their own, by other threads.
+    copies = Gaussians(**{"quat_right": None, **{name: torch.resolve_neg(tensor.detach()).clone()
+                                                 for name, tensor in gaussians.tensors().items()}})
     other = {**arguments, "threads": 3}
-    _require_same(images, _images(gaussians, camera, other), "images of other threads")
+    _require_same(images, _images(copies, camera, other), "images of copies, by other threads")
     try:
         gradients = _gradients(gaussians, camera, arguments, call["seed"])
     except ValueError as error:
@@ -107,7 +110,7 @@ def check(folder: Path) -> str:
     for name, gradient in gradients.items():
         require(gradient.shape == getattr(gaussians, name).shape and bool(torch.isfinite(gradient).all()),
                 f"the gradient of {name} is not finite")
-    _require_same(gradients, _gradients(gaussians, camera, other, call["seed"]), "gradients of other threads")
+    _require_same(gradients, _gradients(copies, camera, other, call["seed"]), "gradients by other threads")
     return VALID
 
 

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -59,7 +60,10 @@ def read_poses(path: Path, names: Sequence[str], keep: Collection[str], size: tu
 
 def _load(path: Path) -> np.ndarray:
     try:
-        table = np.load(path, mmap_mode="r", allow_pickle=False)  # mapped: a header may promise more than memory holds
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # that Python 2 wrote the file
+            # Mapped: a header may promise more than the memory holds.
+            table = np.load(path, mmap_mode="r", allow_pickle=False)
     except FileNotFoundError:
         raise SceneError(path, "a file (without poses the videos are for scene=video)", "none") from None
     except Exception as error:  # numpy raises many types for broken files
