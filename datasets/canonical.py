@@ -43,8 +43,16 @@ class Canonical:
     time_scale: float = 1.0  # canonical units of a unit of the scene's time
 
     @property
+    def keeps_space(self) -> bool:
+        return (self.centre, self.scale) == (Canonical.centre, Canonical.scale)
+
+    @property
+    def keeps_time(self) -> bool:
+        return (self.time_origin, self.time_scale) == (Canonical.time_origin, Canonical.time_scale)
+
+    @property
     def is_identity(self) -> bool:
-        return self == Canonical()
+        return self.keeps_space and self.keeps_time
 
     @property
     def unit(self) -> float:
@@ -72,7 +80,7 @@ class Canonical:
 
     def box(self, world: Box) -> Box:
         """A box as Scene.init_box, world -> canonical; the very same where space stays as it is."""
-        if (self.centre, self.scale) == (Canonical.centre, Canonical.scale):
+        if self.keeps_space:
             return world
         return tuple(tuple(self.points(np.broadcast_to(corner, 3)).tolist()) for corner in world)
 
@@ -83,9 +91,13 @@ class Canonical:
                            "film's t counts from its first frame in use"}
 
     def __str__(self) -> str:
-        centre = ", ".join(f"{x:.6g}" for x in self.centre)
-        return (f"x → (x - ({centre})) × {self.scale:.6g}, "
-                f"t → (t - {self.time_origin:.15g}) × {self.time_scale:.6g}")
+        """What changes, in one line."""
+        parts, centre = [], ", ".join(f"{x:.6g}" for x in self.centre)
+        if not self.keeps_space:
+            parts.append(f"x → (x - ({centre})) × {self.scale:.6g}")
+        if not self.keeps_time:
+            parts.append(f"t → (t - {self.time_origin:.15g}) × {self.time_scale:.6g}")
+        return ", ".join(parts) or "as it is"
 
 
 def canonical_of(scene: Scene) -> Canonical:

@@ -235,4 +235,6 @@ def test_only_what_is_near_the_convention_is_left() -> None:
 def test_it_says_what_it_does_in_one_line() -> None:
     frame = Canonical((1e4, 0.0, -2.5), 0.001, 1.7e9, 1 / 3)
     assert str(frame) == "x → (x - (10000, 0, -2.5)) × 0.001, t → (t - 1700000000) × 0.333333"
+    assert str(replace(frame, centre=(0.0, 0.0, 0.0), scale=1.0)) == "t → (t - 1700000000) × 0.333333"
+    assert str(replace(frame, time_origin=0.0, time_scale=1.0)) == "x → (x - (10000, 0, -2.5)) × 0.001"
     assert frame.described()["centre"] == (1e4, 0.0, -2.5) and "canonical t" in frame.described()["meaning"]
