@@ -171,7 +171,7 @@ def tails(name: str, outcome: Outcome) -> list[str]:
         middle, ninety, ninety_nine = np.quantile(norms, (0.5, 0.9, 0.99))
         rows.append(f"| {name} | {field} | {middle:.2e} | {ninety / middle:.1f} | {ninety_nine / middle:.1f} | "
                     f"{norms.max() / middle:.1f} | {spike(norms):.1f} |")
-    return [*rows, f"| {name} | the hottest {HOT:.0%} of the Gaussians: {outcome.hot:.0%} of all² | | | | | |"]
+    return [*rows, f"| {name} | {outcome.hot:.0%} of its square is of {HOT:.0%} of the Gaussians | | | | | |"]
 
 
 def study(configs: dict[str, Config], seeds: list[int], say: Callable[[str], None]
@@ -221,7 +221,7 @@ def psnr_text(outcomes: list[Outcome]) -> str:
 
 def page(of_norms: list[str], of_runs: list[str], helped: list[str], heading: str) -> str:
     said = (f"Clipping helps in: {', '.join(helped)}." if helped else
-            "No case, healthy or hostile, shows a benefit of clipping beyond two standard errors: the pipeline has none.")
+            "No case, healthy or hostile, shows a benefit beyond two standard errors: the pipeline clips nothing.")
     return "\n".join([
         "### Gradient clipping", "", heading, "", said, "",
         "Why little is to be expected: the loss is L1 and SSIM, whose gradient by a pixel is bounded whatever the "
