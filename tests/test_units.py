@@ -13,15 +13,13 @@ import pytest
 from PIL import Image
 
 from datasets.scene import View
-from pipeline.config import Config
-from pipeline.train_config import DensifyConfig, RateConfig
+from pipeline.config import Config, DensifyConfig, EvaluateConfig, RateConfig
 from pipeline.evaluate import quick_evaluate
 from pipeline.initialise import initialise
 from pipeline.prepare import prepare
-from pipeline.stages import stage_inputs
+from pipeline.stages import run, stage_inputs
 from pipeline.train import train
 from rasterizer import Frame
-from shell import Shell
 from tiny import SIZE, TinyRun, tiny_config, tiny_scene
 from tiny_film import tiny_film
 
@@ -123,19 +121,22 @@ def test_training_gives_the_same_psnr_in_any_units(usual: tuple[str, list[float]
 
 
 def test_a_run_in_other_units_says_so_and_is_not_taken_for_another(tmp_path: Path) -> None:
-    """The command line: a line of text, canonical.json, and a run folder that refuses the same scene in other units."""
-    shell, data = Shell(tmp_path), tmp_path / "data"
-    write_photographs(data, ALL["millimetres"])
-    command = ("scene=dnerf", f"scene.path={data}", "scene.downscale=1", "train=smoke", "train.iterations=20",
-               "threads=1", "evaluate.lpips=false", "out=run")
-    out, _ = shell(*command)
-    assert "normalised: x → (x - (" in out and ")) × 0.001\n" in out
+    """A line of text, canonical.json, and a run folder that refuses the same scene in other units."""
+    data, lines = tmp_path / "data", []
+    cfg = config(write_photographs(data, ALL["millimetres"]), "dnerf")
+    cfg = replace(cfg, out=str(tmp_path / "run"), evaluate=EvaluateConfig(lpips=False, renders=1, best_on_test=False))
+    run(cfg, "command", lines.append)
+    assert lines[0].startswith("normalised: x → (x - (") and lines[0].endswith(")) × 0.001")
     frame = json.loads((tmp_path / "run" / "canonical.json").read_text())
     assert frame["scale"] == pytest.approx(1e-3) and np.abs(frame["centre"]).max() < 1e-6 and frame["time_scale"] == 1.0
+    lines.clear()
+    run(cfg, "command", lines.append)
+    assert [line.split(": already done")[0] for line in lines[1:]] == ["init", "train", "evaluate"]
     shutil.rmtree(data)
     write_photographs(data, ALL["far"])
-    _, err = shell(*command, status=1)
-    assert err.count("\n") == 1 and "made from other data" in err and "normalised otherwise" in err
+    with pytest.raises(ValueError, match="made from other data than .*, or normalised otherwise") as caught:
+        run(cfg, "command", lines.append)
+    assert "\n" not in str(caught.value)
 
 
 def test_the_frame_is_part_of_what_a_run_is_made_from(tmp_path: Path) -> None:
