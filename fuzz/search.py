@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, Phase, settings
 
 from fuzz.target import Changes, Target, write_files
 
-BATCH = 100  # cases after which the clock is looked at
+BATCH = 100  # cases that Hypothesis makes at a time
 SEEDS = 1_000_003  # batches of one seed that are not another's
 
 
@@ -50,6 +50,8 @@ def search(target: Target, folder: Path, seed: int = 0, seconds: float | None = 
     started = time.monotonic()
 
     def one(changes: Changes) -> None:
+        if seconds is not None and not failing and time.monotonic() - started >= seconds:
+            return  # the rest of the batch
         begin(changes)
         try:
             write_files(folder, {**example, **changes})
