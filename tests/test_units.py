@@ -13,12 +13,13 @@ import pytest
 from PIL import Image
 
 from datasets.scene import View
-from pipeline.config import Config, DensifyConfig, EvaluateConfig, RateConfig
+from pipeline.config import Config, EvaluateConfig
 from pipeline.evaluate import quick_evaluate
 from pipeline.initialise import initialise
 from pipeline.prepare import prepare
 from pipeline.stages import run, stage_inputs
 from pipeline.train import train
+from pipeline.train_config import DensifyConfig, RateConfig
 from rasterizer import Frame
 from tiny import SIZE, TinyRun, tiny_config, tiny_scene
 from tiny_film import tiny_film
