@@ -134,7 +134,8 @@ def test_one_frame_a_camera_is_a_static_scene(folder: Path) -> None:
     assert scene.is_static and scene.frame_rate == 30
 
 
-@pytest.mark.parametrize(("clock", "shown"), [(lambda s: 1e3 * s, 30), (lambda s: 30 * s, 30), (lambda s: 0.8 * s, 37.5)])
+@pytest.mark.parametrize(("clock", "shown"), [
+    (lambda s: 1e3 * s, 30), (lambda s: 30 * s, 30), (lambda s: 0.8 * s, 37.5)])
 def test_times_may_be_in_any_unit(folder: Path, clock: Callable[[float], float], shown: float) -> None:
     """A film is shown at its rate where that can be one in seconds, else at 30 a second."""
     for split in ("train", "test"):
@@ -207,7 +208,8 @@ BAD_INPUT: dict[str, tuple[Callable[[Path], object], str]] = {
     "no time": (lambda f: edit(f, lambda c: c["frames"][1].pop("time")), rf"{WHERE}: expected the key time"),
     "time NaN": (frame(time=float("nan")), rf"{WHERE}: time: expected a number within ±1e\+19, found nan"),
     "time out of step": (frame(time=0.058), rf"{WHERE}: time: expected 0\.0333\d*, at equal steps .* found 0\.058$"),
-    "times all alike": (every(2, lambda e: e.update(time=0.5)), "time: expected a time after that of frame 0, 0.5, found"),
+    "times all alike": (every(2, lambda e: e.update(time=0.5)),
+                        "time: expected a time after that of frame 0, 0.5, found"),
     "other rate": (every(2, lambda e: e.update(time=2 * e["time"])),
                    r"cam02_0000\.png: expected 30 frames a second .* found 15: unsynchronised; scene\.drop_cameras"),
     "later start": (every(2, lambda e: e.update(time=e["time"] + 0.1)),
