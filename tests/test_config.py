@@ -147,7 +147,7 @@ def test_the_command_line_wins_over_every_file() -> None:
     ("+train.iteratons=5", "train.iteratons: no such key; did you mean train.iterations?"),
     ("train.rate.mea=5", "train.rate.mea: no such key; did you mean train.rate.mean?"),
     ("trian=fast", "trian: no such key; did you mean train?"),
-    ("train=fats", "train=fats: no such option; there are fast, "),
+    ("train=fats", "train=fats: no such option; there are best, fast, "),
     ("scene=dnerf/legs", "scene=dnerf/legs: no such option; there are dnerf, "),
     ("train.iterations=many", "train.iterations: Value 'many' of type 'str' could not be converted to Integer"),
     ("train.iterations=null", "train.iterations: field 'train.iterations' is not Optional"),

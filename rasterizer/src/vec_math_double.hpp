@@ -34,7 +34,8 @@ SPLAT_INLINE Float exp2_poly(const Float& x) {
     return r;
 }
 
-// 2/ln 2 / (2k + 1), the series of 2/ln 2 · atanh(z) / z in z²: below 1e-17 from the 12th on where z² <= 0.0295.
+// 2/ln 2 / (2k + 1), the series of 2/ln 2 · atanh(z) / z in z²: below 1e-17 from the 12th on where z² <=
+// 0.0295.
 inline constexpr struct Log2Series {
     double c[12];
     constexpr Log2Series() : c{} {
@@ -44,7 +45,8 @@ inline constexpr struct Log2Series {
 
 // log2 of a positive normal x: log2(m) = 2/ln 2 · atanh((m-1)/(m+1)), m in [√½, √2).
 SPLAT_INLINE Float log2(const Float& x) {
-    constexpr int64_t kSqrtHalf = 0x3fe6a09e667f3bcd, kMagic = 0x4338000000000000;  // √½ and kRoundMagic as bits
+    constexpr int64_t kSqrtHalf = 0x3fe6a09e667f3bcd,
+                      kMagic = 0x4338000000000000;  // √½ and kRoundMagic as bits
     Float r;
     for (int i = 0; i < kParts; ++i) {
         const NativeInt b = (NativeInt)x.part[i];
