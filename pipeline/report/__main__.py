@@ -18,6 +18,7 @@ from .plots import DARK, plot
 from .run_tables import run_tables
 from .strips import make_strips
 from .structure import Structure, structure_from_motion
+from .study import STUDY
 from .summary import summarise, summary_markdown
 from .tables import paper_tables
 from .variants import name_variants
@@ -93,7 +94,7 @@ def write_report(runs_dir: Path, out: Path, no_pictures: tuple[str, ...] = (), l
     (out / "report.html").write_text(page, encoding="utf-8")
 
     print(summary_markdown(summary))
-    shown = [table for table in others if table.slug.startswith("scenes_") or table.slug == "batches"]
+    shown = [table for table in others if table.slug.startswith(("scenes_", STUDY)) or table.slug == "batches"]
     for table in (verdicts, *of_paper, *shown, *of_points):
         print(markdown(table))
     print(f"Page: {out / 'report.html'}   tables: {out / 'tables'}   plots: {out / 'plots'}")

@@ -11,6 +11,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from .strips import DIFFERENCE_GAIN, Strip
 from .structure import Structure
+from .study import STUDY
 from .summary import Summary
 from .table import Table
 
@@ -52,7 +53,8 @@ def render_page(
         paper_tables=paper_tables,
         verdicts=own["ablation_verdicts"],
         scene_tables=[t for t in our_tables if t.slug.startswith("scenes_")],
-        comparisons=[own[slug] for slug in COMPARISONS if slug in own],
+        comparisons=[own[slug] for slug in COMPARISONS if slug in own]
+        + [table for slug, table in own.items() if slug.startswith(STUDY)],
         structure=structure,
         raw_tables=[own["all_runs"], own["provenance"]],
         plots=plots,

@@ -11,6 +11,7 @@ from .collect import PROTOCOLS, Collection
 from .equal_time import equal_time
 from .our_rows import PROTOCOL_NOTE, gap_notes
 from .scene_tables import scene_tables
+from .study import studies
 from .table import Cell, Column, Row, Table, measured, number, text
 from .time_to_psnr import time_to_psnr
 
@@ -20,7 +21,7 @@ def run_tables(collection: Collection, levels: tuple[float, ...] = ()) -> list[T
     runs = collection.runs
     compared = equal_time(collection), time_to_psnr(collection, levels), batches(collection)
     there = [table for table in compared if table is not None]
-    return [verdicts(runs), *scene_tables(runs), *there, all_runs(runs), provenance(runs)]
+    return [verdicts(runs), *scene_tables(runs), *there, *studies(collection), all_runs(runs), provenance(runs)]
 
 
 def verdicts(runs: pd.DataFrame) -> Table:

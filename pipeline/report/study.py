@@ -16,6 +16,7 @@ from .aggregate import compare, estimate
 from .collect import Collection
 from .table import NO_RUN, Cell, Column, Row, Table, text
 
+STUDY = "study_"  # how the slugs of its tables begin
 MIN_VARIANTS = 2  # one alone is what other tables compare
 _RATIOS = {"train_seconds": "Train s ×", "n_gaussians": "N ×", "final.fps_render": "FPS ×"}
 NOTE = (
@@ -46,7 +47,7 @@ def _table(schedule: str, ablation: str, names: list[str], rows: list[Row]) -> T
                Column("mean", "mean, dB"), *(Column(key, header) for key, header in _RATIOS.items()))
     of = schedule if ablation == "full" else f"{schedule}, {ablation}"
     best_first = sorted(rows, key=lambda row: -row.cells["mean"].value)
-    return Table(f"study_{of.replace(', ', '_')}", f"What changes of {of} are worth", columns, tuple(best_first),
+    return Table(f"{STUDY}{of.replace(', ', '_')}", f"What changes of {of} are worth", columns, tuple(best_first),
                  notes=(NOTE,))
 
 
