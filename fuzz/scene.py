@@ -13,10 +13,11 @@ def require_scene(scene: Scene) -> None:
     require(bool(scene.train) and bool(scene.test), "a split is empty")
     views = scene.train + scene.test
     require(len({view.name for view in views}) == len(views), "a view's name comes twice")
-    numbers = [scene.duration, scene.time_start, scene.extent, scene.unit, *scene.init_box, *scene.background]
+    low, high = scene.init_box
+    numbers = [scene.duration, scene.time_start, scene.extent, scene.unit, *np.ravel(low), *np.ravel(high), *scene.background]
     require(bool(np.isfinite(np.float32(numbers)).all()), f"a number that float32 does not hold: {numbers}")
     require(scene.duration > 0 and scene.extent > 0 and scene.unit > 0, f"a size of zero or less: {numbers}")
-    require(scene.init_box[0] < scene.init_box[1], f"init_box {scene.init_box}")
+    require(bool(np.less(low, high).all()), f"init_box {scene.init_box}")
     first = views[0].camera
     for view in views:
         camera, image = view.camera, np.asarray(view.image)
