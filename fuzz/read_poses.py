@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import math
 from pathlib import Path
 
 import numpy as np
@@ -44,7 +43,8 @@ def check(folder: Path) -> str:
         require(list(found.cameras) == list(NAMES), f"cameras {list(found.cameras)}")
         require(all((camera.width, camera.height) == SIZE for camera in found.cameras.values()), "another size")
         low, high = found.init_box
-        require(-math.inf < low < high < math.inf and 0 < found.unit < math.inf, f"box {low}, {high}, {found.unit}")
+        require(bool(np.isfinite([low, high]).all() and np.less(low, high).all()) and 0 < found.unit < math.inf,
+                f"box {low}, {high}, {found.unit}")
     return outcome[0]
 
 
