@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from pipeline.report.collect import Collection
-from pipeline.report.export import markdown
+from pipeline.report.export import comma_separated, markdown
 from pipeline.report.study import studies
 
 
@@ -47,3 +47,10 @@ def test_one_variant_alone_is_no_study() -> None:
 def test_variants_without_the_schedule_as_it_is_are_no_study() -> None:
     assert studies(collection(rows("fast (batch=4)", "synthetic/wheel", [20.0]),
                               rows("fast (batch=2)", "synthetic/wheel", [20.0]))) == []
+
+
+def test_one_seed_has_no_error() -> None:
+    table, = studies(collection(rows("fast", "synthetic/wheel", [20.0]), rows("fast (batch=2)", "synthetic/wheel", [21.0]),
+                                rows("fast (batch=4)", "synthetic/wheel", [21.5])))
+    assert table.rows[0].cells["mean"].text == "+1.50" and table.rows[0].cells["mean"].std is None
+    assert "nan" not in comma_separated(table).lower()

@@ -82,5 +82,6 @@ def _of_common_seeds(ours: pd.DataFrame, theirs: pd.DataFrame) -> tuple[pd.DataF
 
 
 def _signed(difference: float, standard_error: float) -> Cell:
-    error = "" if math.isnan(standard_error) else f" ± {standard_error:.2f}"
-    return Cell(f"{difference:+.2f}{error}", difference, standard_error)
+    if math.isnan(standard_error):  # one seed
+        return Cell(f"{difference:+.2f}", difference)
+    return Cell(f"{difference:+.2f} ± {standard_error:.2f}", difference, standard_error)
