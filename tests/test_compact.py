@@ -24,6 +24,7 @@ def trained(tmp_path):
 def test_importance_is_the_sum_of_blending_weights():
     scene, cfg = tiny_scene(views=2), tiny_config()
     model = initialise(scene, cfg, np.random.default_rng(0))
+    model.parameters["sh"][::2, 0] = -2.0  # black: they show nothing and hide what is behind them
     # The twin blends features linearly: one indicator a Gaussian as its feature gives the image of its weights.
     truth = torch.zeros(len(model), dtype=torch.float64)
     doubles = type(model.gaussians())(**{name: tensor.double() for name, tensor in model.gaussians().tensors().items()})

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
@@ -16,16 +18,18 @@ def importance(model: Model, scene: Scene, cfg: Config, threads: int) -> Tensor:
     """(N,) Σ over training views and pixels of the Gaussian's blending weight w = α' T (SPEC 1).
 
     The derivative of a sum of pixels by a Gaussian's colour is the sum of its weights, so that one backward pass a
-    view gives them all. A colour channel that is clamped at zero has no derivative: the largest of the three counts.
+    view gives them all. All are shown in grey: a black one's colour is clamped at zero and would have no derivative,
+    though it hides what is behind it.
     """
     frame, total = Frame(threads=threads), torch.zeros(len(model))
-    gradients = Gradients.zeros_like(model.gaussians())
+    grey = replace(model.gaussians(), sh=torch.zeros(len(model), 1, 3))
+    gradients = Gradients.zeros_like(grey)
     for view in scene.train:
         camera = camera_at(view.camera, cfg.train.resolution_scale)
-        frame.render(model.gaussians(), Request(camera, view.time, scene.duration, near=cfg.scene.near * scene.unit))
+        frame.render(grey, Request(camera, view.time, scene.duration, near=cfg.scene.near * scene.unit))
         gradients.views.clear()
         seen = frame.backward(gradients, d_color=torch.ones(3, camera.height, camera.width))
-        total.index_add_(0, seen.visible.long(), gradients.views[0].gradient[:, :3].amax(dim=1))
+        total.index_add_(0, seen.visible.long(), gradients.views[0].gradient[:, 0])
     return total
 
 
