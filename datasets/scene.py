@@ -77,6 +77,11 @@ class Scene:
         return self.time_start + self.duration
 
     @property
+    def frame_spacing(self) -> float:
+        """The mean time between training moments; the whole duration where there is one moment."""
+        return self.duration / max(1, len({view.time for view in self.train}) - 1)
+
+    @property
     def is_static(self) -> bool:
         """True when every view has the same time: such a scene has no use for a time axis."""
         return len({view.time for view in self.train + self.test}) <= 1

@@ -41,7 +41,7 @@ def perturb(model: Model, target: Target, scene: Scene, cfg: TrainConfig, genera
         out = torch.from_numpy(generator.random(len(model), dtype=np.float32) < cfg.dropout)
         gaussians = replace(gaussians, opacity_logit=gaussians.opacity_logit.masked_fill(out, OUT_OF_SIGHT))
     if cfg.time_jitter > 0:
-        shift = cfg.time_jitter * frame_spacing(scene) * generator.uniform(-1.0, 1.0)
+        shift = cfg.time_jitter * scene.frame_spacing * generator.uniform(-1.0, 1.0)
         target = replace(target, time=target.time + shift)
     if cfg.random_background and target.alpha is not None:
         background = tuple(generator.random(3).tolist())
@@ -49,9 +49,3 @@ def perturb(model: Model, target: Target, scene: Scene, cfg: TrainConfig, genera
         target = replace(target, image=target.image + (1 - target.alpha) * change[:, None, None])
     one_color = cfg.color_dropout > 0 and generator.random() < cfg.color_dropout
     return Perturbed(gaussians, target, background, one_color)
-
-
-def frame_spacing(scene: Scene) -> float:
-    """The mean time between training moments, in the scene's unit; the whole duration where there is one moment."""
-    moments = len({view.time for view in scene.train})
-    return scene.duration / max(1, moments - 1)

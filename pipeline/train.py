@@ -31,7 +31,6 @@ from pipeline.losses import psnr
 from pipeline.low_pass import carry_back
 from pipeline.model import Model
 from pipeline.optimiser import Adam
-from pipeline.perturb import frame_spacing
 from pipeline.priors import DECAY_EVERY, add_prior_gradients, decay_colors
 from pipeline.relocate import NOISE_EVERY, add_noise, relocate
 from pipeline.sampling import BatchSampler
@@ -102,7 +101,7 @@ def train(model: Model, scene: Scene, cfg: Config, run: RunFolder, evaluate: Eva
     views, kernels = TrainingViews(scene.train), Kernels(cfg.train.ssim_weight, threads)
     gradients = Gradients.zeros_like(model.gaussians())
     time_split = cfg.ablation.time_split and cfg.train.densify.time_split
-    spacing = frame_spacing(scene)
+    spacing = scene.frame_spacing
 
     with TrainingDisplay(state.iteration, cfg.train.iterations, cfg.train.time_budget_s) as display:
         last = _done(state.iteration, watch.seconds, cfg)
@@ -216,7 +215,7 @@ def _start(model: Model, scene: Scene, cfg: Config, run: RunFolder) -> tuple[Tra
     if cfg.background_model == "envmap":  # before training there is nothing to store of it: init.ply has none
         model.environment = EnvironmentMap.grey(cfg.train.environment_height)
     if model.kind.dims == 4:
-        model.low_pass = cfg.train.low_pass * frame_spacing(scene)
+        model.low_pass = cfg.train.low_pass * scene.frame_spacing
     if saved is not None:
         expected, found = (f"seed {seed}, {of.kind} and background {of.background}"
                            for seed, of in ((cfg.seed, model), (saved.seed, saved.model)))

@@ -11,7 +11,7 @@ from tiny import tiny_config, tiny_scene
 
 from datasets.dnerf import compose, coverage
 from pipeline.initialise import initialise
-from pipeline.perturb import frame_spacing, perturb
+from pipeline.perturb import perturb
 from pipeline.views import target_of
 from rasterizer import rasterize
 
@@ -35,7 +35,7 @@ def test_dropped_gaussians_are_as_if_they_were_not_there():
 
 def test_time_moves_by_at_most_the_jitter():
     scene, cfg = tiny_scene(views=8), tiny_config(time_jitter=0.5)
-    assert frame_spacing(scene) == pytest.approx(1 / 7)
+    assert scene.frame_spacing == pytest.approx(1 / 7)
     shifts = [draw(scene, cfg, seed)[1].target.time - scene.train[2].time for seed in range(200)]
     assert max(map(abs, shifts)) <= 0.5 / 7
     assert max(shifts) > 0.4 / 7 and min(shifts) < -0.4 / 7  # uniform: 200 draws miss a tenth with chance 1e-5

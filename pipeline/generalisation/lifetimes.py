@@ -6,7 +6,6 @@ import numpy as np
 
 from datasets.scene import Scene
 from pipeline.model import Model
-from pipeline.perturb import frame_spacing
 from rasterizer.reference import scaled_axes
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
@@ -20,4 +19,4 @@ def lifetimes(model: Model, scene: Scene) -> list[float] | None:
     if model.kind.dims == 3:
         return None
     sigma = scaled_axes(model.gaussians())[:, 3].norm(dim=1).numpy()
-    return (np.quantile(sigma, QUANTILES) / frame_spacing(scene)).tolist()
+    return (np.quantile(sigma, QUANTILES) / scene.frame_spacing).tolist()

@@ -164,6 +164,7 @@ def read_metrics(path: Path) -> dict[str, Any]:
         row[key] = _note(data["final"].get(key))
     return row
 
+
 def read_curve(path: Path) -> pd.DataFrame:
     """error_vs_time.csv, one row an evaluation; a last line without an end, cut by a kill, is dropped."""
     if not path.is_file():
