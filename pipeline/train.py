@@ -27,6 +27,7 @@ from pipeline.batch import Batch, Kernels
 from pipeline.config import Config
 from pipeline.display import TrainingDisplay
 from pipeline.environment import EnvironmentMap
+from pipeline.evidence import evidence, prune_due, prune_unproven, views_to_ask
 from pipeline.losses import psnr
 from pipeline.low_pass import carry_back
 from pipeline.model import Model
@@ -101,7 +102,7 @@ def train(model: Model, scene: Scene, cfg: Config, run: RunFolder, evaluate: Eva
     views, kernels = TrainingViews(scene.train), Kernels(cfg.train.ssim_weight, threads)
     gradients = Gradients.zeros_like(model.gaussians())
     time_split = cfg.ablation.time_split and cfg.train.densify.time_split
-    spacing = scene.frame_spacing
+    spacing, asked = scene.frame_spacing, views_to_ask(scene)
 
     with TrainingDisplay(state.iteration, cfg.train.iterations, cfg.train.time_budget_s) as display:
         last = _done(state.iteration, watch.seconds, cfg)
@@ -149,6 +150,11 @@ def train(model: Model, scene: Scene, cfg: Config, run: RunFolder, evaluate: Eva
                 gradients = Gradients.zeros_like(model.gaussians())
                 run.log({"event": "densify", "iteration": iteration, "cloned": done.cloned, "split": done.split,
                          "pruned": done.pruned, "n_gaussians": done.total})
+            if prune_due(iteration, cfg.train.densify):
+                found = evidence(model, asked, scene, cfg, phase.resolution, threads)
+                pruned = prune_unproven(state.optimiser, found, cfg.train.densify)
+                state.statistics, gradients = densify.Statistics(len(model)), Gradients.zeros_like(model.gaussians())
+                run.log({"event": "prune", "iteration": iteration, "pruned": pruned, "n_gaussians": len(model)})
             if relocates and now < cfg.train.densify.stop and iteration % NOISE_EVERY == 0:
                 add_noise(model, phase.rates["mean"][0], cfg.train.densify.noise, state.split_generator)
             if densify.opacity_reset_due(iteration, now, cfg.train.densify):

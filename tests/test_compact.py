@@ -1,41 +1,20 @@
-"""What is left out of a model, and how it is stored: against a naive sum of weights, and against the model itself."""
+"""What is left out of a model, and how it is stored: against the model itself."""
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 import torch
 from tiny import tiny_config, tiny_scene, train_tiny
 
 from pipeline.compact.__main__ import measure, smallest
-from pipeline.compact.importance import importance, keep_most_important
+from pipeline.compact.importance import keep_most_important
 from pipeline.compact.storage import load_compact, save_compact
-from pipeline.initialise import initialise
-from rasterizer.arguments import Request
-from rasterizer.reference import make_splats
-from rasterizer.reference_blend import blend
+from pipeline.evidence import evidence
 
 
 @pytest.fixture
 def trained(tmp_path):
     return train_tiny(tmp_path / "run", tiny_config(40)).model
-
-
-def test_importance_is_the_sum_of_blending_weights():
-    scene, cfg = tiny_scene(views=2), tiny_config()
-    model = initialise(scene, cfg, np.random.default_rng(0))
-    model.parameters["sh"][::2, 0] = -2.0  # black: they show nothing and hide what is behind them
-    # The twin blends features linearly: one indicator a Gaussian as its feature gives the image of its weights.
-    truth = torch.zeros(len(model), dtype=torch.float64)
-    doubles = type(model.gaussians())(**{name: tensor.double() for name, tensor in model.gaussians().tensors().items()})
-    for view in scene.train:
-        splats = make_splats(doubles, Request(view.camera, view.time, scene.duration, near=cfg.scene.near))
-        count = len(splats.index)
-        indicators = type(splats)(**{**vars(splats), "features": torch.eye(count, dtype=torch.float64)})
-        truth[splats.index] += blend(indicators, view.camera)[0].sum(dim=(1, 2))
-    found = importance(model, scene, cfg, threads=1)
-    # float32 sums over 1,024 pixels: 1e-3 of the largest covers them and a pair or two that just misses 1/255.
-    assert (found - truth).abs().max() < 1e-3 * truth.max()
 
 
 def test_the_most_important_stay_in_their_order(trained):
@@ -78,7 +57,7 @@ def test_another_file_is_refused(tmp_path, content):
 
 def test_the_whole_model_comes_first_and_the_smallest_is_within_the_loss(trained):
     scene, cfg = tiny_scene(), tiny_config()
-    worth = importance(trained, scene, cfg, threads=1)
+    worth = evidence(trained, scene.train, scene, cfg, 1.0, threads=1).weight
     points = measure(trained, worth, scene, cfg, fractions=(1.0, 0.5))
     assert [(p.fraction, p.half) for p in points] == [(1.0, False), (0.5, False), (1.0, True), (0.5, True)]
     assert smallest(points, loss=100.0) is points[3]

@@ -19,6 +19,7 @@ from torch import Tensor
 from datasets.scene import Scene
 from pipeline.config import Config
 from pipeline.evaluate import Renderer, frames_per_second
+from pipeline.evidence import evidence
 from pipeline.machine import environment
 from pipeline.metrics import psnr
 from pipeline.model import Model
@@ -28,7 +29,7 @@ from pipeline.views import target_of
 from rasterizer import Frame
 
 from .draw import draw
-from .importance import importance, keep_most_important
+from .importance import keep_most_important
 from .storage import load_compact, save_compact
 
 FRACTIONS = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2)
@@ -106,7 +107,7 @@ def main(arguments: list[str] | None = None) -> int:
         print(error, file=sys.stderr)
         return 1
     cfg, model = run.cfg, run.model
-    worth = importance(model, run.scene, cfg, thread_count(cfg.threads))
+    worth = evidence(model, run.scene.train, run.scene, cfg, cfg.train.resolution_scale, thread_count(cfg.threads)).weight
     points = measure(model, worth, run.scene, cfg)
     chosen = smallest(points, options.loss)
     typed = sys.argv[1:] if arguments is None else arguments
