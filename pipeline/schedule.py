@@ -48,7 +48,7 @@ def rates(now: float, fraction: float, cfg: RateConfig, extent: float) -> dict[s
     The mean's columns are x, y, z (log-linear decay over `decay_iterations`) and t (constant, as the release).
     The unit of t's rate is the extent's too: the paper does not scale time.
     """
-    decay = cfg.final_factor**fraction
+    decay = cfg.final_factor ** max(0.0, (fraction - cfg.hold) / (1 - cfg.hold))
     xyz = log_linear(cfg.mean, cfg.mean_final, now / cfg.decay_iterations) * extent * decay
     t = cfg.mean_time * extent * decay
     rotation = cfg.rotation * decay

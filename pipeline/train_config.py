@@ -26,12 +26,14 @@ class RateConfig:
     scale_time: Optional[float] = None  # of the fourth scale; None: as the others
     rotation: float = 1e-3
     environment: float = 2.5e-3  # of the learned environment map's pixels
-    final_factor: float = 1.0  # every rate × this at the end, log-linear (fast: 0.1)
+    final_factor: float = 1.0  # every rate × this at the end, log-linear
+    hold: float = 0.0  # part of the schedule before that decay begins
 
     def __post_init__(self) -> None:
         for f in fields(self):
             value = getattr(self, f.name)
             require(value is None or value >= 0, f"train.rate.{f.name}", ">= 0", value)
+        require(self.hold < 1, "train.rate.hold", "in [0, 1)", self.hold)
 
 
 @dataclass

@@ -11,7 +11,7 @@ from tiny import tiny_config, tiny_scene
 
 from pipeline.generalisation.draw import mosaic
 from pipeline.generalisation.history import read_history
-from pipeline.generalisation.lifetimes import QUANTILES, lifetimes
+from pipeline.generalisation.lifetimes import BIN_EDGES, QUANTILES, lifetimes
 from pipeline.initialise import initialise
 
 
@@ -21,7 +21,20 @@ def test_lifetimes_of_unrotated_gaussians_are_their_fourth_scale_in_frames():
     frames = torch.linspace(1, 30, len(model))
     model.parameters["log_scale"][:, 3] = torch.log(frames / 7)  # eight moments, seven spacings
     # float32 logarithm and exponential: a few roundings
-    assert lifetimes(model, scene) == pytest.approx(np.quantile(frames.numpy(), QUANTILES).tolist(), rel=1e-5)
+    found = lifetimes(model, scene)
+    assert found["quantiles"] == pytest.approx(np.quantile(frames.numpy(), QUANTILES).tolist(), rel=1e-5)
+    edges = BIN_EDGES * (1 + 1e-6)  # those on an edge may be rounded to either side; of 200 only 1, 2, 4, 8, 16 are
+    assert np.abs(np.array(found["counts"]) - np.histogram(frames.numpy(), edges)[0]).sum() <= 10
+    assert sum(found["counts"]) == len(model)
+
+
+def test_lifetimes_beyond_the_histogram_are_counted_at_its_ends():
+    scene = tiny_scene(views=8)
+    model = initialise(scene, tiny_config(), np.random.default_rng(0))
+    model.parameters["log_scale"][:, 3] = -30.0
+    model.parameters["log_scale"][:50, 3] = 30.0
+    counts = lifetimes(model, scene)["counts"]
+    assert (counts[0], counts[-1], sum(counts)) == (len(model) - 50, 50, len(model))
 
 
 def test_a_static_model_has_none():
@@ -36,13 +49,14 @@ def write_run(folder, rows):
 
 
 def test_the_log_is_read_back_and_a_repeated_evaluation_counts_once(tmp_path):
-    rows = [{"event": "evaluate", "iteration": i, "psnr": 20 + k, "train_psnr": 25 + k, "lifetimes": [1, 2, 3, 4, 5]}
+    rows = [{"event": "evaluate", "iteration": i, "psnr": 20 + k, "train_psnr": 25 + k, 
+             "lifetimes": {"quantiles": [1, 2, 3, 4, 5], "counts": [0] * 64}}
             for k, i in enumerate((500, 1000, 1000, 1500))]
     write_run(tmp_path / "run", [{"event": "start"}, *rows])
     found = read_history(tmp_path / "run")
     assert found.iteration.tolist() == [500, 1000, 1500]
     assert found.psnr.tolist() == [20, 22, 23]
-    assert found.lifetimes.shape == (3, 5)
+    assert found.lifetimes.shape == (3, 5) and found.lifetime_counts.shape == (3, 64)
 
 
 @pytest.mark.parametrize("rows, found", [([], "found none"), ([{"event": "evaluate", "iteration": 1, "psnr": 1}],

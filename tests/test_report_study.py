@@ -13,7 +13,8 @@ from pipeline.report.study import studies
 
 
 def rows(train: str, scene: str, psnrs: list[float], seconds: float = 10.0) -> list[dict]:
-    return [{"scene": scene, "ablation": "full", "train": train, "seed": seed, "final.psnr": psnr,
+    return [{"scene": scene, "ablation": "full", "train": train, "seed": seed,
+             "final.psnr": psnr, "final.ssim": psnr / 100, "model_mb": 1.0,
              "train_seconds": seconds, "n_gaussians": 100.0, "final.fps_render": 50.0}
             for seed, psnr in enumerate(psnrs)]
 
@@ -34,6 +35,7 @@ def test_a_change_is_compared_scene_by_scene_over_common_seeds() -> None:
     # Seeds 0 and 1: 23 against 21 ± √2, whose standard error is √2/√2.
     assert (wheel.value, wheel.std) == (pytest.approx(2.0), pytest.approx(1.0))
     assert (mean.value, mean.std) == (pytest.approx(1.5), pytest.approx(0.5))
+    assert (first.cells["ssim"].value, first.cells["ssim"].std) == (pytest.approx(0.015), pytest.approx(0.005))
     assert first.cells["train_seconds"].value == pytest.approx(math.sqrt(2.0 * 0.5))  # geometric
     assert second.cells["mean"].value == 0.0 and second.cells["synthetic/lamp"].text == ""
     assert "+2.00 ± 1.00" in markdown(table)

@@ -32,6 +32,12 @@ def test_final_factor_reaches_every_rate_at_the_end() -> None:
             assert b == pytest.approx(0.1 * a, rel=1e-12), name
 
 
+@pytest.mark.parametrize("fraction, factor", [(0.0, 1.0), (0.6, 1.0), (0.8, 0.1), (1.0, 0.01)])
+def test_rates_are_held_before_they_decay(fraction: float, factor: float) -> None:
+    held = rates(100, fraction, RateConfig(final_factor=0.01, hold=0.6), EXTENT)
+    assert held["opacity_logit"] == pytest.approx(factor * RateConfig().opacity, rel=1e-12)
+
+
 @pytest.mark.parametrize("now, degree, order", [
     (1, 0, 0), (999, 0, 0), (1000, 1, 0), (2000, 2, 0), (3000, 3, 0), (3999, 3, 0), (4000, 3, 1), (5000, 3, 2),
     (29_999, 3, 2)])

@@ -1,8 +1,8 @@
 """What overfits, seen: python -m pipeline.generalisation RUN [RUN …]
 
-For runs of one scene: PSNR of training and of held-out views, and the Gaussians' lifetimes, as training goes on
-(generalisation.svg), and the middle test view's moment from the training view nearest in time and from the test view
-itself, truth beside each run's render (moment.webp).
+For runs of one scene: PSNR of training and of held-out views and the Gaussians' lifetimes as training goes on, and by
+how many training views they are seen (generalisation.svg); the middle test view's moment from the training view nearest
+in time and from the test view itself, truth beside each run's render (moment.webp).
 """
 
 from __future__ import annotations
@@ -14,19 +14,22 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.evaluate import Renderer
-from pipeline.trained_run import open_run
+from pipeline.evidence import evidence
+from pipeline.train import thread_count
+from pipeline.trained_run import TrainedRun, open_run
 from pipeline.views import target_of
 from rasterizer import Frame
 
 from .draw import draw, mosaic
 from .history import read_history
 
+ONE_VIEW = 1.5  # seen by fewer, effectively, is seen by one
 
-def moment(folders: list[Path]) -> list[list[np.ndarray]]:
+
+def moment(runs: list[TrainedRun]) -> list[list[np.ndarray]]:
     """Two rows, the seen and the unseen view: the truth, then each run's render."""
     rows: list[list[np.ndarray]] = [[], []]
-    for folder in folders:
-        run = open_run(folder, print)
+    for run in runs:
         unseen = run.scene.test[len(run.scene.test) // 2]
         seen = min(run.scene.train, key=lambda view: abs(view.time - unseen.time))
         renderer = Renderer(run.model, run.scene, run.cfg, Frame())
@@ -36,6 +39,12 @@ def moment(folders: list[Path]) -> list[list[np.ndarray]]:
                 row.append(target.image.numpy().transpose(1, 2, 0))
             row.append(renderer.image(target.camera, view.time))
     return rows
+
+
+def seen_by(run: TrainedRun) -> np.ndarray:
+    """(N,) the effective number of training views that have seen each Gaussian."""
+    scale, threads = run.cfg.train.resolution_scale, thread_count(run.cfg.threads)
+    return evidence(run.model, run.scene.train, run.scene, run.cfg, scale, threads).views.numpy()
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -48,17 +57,20 @@ def main(arguments: list[str] | None = None) -> int:
         for folder, history in zip(options.runs, histories):
             if history.scene != histories[0].scene:
                 raise ValueError(f"{folder}: expected a run of {histories[0].scene}, found one of {history.scene}")
-        pictures = moment(options.runs)
+        runs = [open_run(folder, print) for folder in options.runs]
     except ValueError as error:
         print(error, file=sys.stderr)
         return 1
+    views = [seen_by(run) for run in runs]
     options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / "generalisation.svg").write_text(draw(histories), encoding="utf-8")
-    mosaic(pictures).save(options.out / "moment.webp", quality=90)
-    print(f"{'run':30} {'train dB':>9} {'held out':>9} {'median lifetime, frames':>24}")
-    for h in histories:
+    (options.out / "generalisation.svg").write_text(draw(histories, views), encoding="utf-8")
+    mosaic(moment(runs)).save(options.out / "moment.webp", quality=90)
+    print(f"{'run':30} {'train dB':>9} {'held out':>9} {'Gaussians':>10} {'seen by one view':>17} "
+          f"{'median lifetime, frames':>24}")
+    for h, found in zip(histories, views):
         life = "–" if h.lifetimes is None else f"{h.lifetimes[-1, 2]:.1f}"
-        print(f"{h.label:30} {h.train_psnr[-1]:9.2f} {h.psnr[-1]:9.2f} {life:>24}")
+        print(f"{h.label:30} {h.train_psnr[-1]:9.2f} {h.psnr[-1]:9.2f} {len(found):10,} "
+              f"{np.mean(found < ONE_VIEW):17.0%} {life:>24}")
     print(f"written to {options.out}")
     return 0
 

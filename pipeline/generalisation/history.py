@@ -19,6 +19,7 @@ class History:
     train_psnr: np.ndarray  # (E,) dB
     psnr: np.ndarray  # (E,) dB, held-out views
     lifetimes: np.ndarray | None  # (E, 5) lifetimes.QUANTILES, in frames; None: static
+    lifetime_counts: np.ndarray | None  # (E, B) Gaussians in lifetimes.BIN_EDGES
 
 
 def read_history(folder: Path) -> History:
@@ -29,11 +30,13 @@ def read_history(folder: Path) -> History:
     except (OSError, json.JSONDecodeError) as error:
         raise ValueError(f"{folder}: expected a finished run, found {error}") from None
     rows = [row for row in map(json.loads, lines) if row.get("event") == "evaluate"]
-    if not rows or any("train_psnr" not in row for row in rows):
+    if not rows or any("train_psnr" not in row or isinstance(row["lifetimes"], list) for row in rows):
         raise ValueError(f"{folder / 'log.jsonl'}: expected evaluations with train_psnr, found "
                          f"{'none' if not rows else 'a run of an earlier version'}")
     rows = list({row["iteration"]: row for row in rows}.values())  # a resumed run evaluates some of them again
-    lived = None if rows[0]["lifetimes"] is None else np.array([row["lifetimes"] for row in rows])
+    lived = counts = None
+    if rows[0]["lifetimes"] is not None:
+        lived, counts = (np.array([row["lifetimes"][key] for row in rows]) for key in ("quantiles", "counts"))
     column = {name: np.array([row[name] for row in rows]) for name in ("iteration", "train_psnr", "psnr")}
     label = about["train"] if about["ablation"] == "full" else f"{about['train']}, {about['ablation']}"
-    return History(label, about["scene"], **column, lifetimes=lived)
+    return History(label, about["scene"], **column, lifetimes=lived, lifetime_counts=counts)

@@ -18,10 +18,10 @@ from .table import NO_RUN, Cell, Column, Row, Table, text
 
 STUDY = "study_"  # how the slugs of its tables begin
 MIN_VARIANTS = 2  # one alone is what other tables compare
-_RATIOS = {"train_seconds": "Train s ×", "n_gaussians": "N ×", "final.fps_render": "FPS ×"}
+_RATIOS = {"train_seconds": "Train s ×", "n_gaussians": "N ×", "model_mb": "MB ×", "final.fps_render": "FPS ×"}
 NOTE = (
     "",
-    "Change − schedule as it is: final PSNR in dB, ± the standard error of the difference over the seeds; the mean is "
+    "Change − schedule as it is: final PSNR in dB (and SSIM), ± the standard error of the difference over the seeds; the mean is "
     "over the scenes that both have, its standard error from theirs. ×: ratio of the means, geometric mean over scenes.",
 )
 
@@ -44,7 +44,7 @@ def studies(collection: Collection) -> list[Table]:
 
 def _table(schedule: str, ablation: str, names: list[str], rows: list[Row]) -> Table:
     columns = (Column("change", "Change", False), *(Column(scene, scene) for scene in names),
-               Column("mean", "mean, dB"), *(Column(key, header) for key, header in _RATIOS.items()))
+               Column("mean", "mean, dB"), Column("ssim", "mean, SSIM"), *(Column(key, header) for key, header in _RATIOS.items()))
     of = schedule if ablation == "full" else f"{schedule}, {ablation}"
     best_first = sorted(rows, key=lambda row: -row.cells["mean"].value)
     return Table(f"{STUDY}{of.replace(', ', '_')}", f"What changes of {of} are worth", columns, tuple(best_first),
@@ -53,7 +53,8 @@ def _table(schedule: str, ablation: str, names: list[str], rows: list[Row]) -> T
 
 def _row(change: str, runs: pd.DataFrame, usual: pd.DataFrame, names: list[str]) -> Row | None:
     """One change on every scene; None where no scene has both."""
-    cells, differences, ratios = {"change": text(change)}, [], {key: [] for key in _RATIOS}
+    cells, ratios = {"change": text(change)}, {key: [] for key in _RATIOS}
+    differences, structure = [], []
     for scene in names:
         ours, theirs = _of_common_seeds(runs[runs["scene"] == scene], usual[usual["scene"] == scene])
         after, before = estimate(ours["final.psnr"]), estimate(theirs["final.psnr"])
@@ -63,13 +64,13 @@ def _row(change: str, runs: pd.DataFrame, usual: pd.DataFrame, names: list[str])
         found = compare(after, before)
         differences.append((found.difference, found.standard_error))
         cells[scene] = _signed(found.difference, found.standard_error)
+        similar = compare(estimate(ours["final.ssim"]), estimate(theirs["final.ssim"]))
+        structure.append((similar.difference, similar.standard_error))
         for key in _RATIOS:
             ratios[key].append(ours[key].mean() / theirs[key].mean())
     if not differences:
         return None
-    mean = float(np.mean([d for d, _ in differences]))
-    error = math.sqrt(sum(e**2 for _, e in differences)) / len(differences)
-    cells["mean"] = _signed(mean, error)
+    cells["mean"], cells["ssim"] = _signed(*_mean(differences)), _signed(*_mean(structure), digits=4)
     for key, values in ratios.items():
         ratio = float(np.exp(np.mean(np.log(values))))
         cells[key] = Cell(f"{ratio:.2f}", ratio)
@@ -81,7 +82,12 @@ def _of_common_seeds(ours: pd.DataFrame, theirs: pd.DataFrame) -> tuple[pd.DataF
     return ours[ours["seed"].isin(common)], theirs[theirs["seed"].isin(common)]
 
 
-def _signed(difference: float, standard_error: float) -> Cell:
+def _mean(found: list[tuple[float, float]]) -> tuple[float, float]:
+    """Of differences with their standard errors, over the scenes."""
+    return float(np.mean([d for d, _ in found])), math.sqrt(sum(e**2 for _, e in found)) / len(found)
+
+
+def _signed(difference: float, standard_error: float, digits: int = 2) -> Cell:
     if math.isnan(standard_error):  # one seed
-        return Cell(f"{difference:+.2f}", difference)
-    return Cell(f"{difference:+.2f} ± {standard_error:.2f}", difference, standard_error)
+        return Cell(f"{difference:+.{digits}f}", difference)
+    return Cell(f"{difference:+.{digits}f} ± {standard_error:.{digits}f}", difference, standard_error)
