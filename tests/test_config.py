@@ -93,7 +93,7 @@ def test_every_experiment_and_every_run_of_it(experiment: str) -> None:
 @pytest.mark.parametrize("variant", options("variant"))
 def test_every_variant_is_one_change_in_a_folder_of_its_own(variant: str) -> None:
     chosen = ("experiment=training_curves", "scene=synthetic/wheel", "seed=1")
-    base = "alone/as_it_is" if variant.startswith("alone/") else "fast"
+    base = {"alone": "alone/as_it_is", "without": "without/nothing"}.get(variant.partition("/")[0], "fast")
     cfg, usual = run_of(*chosen, f"variant={variant}"), run_of(*chosen, f"variant={base}")
     assert cfg.out == f"results/runs/training_curves/synthetic/wheel/{variant}/seed1"
     if variant.endswith("_start"):  # a schedule's first iterations, and nothing else of it
