@@ -56,3 +56,15 @@ def test_one_seed_has_no_error() -> None:
                                 rows("fast (batch=4)", "synthetic/wheel", [21.5])))
     assert table.rows[0].cells["mean"].text == "+1.50" and table.rows[0].cells["mean"].std is None
     assert "nan" not in comma_separated(table).lower()
+
+
+def test_a_change_of_the_scene_is_none_of_the_schedule() -> None:
+    small = "scene.downscale=4, scene.test_cameras=[5, 6]"
+    table, = studies(collection(
+        rows("fast", "dnerf/lego", [20.0]), rows("fast (batch=2)", "dnerf/lego", [20.5]),
+        rows(f"fast ({small})", "dnerf/lego", [30.0]), rows(f"fast ({small}, batch=2)", "dnerf/lego", [31.0]),
+        rows(f"fast ({small}, batch=4)", "dnerf/lego", [33.0])))
+    of_two = {row.cells["change"].text: row.cells for row in table.rows}
+    assert set(of_two) == {"batch=2", "batch=4"}
+    assert of_two["batch=2"]["dnerf/lego"].value == 0.5
+    assert of_two["batch=2"][f"dnerf/lego ({small})"].value == 1.0 and of_two["batch=2"]["mean"].value == 0.75

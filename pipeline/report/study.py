@@ -1,7 +1,8 @@
 """What each change of a schedule is worth: its variants against the schedule as it is, scene by scene.
 
-A variant is what variants.py calls `fast (dropout=0.1)`: the schedule's name, and in brackets what was changed. Only
-scenes and seeds that both have are compared.
+A variant is what variants.py calls `fast (dropout=0.1)`: the schedule's name, and in brackets what was changed. What is
+in brackets of the scene and its start is no change of the schedule: `fast (scene.downscale=4, dropout=0.1)` is compared
+with `fast (scene.downscale=4)`. Only scenes and seeds that both have are compared.
 """
 
 from __future__ import annotations
@@ -15,9 +16,11 @@ from . import scenes
 from .aggregate import compare, estimate
 from .collect import Collection
 from .table import NO_RUN, Cell, Column, Row, Table, text
+from .variants import parts_of, with_parts
 
 STUDY = "study_"  # how the slugs of its tables begin
 MIN_VARIANTS = 2  # one alone is what other tables compare
+_OF_THE_SCENE = ("scene.", "init.", "background=")
 _RATIOS = {"train_seconds": "Train s ×", "n_gaussians": "N ×", "model_mb": "MB ×", "final.fps_render": "FPS ×"}
 NOTE = (
     "",
@@ -28,10 +31,7 @@ NOTE = (
 
 def studies(collection: Collection) -> list[Table]:
     """A table for each schedule and ablation of which at least MIN_VARIANTS variants were run."""
-    runs = collection.runs
-    parts = runs["train"].str.partition(" (")
-    runs = runs.assign(schedule=parts[0], change=parts[2].str.removesuffix(")"))
-    tables = []
+    runs, tables = _told_apart(collection.runs), []
     for (schedule, ablation), group in runs.groupby(["schedule", "ablation"], sort=True):
         usual, changed = group[group["change"] == ""], group[group["change"] != ""]
         names = [scene for scene in scenes.in_order(changed["scene"]) if (usual["scene"] == scene).any()]
@@ -40,6 +40,16 @@ def studies(collection: Collection) -> list[Table]:
         if len(rows) >= MIN_VARIANTS:
             tables.append(_table(schedule, ablation, names, rows))
     return tables
+
+
+def _told_apart(runs: pd.DataFrame) -> pd.DataFrame:
+    """The runs with their `schedule` and `change`, and what was changed of a scene in the scene's name."""
+    rows = []
+    for scene, name in zip(runs["scene"], runs["train"]):
+        schedule, parts = parts_of(name)
+        of_scene = [part for part in parts if part.startswith(_OF_THE_SCENE)]
+        rows.append((with_parts(scene, of_scene), schedule, ", ".join(p for p in parts if p not in of_scene)))
+    return runs.assign(**{key: [row[i] for row in rows] for i, key in enumerate(("scene", "schedule", "change"))})
 
 
 def _table(schedule: str, ablation: str, names: list[str], rows: list[Row]) -> Table:
