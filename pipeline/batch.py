@@ -26,6 +26,7 @@ class ViewStep:
 
     loss: float
     image: Tensor  # (3, H, W)
+    target: Tensor  # (3, H, W) what it was compared with: over the same background
     gradient: ViewGradient  # of the batch's loss
 
 
@@ -78,7 +79,7 @@ class Batch:
             seen.mark(self.touched, self._kernels.threads)
         self.loss += loss / self._size
         self.alive += frame.alive / self._size
-        return ViewStep(loss, rendered.image, seen)
+        return ViewStep(loss, rendered.image, target.image, seen)
 
     def gradients_of(self, target: Target) -> Gradients:
         """The gradient of one view alone, to find out which is broken."""

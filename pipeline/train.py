@@ -162,7 +162,7 @@ def train(model: Model, scene: Scene, cfg: Config, run: RunFolder, evaluate: Eva
 
             # What a person sees, and what is kept.
             if iteration % SHOW_EVERY == 0:
-                quality = psnr(view.image, target.image)
+                quality = psnr(view.image, view.target)
                 display.update(iteration, batch.loss, quality, len(model), batch.alive, watch.seconds)
                 if iteration % LOG_EVERY == 0:
                     run.log({"event": "train", "iteration": iteration, "train_seconds": watch.seconds,
