@@ -12,7 +12,7 @@ from datasets.scene import Scene
 from pipeline.config import Config
 from pipeline.losses import view_loss
 from pipeline.model import Model
-from pipeline.perturb import perturb, perturbs
+from pipeline.random_background import over_random_background
 from pipeline.render import backward, render
 from pipeline.schedule import Phase
 from pipeline.views import Target
@@ -55,19 +55,17 @@ class Batch:
     def backward(self, target: Target, gradients: Gradients, generator: np.random.Generator | None = None) -> ViewStep:
         """Render `target`, add the gradient of its share of the batch's loss into `gradients`.
 
-        generator: of what is changed at random for this view (perturb.py); None: nothing is.
+        generator: of its background, where the schedule asks for random ones; None: it keeps its own.
         """
         scene, cfg, frame = self._scene, self._cfg, self._kernels.frame
-        gaussians, background, one_color = None, scene.background, False
-        if generator is not None and perturbs(cfg.train):
-            drawn = perturb(self._model, target, scene, cfg.train, generator)
-            gaussians, target, background = drawn.gaussians, drawn.target, drawn.background
-            one_color = drawn.one_color
+        background = scene.background
+        if generator is not None and cfg.train.random_background:
+            target, background = over_random_background(target, background, generator)
         request = Request(target.camera, target.time, scene.duration, background,
                           near=cfg.scene.near * scene.unit,
-                          sh_degree=0 if one_color else self._phase.sh_degree,
-                          fourier_order=0 if one_color else self._phase.fourier_order)
-        rendered = render(frame, self._model, request, gaussians=gaussians)
+                          sh_degree=self._phase.sh_degree,
+                          fourier_order=self._phase.fourier_order)
+        rendered = render(frame, self._model, request)
         found = view_loss(self._kernels.criterion, rendered.image, target.image, self._size)
         seen = backward(frame, self._model, rendered, found.d_image, gradients, self.d_environment)
         loss = found.loss

@@ -16,10 +16,9 @@ from torch import Tensor
 from datasets.scene import Scene
 from pipeline.config import Config
 from pipeline.environment import EnvironmentMap
-from pipeline.low_pass import low_passed
 from rasterizer.gaussians import Gaussians, Motion
 
-OF_THE_WHOLE = ("environment", "low_pass")  # what a model's state holds besides rows of Gaussians
+OF_THE_WHOLE = ("environment",)  # what a model's state holds besides rows of Gaussians
 FIELDS = ("mean", "log_scale", "quat_left", "quat_right", "opacity_logit", "sh")
 
 
@@ -70,10 +69,8 @@ class Model:
     """
 
     def __init__(self, kind: ModelKind, parameters: dict[str, Tensor], sphere: Tensor | None = None,
-                 environment: EnvironmentMap | None = None, low_pass: float = 0.0) -> None:
+                 environment: EnvironmentMap | None = None) -> None:
         """sphere: (N,) bool, which Gaussians stand on the sphere round the scene; None: there is no sphere.
-
-        low_pass: σ of the temporal low-pass it is rendered through (low_pass.py), the scene's time unit; 0: none.
 
         Raises ValueError naming the field whose presence, dtype or shape does not fit `kind`.
         """
@@ -91,7 +88,6 @@ class Model:
         self.parameters = {name: parameters[name].contiguous() for name in shapes}
         self.sphere = sphere
         self.environment = environment
-        self.low_pass = low_pass
 
     @classmethod
     def from_gaussians(cls, gaussians: Gaussians) -> Model:
@@ -99,12 +95,7 @@ class Model:
         return cls(kind, gaussians.tensors())
 
     def gaussians(self) -> Gaussians:
-        """As the rasterizer takes them: the same tensors (not copies), but for what a low-pass changes."""
-        stored = self.stored()
-        return low_passed(stored, self.low_pass) if self.low_pass > 0 else stored
-
-    def stored(self) -> Gaussians:
-        """The same tensors (not copies) as they are trained."""
+        """As the rasterizer takes them: the same tensors (not copies)."""
         return Gaussians(**{name: self.parameters.get(name) for name in FIELDS})
 
     def copy(self) -> Model:
@@ -117,8 +108,6 @@ class Model:
             state["sphere"] = self.sphere
         if self.environment is not None:
             state["environment"] = self.environment.image
-        if self.low_pass > 0:
-            state["low_pass"] = torch.tensor(self.low_pass, dtype=torch.float64)
         return state
 
     @classmethod
@@ -126,7 +115,7 @@ class Model:
         """The model whose `state()` this is."""
         parameters = {name: tensor for name, tensor in state.items() if name not in ("sphere", *OF_THE_WHOLE)}
         environment = EnvironmentMap(state["environment"]) if "environment" in state else None
-        return cls(kind, parameters, state.get("sphere"), environment, float(state.get("low_pass", 0.0)))
+        return cls(kind, parameters, state.get("sphere"), environment)
 
     def checked(self) -> Model:
         """The model itself, if the rasterizer can take it: ValueError for a value that is not finite."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from torch import Tensor
 
 from pipeline.model import Model
-from rasterizer import Frame, Gaussians, Gradients, Request, ViewGradient
+from rasterizer import Frame, Gradients, Request, ViewGradient
 
 
 @dataclass(frozen=True)
@@ -36,15 +36,12 @@ def render_image(frame: Frame, model: Model, request: Request) -> Tensor:
     return render(frame, model, request, differentiable=False).image
 
 
-def render(frame: Frame, model: Model, request: Request, differentiable: bool = True,
-           gaussians: Gaussians | None = None) -> Rendered:
+def render(frame: Frame, model: Model, request: Request, differentiable: bool = True) -> Rendered:
     """Render `model` with `frame`; of the request's outputs only colour is made.
-
-    gaussians: in place of the model's own (perturb.py), row for row; the backward pass is theirs.
 
     Where the model has an environment, that stands in place of the request's background.
     """
-    gaussians = model.gaussians() if gaussians is None else gaussians
+    gaussians = model.gaussians()
     if model.environment is None:
         request = replace(request, outputs=("color",))
         return Rendered(frame.render(gaussians, request, differentiable).color, None)

@@ -51,10 +51,7 @@ def rigid_loss(mean: Tensor, log_scale: Tensor, quat_left: Tensor, quat_right: T
 
 def add_rigid_gradient(gradients: Gradients, model: Model, time: float, duration: float, weight: float,
                        threads: int) -> float:
-    """Add weight × ∂(rigid loss)/∂(what is rendered of the model) into `gradients`; returns weight × loss.
-
-    As the view's own gradient is of what is rendered: a low-pass carries both back to what is stored (low_pass.py).
-    """
+    """Add weight × ∂(rigid loss)/∂parameters into `gradients`; returns weight × loss."""
     names = ("mean", "log_scale", "quat_left", "quat_right")
     rendered = model.gaussians().tensors()
     leaves = {name: rendered[name].detach().requires_grad_() for name in names}

@@ -52,8 +52,7 @@ def rates(now: float, fraction: float, cfg: RateConfig, extent: float) -> dict[s
     xyz = log_linear(cfg.mean, cfg.mean_final, now / cfg.decay_iterations) * extent * decay
     t = cfg.mean_time * extent * decay
     rotation = cfg.rotation * decay
-    scale, scale_t = cfg.scale * decay, (cfg.scale if cfg.scale_time is None else cfg.scale_time) * decay
-    return {"mean": (xyz, xyz, xyz, t), "log_scale": (scale, scale, scale, scale_t), "quat_left": rotation,
+    return {"mean": (xyz, xyz, xyz, t), "log_scale": (cfg.scale * decay,) * 4, "quat_left": rotation,
             "quat_right": rotation, "opacity_logit": cfg.opacity * decay,
             "sh": (cfg.sh_dc * decay, cfg.sh_rest * decay), "environment": cfg.environment * decay}
 

@@ -7,7 +7,6 @@ and with it its schedule (schedule.clock), depends on the machine and its load.
 
 from __future__ import annotations
 
-import math
 import os
 import time
 from collections.abc import Callable, Iterator
@@ -29,11 +28,9 @@ from pipeline.display import TrainingDisplay
 from pipeline.environment import EnvironmentMap
 from pipeline.evidence import evidence, prune_due, prune_unproven, views_to_ask
 from pipeline.losses import psnr
-from pipeline.low_pass import carry_back
 from pipeline.model import Model
 from pipeline.optimiser import Adam
 from pipeline.priors import DECAY_EVERY, add_prior_gradients, decay_colors
-from pipeline.relocate import NOISE_EVERY, add_noise, relocate
 from pipeline.sampling import BatchSampler
 from pipeline.views import TrainingViews
 from rasterizer import Gradients
@@ -102,7 +99,7 @@ def train(model: Model, scene: Scene, cfg: Config, run: RunFolder, evaluate: Eva
     views, kernels = TrainingViews(scene.train), Kernels(cfg.train.ssim_weight, threads)
     gradients = Gradients.zeros_like(model.gaussians())
     time_split = cfg.ablation.time_split and cfg.train.densify.time_split
-    spacing, asked = scene.frame_spacing, views_to_ask(scene)
+    asked = views_to_ask(scene)
 
     with TrainingDisplay(state.iteration, cfg.train.iterations, cfg.train.time_budget_s) as display:
         last = _done(state.iteration, watch.seconds, cfg)
@@ -110,8 +107,7 @@ def train(model: Model, scene: Scene, cfg: Config, run: RunFolder, evaluate: Eva
             state.iteration += 1
             iteration, now = state.iteration, schedule.clock(state.iteration, watch.seconds, cfg.train)
             phase = schedule.phase(now, cfg.train, scene.extent, model.kind.sh_degree, model.kind.fourier_order)
-            relocates = cfg.train.densify.method == "relocate"
-            collect = now < cfg.train.densify.stop and not relocates  # nobody else asks for the statistics
+            collect = now < cfg.train.densify.stop  # nobody else asks for the statistics
 
             # One batch: gradients and statistics of every view, then one step.
             targets = [views.at(index, phase.resolution) for index in state.sampler.next_batch()]
@@ -129,24 +125,17 @@ def train(model: Model, scene: Scene, cfg: Config, run: RunFolder, evaluate: Eva
                 state.statistics.end(len(targets))
             guard.check_gradients(gradients, iteration, [t.name for t in targets],
                                   lambda position: batch.gradients_of(targets[position]), threads)
-            if model.low_pass > 0:
-                carry_back(gradients, model.stored(), model.low_pass)
-            add_prior_gradients(gradients, model, cfg.train.prior, spacing, scene.extent)
+            add_prior_gradients(gradients, model, cfg.train.prior)
             rows = moving_rows(model, phase.sphere, batch.touched)
             state.optimiser.step(gradients, phase.rates, rows, batch.d_environment)
             if cfg.train.prior.color > 0 and iteration % DECAY_EVERY == 0:
                 decay_colors(model, cfg.train.prior.color, phase.rates["sh"][1])
-            if cfg.train.min_lifetime > 0 and model.kind.dims == 4:
-                model.parameters["log_scale"][:, 3].clamp_(min=math.log(cfg.train.min_lifetime * spacing))
 
             # The set of Gaussians changes in space and time.
             if densify.due(iteration, now, cfg.train.densify):
-                if relocates:
-                    state.statistics, done = relocate(state.optimiser, cfg.train.densify, state.split_generator)
-                else:
-                    state.statistics, done = densify.densify(
-                        state.optimiser, state.statistics, iteration, cfg.train.densify, scene.extent, time_split,
-                        state.split_generator, phase.sphere)
+                state.statistics, done = densify.densify(
+                    state.optimiser, state.statistics, iteration, cfg.train.densify, scene.extent, time_split,
+                    state.split_generator, phase.sphere)
                 gradients = Gradients.zeros_like(model.gaussians())
                 run.log({"event": "densify", "iteration": iteration, "cloned": done.cloned, "split": done.split,
                          "pruned": done.pruned, "n_gaussians": done.total})
@@ -155,8 +144,6 @@ def train(model: Model, scene: Scene, cfg: Config, run: RunFolder, evaluate: Eva
                 pruned = prune_unproven(state.optimiser, found, cfg.train.densify)
                 state.statistics, gradients = densify.Statistics(len(model)), Gradients.zeros_like(model.gaussians())
                 run.log({"event": "prune", "iteration": iteration, "pruned": pruned, "n_gaussians": len(model)})
-            if relocates and now < cfg.train.densify.stop and iteration % NOISE_EVERY == 0:
-                add_noise(model, phase.rates["mean"][0], cfg.train.densify.noise, state.split_generator)
             if densify.opacity_reset_due(iteration, now, cfg.train.densify):
                 densify.reset_opacity(state.optimiser, cfg.train.densify, phase.sphere)
 
@@ -220,8 +207,6 @@ def _start(model: Model, scene: Scene, cfg: Config, run: RunFolder) -> tuple[Tra
     saved = checkpoints.load(path) if path.exists() else None
     if cfg.background_model == "envmap":  # before training there is nothing to store of it: init.ply has none
         model.environment = EnvironmentMap.grey(cfg.train.environment_height)
-    if model.kind.dims == 4:
-        model.low_pass = cfg.train.low_pass * scene.frame_spacing
     if saved is not None:
         expected, found = (f"seed {seed}, {of.kind} and background {of.background}"
                            for seed, of in ((cfg.seed, model), (saved.seed, saved.model)))

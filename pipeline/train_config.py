@@ -23,7 +23,6 @@ class RateConfig:
     sh_rest: float = 1.25e-4
     opacity: float = 5e-2
     scale: float = 5e-3
-    scale_time: Optional[float] = None  # of the fourth scale; None: as the others
     rotation: float = 1e-3
     environment: float = 2.5e-3  # of the learned environment map's pixels
     final_factor: float = 1.0  # every rate × this at the end, log-linear
@@ -40,9 +39,6 @@ class RateConfig:
 class DensifyConfig:
     """Adaptive density control in space and time (SPEC 2)."""
 
-    method: str = "split"  # split: clone, split, prune | relocate: MCMC with an exact budget (relocate.py)
-    growth: float = 1.05  # relocate: × N each time, up to max_gaussians
-    noise: float = 5e5  # relocate: of the means, × their learning rate
     start: int = 500
     stop: int = 15_000
     every: int = 100
@@ -68,9 +64,6 @@ class DensifyConfig:
     opacity_reset_to: float = 0.01
 
     def __post_init__(self) -> None:
-        require(self.method in ("split", "relocate"), "train.densify.method", "split or relocate", self.method)
-        require(self.growth >= 1, "train.densify.growth", "at least 1", self.growth)
-        require(self.noise >= 0, "train.densify.noise", ">= 0", self.noise)
         require(self.start >= 0, "train.densify.start", ">= 0", self.start)
         require(self.stop >= 0, "train.densify.stop", ">= 0 (0: no densification)", self.stop)
         require(self.space_gradient > 0, "train.densify.space_gradient", "> 0", self.space_gradient)
@@ -105,10 +98,8 @@ class PriorConfig:
     """Pulls towards a simpler model, which what the images say must outweigh (priors.py). 0: no pull."""
 
     motion: float = 0.0  # towards standing still: × mean tilt between space and time, radians
-    lifetime: float = 0.0  # towards living long: × mean of (frame spacing / st)
     color: float = 0.0  # towards one colour from everywhere, at all times: decay per unit of the coefficients' rate
     opacity: float = 0.0  # towards transparency: × mean opacity
-    scale: float = 0.0  # towards small: × mean spatial scale / extent
 
     def __post_init__(self) -> None:
         for f in fields(self):
@@ -129,11 +120,6 @@ class TrainConfig:
     ssim_weight: float = 0.2
     rigid_weight: float = 0.0
     prior: PriorConfig = field(default_factory=PriorConfig)
-    dropout: float = 0.0  # part of the Gaussians that a view is rendered without
-    color_dropout: float = 0.0  # part of the views that are rendered in one colour a Gaussian
-    time_jitter: float = 0.0  # a view's time moves at random by up to so many frame spacings
-    min_lifetime: float = 0.0  # frame spacings; st is never below
-    low_pass: float = 0.0  # σ of the temporal low-pass, frame spacings (low_pass.py)
     random_background: bool = False  # compose transparent images over a new colour each time
     background_model: Optional[str] = None  # None: the scene's
     sphere_freeze_after: int = 10_000  # iterations; the sphere's Gaussians stay as they are from then on
@@ -178,11 +164,6 @@ class TrainConfig:
         require(self.sphere_freeze_after >= 0, "train.sphere_freeze_after", ">= 0", self.sphere_freeze_after)
         require(self.environment_height >= 2, "train.environment_height", "at least 2", self.environment_height)
         require(self.environment_until >= 0, "train.environment_until", ">= 0", self.environment_until)
-        require(0 <= self.dropout < 1, "train.dropout", "in [0, 1)", self.dropout)
-        require(0 <= self.color_dropout < 1, "train.color_dropout", "in [0, 1)", self.color_dropout)
-        require(self.time_jitter >= 0, "train.time_jitter", ">= 0", self.time_jitter)
-        require(self.low_pass >= 0, "train.low_pass", ">= 0 (0: none)", self.low_pass)
-        require(self.min_lifetime >= 0, "train.min_lifetime", ">= 0", self.min_lifetime)
         require(self.rigid_weight >= 0, "train.rigid_weight", ">= 0", self.rigid_weight)
         require(self.sh_degree_every >= 0, "train.sh_degree_every", ">= 0 (0: all at once)", self.sh_degree_every)
         require(self.fourier_at == sorted(self.fourier_at) and len(self.fourier_at) <= 2,

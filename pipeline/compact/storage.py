@@ -16,7 +16,7 @@ from safetensors.torch import save_file
 
 from pipeline.model import Model, ModelKind
 
-FULL_PRECISION = ("mean", "low_pass")
+FULL_PRECISION = ("mean",)
 
 
 def save_compact(path: Path, model: Model, half: bool = True) -> int:
