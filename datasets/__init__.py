@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from datasets.scene import Scene, SceneError, View, validate_scene
-from datasets.validation import hold_out_every
+from datasets.validation import hold_out_every, hold_out_outermost
 
 if TYPE_CHECKING:  # the readers know nothing of configs; only this dispatch does
     from datasets.plenoptic import Footage, Posed
@@ -36,7 +36,9 @@ def load_scene(cfg: SceneConfig, *, threads: int = 0, say: Say = print) -> Scene
     path = _make_synthetic(cfg, say) if cfg.reader == "synthetic" else _path(cfg)
     scene = read_dnerf(path, name=cfg.name, test_split=cfg.test_split, downscale=cfg.downscale,
                        background=tuple(cfg.background), init_box=tuple(cfg.init_box))
-    return hold_out_every(scene, cfg.validation_every) if cfg.validation_every else scene
+    if not cfg.validation_every:
+        return scene
+    return (hold_out_outermost if cfg.validation_outermost else hold_out_every)(scene, cfg.validation_every)
 
 
 def load_posed(cfg: SceneConfig, *, threads: int = 0, say: Say = print) -> Posed:

@@ -26,6 +26,7 @@ class SceneConfig:
     test_split: str = "test"  # dnerf: test | val, which split is held out
     # To choose settings by: every so many-th training view takes the place of the held-out ones. 0: off
     validation_every: int = 0
+    validation_outermost: bool = False  # as many, but those that look from farthest outside
     test_cameras: list[int] = field(default_factory=lambda: [0])  # plenoptic, video: held out
     drop_cameras: list[int] = field(default_factory=list)  # plenoptic, video: left out altogether
     first_frame: int = 0  # plenoptic, video

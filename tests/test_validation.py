@@ -6,7 +6,7 @@ import pytest
 from tiny import tiny_scene
 
 from datasets import SceneError
-from datasets.validation import hold_out_every
+from datasets.validation import hold_out_every, hold_out_outermost
 
 
 @pytest.mark.parametrize("every", [2, 3, 8])
@@ -17,6 +17,14 @@ def test_training_views_are_parted(every):
     assert sorted(names) == sorted(view.name for view in scene.train)
     assert len(names) == len(set(names))
     assert len(split.test) == len(range(every // 2, 17, every))
+
+
+def test_the_outermost_look_from_the_ends_of_the_arc():
+    scene = tiny_scene(views=16)  # four places on an arc, the outer two as far from its middle as each other
+    split = hold_out_outermost(scene, 2)
+    assert len(split.test) == 8 and len(split.train) == 8
+    turned = [abs(view.camera.world_to_cam[2, 0]) for view in split.test + split.train]
+    assert min(turned[:8]) > max(turned[8:])
 
 
 def test_too_few_views():
