@@ -1,10 +1,10 @@
-"""Pulls towards the simpler model: each Gaussian stands still, is transparent and has one colour, unless the images say
-otherwise.
+"""Pulls towards the simpler model: each Gaussian stands still, lives long, is transparent and has one colour, unless the
+images say otherwise.
 
 A monocular scene shows each moment once, so that a Gaussian that lives for one frame is seen by one camera: it can
 stand at any depth, move at any speed and have any colour from elsewhere. Each prior is the soft form of an ablation:
-an infinite `motion` is no_4drot, an infinite `color` no_4dsh with a colour that is the same from everywhere. None is in
-the paper.
+an infinite `motion` is no_4drot, an infinite `color` no_4dsh with a colour that is the same from everywhere, an
+infinite `lifetime` a static scene. None is in the paper.
 """
 
 from __future__ import annotations
@@ -21,13 +21,18 @@ TILT_SOFTENING = 1e-3  # radians: the norm's slope is smooth within this of stan
 DECAY_EVERY = 10  # iterations between decays of the coefficients, a pass over most of the model's bytes
 
 
-def add_prior_gradients(gradients: Gradients, model: Model, cfg: PriorConfig) -> None:
-    """Add ∂/∂parameters of the priors on motion and opacity to `gradients`, in place."""
+def add_prior_gradients(gradients: Gradients, model: Model, cfg: PriorConfig, frame_spacing: float) -> None:
+    """Add ∂/∂parameters of the priors on motion, lifetime and opacity to `gradients`, in place.
+
+    frame_spacing: between training times, in the scene's time unit.
+    """
     p, share = model.parameters, 1.0 / len(model)
     if cfg.motion > 0 and model.kind.motion == "full":
         left, right = tilt_gradient(p["quat_left"], p["quat_right"])
         gradients.quat_left.add_(left, alpha=cfg.motion * share)
         gradients.quat_right.add_(right, alpha=cfg.motion * share)
+    if cfg.lifetime > 0 and model.kind.dims == 4:
+        gradients.log_scale[:, 3].sub_(torch.exp(-p["log_scale"][:, 3]), alpha=cfg.lifetime * share * frame_spacing)
     if cfg.opacity > 0:
         opacity = torch.sigmoid(p["opacity_logit"])
         gradients.opacity_logit.addcmul_(opacity, 1 - opacity, value=cfg.opacity * share)

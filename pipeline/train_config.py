@@ -98,6 +98,7 @@ class PriorConfig:
     """Pulls towards a simpler model, which what the images say must outweigh (priors.py). 0: no pull."""
 
     motion: float = 0.0  # towards standing still: × mean tilt between space and time, radians
+    lifetime: float = 0.0  # towards living long: × mean of (frame spacing / st)
     color: float = 0.0  # towards one colour from everywhere, at all times: decay per unit of the coefficients' rate
     opacity: float = 0.0  # towards transparency: × mean opacity
 

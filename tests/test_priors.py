@@ -14,6 +14,8 @@ from pipeline.train_config import PriorConfig
 from rasterizer import Gradients
 from rasterizer.reference import rotation_4d
 
+SPACING = 0.02
+
 
 def model(motion: str = "full") -> Model:
     gaussians = random_gaussians(20, motion, torch.Generator().manual_seed(3))
@@ -24,14 +26,16 @@ def model(motion: str = "full") -> Model:
 def penalty(p: dict[str, torch.Tensor], cfg: PriorConfig) -> torch.Tensor:
     """The sum of the priors as the configuration words them, written out; any dtype."""
     turned = torch.sqrt(tilt(p["quat_left"], p["quat_right"]) ** 2 + TILT_SOFTENING**2)
-    return cfg.motion * turned.mean() + cfg.opacity * p["opacity_logit"].sigmoid().mean()
+    lifetime = p["log_scale"][:, 3].exp()
+    return (cfg.motion * turned.mean() + cfg.lifetime * (SPACING / lifetime).mean()
+            + cfg.opacity * p["opacity_logit"].sigmoid().mean())
 
 
-@pytest.mark.parametrize("name", ["motion", "opacity"])
+@pytest.mark.parametrize("name", ["motion", "lifetime", "opacity"])
 def test_the_gradient_is_that_of_the_penalty(name):
     found, cfg = model(), PriorConfig(**{name: 0.7})
     gradients = Gradients.zeros_like(found.gaussians())
-    add_prior_gradients(gradients, found, cfg)
+    add_prior_gradients(gradients, found, cfg, SPACING)
     leaves = {key: tensor.double().requires_grad_() for key, tensor in found.parameters.items()}
     penalty(leaves, cfg).backward()
     for key, mine in gradients.dense().items():
@@ -59,16 +63,17 @@ def test_a_rotation_of_space_alone_has_no_tilt():
 def test_no_prior_changes_nothing():
     found = model()
     gradients = Gradients.zeros_like(found.gaussians())
-    add_prior_gradients(gradients, found, PriorConfig())
+    add_prior_gradients(gradients, found, PriorConfig(), SPACING)
     assert all(not tensor.any() for tensor in gradients.dense().values())
 
 
 @pytest.mark.parametrize("motion", ["static", "separable"])
-def test_models_that_cannot_move_get_no_such_pull(motion):
+def test_models_without_the_part_get_no_such_pull(motion):
     found = model(motion)
     gradients = Gradients.zeros_like(found.gaussians())
-    add_prior_gradients(gradients, found, PriorConfig(motion=1.0))
-    assert all(not tensor.any() for tensor in gradients.dense().values())
+    add_prior_gradients(gradients, found, PriorConfig(motion=1.0, lifetime=1.0), SPACING)
+    assert not gradients.quat_left.any()
+    assert gradients.log_scale[:, 3:].any() == (motion == "separable")
 
 
 def test_colours_decay_but_the_constant_one():
