@@ -107,7 +107,8 @@ def main(arguments: list[str] | None = None) -> int:
         print(error, file=sys.stderr)
         return 1
     cfg, model = run.cfg, run.model
-    worth = evidence(model, run.scene.train, run.scene, cfg, cfg.train.resolution_scale, thread_count(cfg.threads)).weight
+    threads = thread_count(cfg.threads)
+    worth = evidence(model, run.scene.train, run.scene, cfg, cfg.train.resolution_scale, threads).weight
     points = measure(model, worth, run.scene, cfg)
     chosen = smallest(points, options.loss)
     typed = sys.argv[1:] if arguments is None else arguments
