@@ -71,13 +71,16 @@ def prune_due(iteration: int, cfg: DensifyConfig) -> bool:
     return cfg.min_views > 0 and iteration > cfg.start and iteration % cfg.views_every == 0
 
 
-def prune_unproven(optimiser: Adam, found: Evidence, cfg: DensifyConfig) -> int:
+def prune_unproven(optimiser: Adam, found: Evidence, cfg: DensifyConfig, all_asked: bool = True) -> int:
     """Remove what fewer than `min_views` views have seen, but the background's sphere; returns how many.
 
-    What no view has seen goes too, unless that leaves nothing.
+    What no view has seen goes too if all were asked (all_asked), or else it may live between the moments that were.
+    Nothing goes where that would leave nothing.
     """
     model = optimiser.model
     keep = found.views >= cfg.min_views
+    if not all_asked:
+        keep = keep | (found.views == 0)
     if model.sphere is not None:
         keep = keep | model.sphere
     removed = int((~keep).sum())

@@ -141,7 +141,7 @@ def train(model: Model, scene: Scene, cfg: Config, run: RunFolder, evaluate: Eva
                          "pruned": done.pruned, "n_gaussians": done.total})
             if prune_due(iteration, cfg.train.densify):
                 found = evidence(model, asked, scene, cfg, phase.resolution, threads)
-                pruned = prune_unproven(state.optimiser, found, cfg.train.densify)
+                pruned = prune_unproven(state.optimiser, found, cfg.train.densify, len(asked) == len(scene.train))
                 state.statistics, gradients = densify.Statistics(len(model)), Gradients.zeros_like(model.gaussians())
                 run.log({"event": "prune", "iteration": iteration, "pruned": pruned, "n_gaussians": len(model)})
             if densify.opacity_reset_due(iteration, now, cfg.train.densify):

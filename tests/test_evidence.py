@@ -89,6 +89,14 @@ def test_what_too_few_views_saw_goes_with_its_moments_but_the_sphere_and_never_a
     assert prune_unproven(adam, none, DensifyConfig(min_views=2.0)) == 0 and len(model) == len(kept)
 
 
+def test_what_no_view_saw_stays_where_not_all_were_asked():
+    model = initialise(tiny_scene(), tiny_config(), np.random.default_rng(0))
+    count = len(model)
+    found = Evidence(torch.ones(count), torch.tensor([0.0, 1.0, 3.0, 4.0]).repeat(count // 4))
+    assert prune_unproven(Adam(model.copy()), found, DensifyConfig(min_views=2.0)) == count // 2
+    assert prune_unproven(Adam(model), found, DensifyConfig(min_views=2.0), all_asked=False) == count // 4
+
+
 def test_when_it_is_due():
     cfg = DensifyConfig(min_views=2.0, views_every=100, start=150, stop=300)
     assert [i for i in range(501) if prune_due(i, cfg)] == [200, 300, 400, 500]  # on after the last densification

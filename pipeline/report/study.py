@@ -24,7 +24,8 @@ _OF_THE_SCENE = ("scene.", "init.", "background=")
 _RATIOS = {"train_seconds": "Train s ×", "n_gaussians": "N ×", "model_mb": "MB ×", "final.fps_render": "FPS ×"}
 NOTE = (
     "",
-    "Change − schedule as it is: final PSNR in dB (and SSIM), ± the standard error of the difference over the seeds; the mean is "
+    "Change − schedule as it is: final PSNR in dB (and SSIM), ± the standard error of the difference over the seeds; "
+    "the mean is "
     "over the scenes that both have, its standard error from theirs. ×: ratio of the means, geometric mean over scenes.",
 )
 
@@ -54,7 +55,8 @@ def _told_apart(runs: pd.DataFrame) -> pd.DataFrame:
 
 def _table(schedule: str, ablation: str, names: list[str], rows: list[Row]) -> Table:
     columns = (Column("change", "Change", False), *(Column(scene, scene) for scene in names),
-               Column("mean", "mean, dB"), Column("ssim", "mean, SSIM"), *(Column(key, header) for key, header in _RATIOS.items()))
+               Column("mean", "mean, dB"), Column("ssim", "mean, SSIM"),
+               *(Column(key, header) for key, header in _RATIOS.items()))
     of = schedule if ablation == "full" else f"{schedule}, {ablation}"
     best_first = sorted(rows, key=lambda row: -row.cells["mean"].value)
     return Table(f"{STUDY}{of.replace(', ', '_')}", f"What changes of {of} are worth", columns, tuple(best_first),
