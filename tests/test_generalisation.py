@@ -12,6 +12,7 @@ from tiny import tiny_config, tiny_scene
 from pipeline.generalisation.draw import mosaic
 from pipeline.generalisation.history import read_history
 from pipeline.generalisation.lifetimes import BIN_EDGES, QUANTILES, lifetimes
+from pipeline.generalisation.where import moving_pixels, shared_out
 from pipeline.initialise import initialise
 
 
@@ -73,3 +74,33 @@ def test_a_mosaic_holds_every_picture_in_its_place():
     assert pixels.shape == (4 + 6 + 4, 5 + 6 + 5, 3)
     assert (pixels[:4, :5] == 0).all() and (pixels[:4, 11:] == 128).all() and (pixels[10:, :5] == 128).all()
     assert (pixels[10:, 11:] == 255).all()
+
+
+def film_of_a_dot(views=5):
+    """A dot that wanders along the middle row of a grey wall; in float32 as targets are."""
+    images = np.full((views, 21, 31, 3), 0.5, np.float32)
+    for k in range(views):
+        images[k, 10, 10 + k] = 1.0
+    return images
+
+
+def test_what_moves_is_the_dots_path_and_two_pixels_round_it():
+    expected = np.zeros((21, 31), bool)
+    expected[8:13, 8:17] = True
+    assert np.array_equal(moving_pixels(film_of_a_dot()), expected)
+
+
+def test_error_is_shared_out_between_what_moves_and_what_stands_still():
+    truth = film_of_a_dot()
+    found = truth + np.where(moving_pixels(truth)[None, :, :, None], np.float32(0.1), np.float32(0.01))
+    shares = shared_out(truth, found)
+    pixels = 5 * 9
+    # 0.1 and 0.01 added to 0.5 and 1 in float32: a relative 1e-5 of the smaller, squared twice that
+    assert shares.moving == pytest.approx(pixels / (21 * 31))
+    assert (shares.moving_psnr, shares.still_psnr) == pytest.approx((20.0, 40.0), abs=1e-3)
+    assert shares.error == pytest.approx(pixels * 0.01 / (pixels * 0.01 + (21 * 31 - pixels) * 0.0001), rel=1e-4)
+
+
+def test_of_what_never_moves_there_is_no_such_share():
+    still = np.full((3, 8, 8, 3), 0.5, np.float32)
+    assert shared_out(still, still + 0.1) is None

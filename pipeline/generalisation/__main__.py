@@ -2,7 +2,8 @@
 
 For runs of one scene: PSNR of training and of held-out views and the Gaussians' lifetimes as training goes on, and by
 how many training views they are seen (generalisation.svg); the middle test view's moment from the training view nearest
-in time and from the test view itself, truth beside each run's render (moment.webp).
+in time and from the test view itself, truth beside each run's render (moment.webp). Where the held-out camera stands
+still, how much of the error is on what moves.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from rasterizer import Frame
 
 from .draw import draw, mosaic
 from .history import read_history
+from .where import error_by_motion
 
 ONE_VIEW = 1.5  # seen by fewer, effectively, is seen by one
 
@@ -71,6 +73,11 @@ def main(arguments: list[str] | None = None) -> int:
         life = "–" if h.lifetimes is None else f"{h.lifetimes[-1, 2]:.1f}"
         print(f"{h.label:30} {h.train_psnr[-1]:9.2f} {h.psnr[-1]:9.2f} {len(found):10,} "
               f"{np.mean(found < ONE_VIEW):17.0%} {life:>24}")
+    errors = [error_by_motion(run) for run in runs]
+    if None not in errors:
+        print(f"\n{'run':30} {'pixels that move':>17} {'error on them':>14} {'dB there':>9} {'dB elsewhere':>13}")
+        for h, e in zip(histories, errors):
+            print(f"{h.label:30} {e.moving:17.1%} {e.error:14.0%} {e.moving_psnr:9.2f} {e.still_psnr:13.2f}")
     print(f"written to {options.out}")
     return 0
 
