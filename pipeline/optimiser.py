@@ -44,7 +44,7 @@ class Adam:
         for name, parameter in self.model.parameters.items():
             moments = self.first[name], self.second[name]
             if name == "sh":
-                sh_adam_step(parameter, gradients, *moments, *rates["sh"], self.step_count, sparse_rows=rows,
+                sh_adam_step(parameter, gradients, *moments, rates["sh"], self.step_count, sparse_rows=rows,
                              threads=self.threads)
             else:
                 rate = rates[name]

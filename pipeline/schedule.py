@@ -18,7 +18,7 @@ Rate = Union[float, tuple[float, ...]]  # one for the field, or one a column
 class Phase:
     """What one iteration trains with."""
 
-    rates: dict[str, Rate]  # by field, and of the environment map; sh: (DC, rest)
+    rates: dict[str, Rate]  # by field, and of the environment map; sh: as rasterizer.adam.sh_adam_step
     sh_degree: int
     fourier_order: int
     resolution: float  # × the size the images were read at
@@ -54,7 +54,14 @@ def rates(now: float, fraction: float, cfg: RateConfig, extent: float) -> dict[s
     rotation = cfg.rotation * decay
     return {"mean": (xyz, xyz, xyz, t), "log_scale": (cfg.scale * decay,) * 4, "quat_left": rotation,
             "quat_right": rotation, "opacity_logit": cfg.opacity * decay,
-            "sh": (cfg.sh_dc * decay, cfg.sh_rest * decay), "environment": cfg.environment * decay}
+            "sh": tuple(rate * decay for rate in sh_rates(cfg)), "environment": cfg.environment * decay}
+
+
+def sh_rates(cfg: RateConfig) -> tuple[float, float, float, float]:
+    """Of coefficients of neither view nor time, of view, of time, of both."""
+    rest = cfg.sh_rest
+    return (cfg.sh_dc, rest, rest if cfg.sh_time is None else cfg.sh_time,
+            rest if cfg.sh_view_time is None else cfg.sh_view_time)
 
 
 def log_linear(start: float, end: float, fraction: float) -> float:

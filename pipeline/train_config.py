@@ -21,6 +21,8 @@ class RateConfig:
     decay_iterations: int = 30_000
     sh_dc: float = 2.5e-3
     sh_rest: float = 1.25e-4
+    sh_time: Optional[float] = None  # of colours from everywhere that change with time (degree 0); None: sh_rest
+    sh_view_time: Optional[float] = None  # None: sh_rest
     opacity: float = 5e-2
     scale: float = 5e-3
     rotation: float = 1e-3

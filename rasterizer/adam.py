@@ -26,18 +26,19 @@ def adam_step(param: Tensor, grad: Tensor, m: Tensor, v: Tensor, lr: float | Seq
                 threads=threads or default_threads())
 
 
-def sh_adam_step(sh: Tensor, gradients: Gradients, m: Tensor, v: Tensor, lr_dc: float, lr_rest: float, step: int,
+def sh_adam_step(sh: Tensor, gradients: Gradients, m: Tensor, v: Tensor, lr: Sequence[float], step: int,
                  beta1: float = 0.9, beta2: float = 0.999, eps: float = 1e-15,
                  sparse_rows: Tensor | None = None, threads: int = 0) -> None:
     """Update SH coefficients (N, K, 3) and moments in place from the batch's compact colour gradients.
 
     Degrees and Fourier orders that no view of the batch used are left alone: exact as long as they have had no gradient
-    before. sparse_rows: as `adam_step`.
+    before. lr: of coefficients that are of neither view nor time (the first), of view, of time, of both.
+    sparse_rows: as `adam_step`.
     """
     coefficients, orders = split_coefficients(sh.shape[1])
     used_orders = 1 + max((view.fourier_order for view in gradients.views), default=0)
     used_coefficients = (1 + max((view.sh_degree for view in gradients.views), default=0)) ** 2
     kernel.adam_sh(sh=sh, m=m, v=v, coefficients=coefficients, orders=orders,
                    active_coefficients=min(used_coefficients, coefficients), active_orders=min(used_orders, orders),
-                   lr_dc=lr_dc, lr_rest=lr_rest, keep=sparse_rows, views=[view.as_tuple() for view in gradients.views],
+                   lr=[float(rate) for rate in lr], keep=sparse_rows, views=[view.as_tuple() for view in gradients.views],
                    beta1=beta1, beta2=beta2, epsilon=eps, step=step, threads=threads or default_threads())

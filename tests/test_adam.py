@@ -99,14 +99,15 @@ def batch(gaussians: Gaussians, times: list[float], seed: int) -> Gradients:
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize(("sh_degree", "fourier_order"), [(3, 2), (3, 0), (1, 1), (0, 2), (0, 0)])
 def test_sh_is_stepped_by_adam_on_the_dense_gradient(sh_degree: int, fourier_order: int, threads: int):
-    """The first coefficient (degree 0, Fourier order 0) at one rate, all others at another."""
+    """Coefficients of neither view nor time, of view, of time and of both at a rate each."""
     gaussians = random_gaussians(83, "full", generator(5), sh_degree, fourier_order).to(torch.float32)
     batches = [batch(gaussians, [0.1, 0.5, 0.8], 10 * step) for step in range(3)]
     sh, m, v = gaussians.sh.clone(), torch.zeros_like(gaussians.sh), torch.zeros_like(gaussians.sh)
     for step, gradients in enumerate(batches, start=1):
-        sh_adam_step(sh, gradients, m, v, 2.5e-3, 1.25e-4, step, threads=threads)
-    rates = torch.full((sh.shape[1], 1), 1.25e-4, dtype=torch.float64)
-    rates[0] = 2.5e-3
+        sh_adam_step(sh, gradients, m, v, (2.5e-3, 1.25e-4, 5e-4, 6e-5), step, threads=threads)
+    rates = torch.full((1 + fourier_order, (1 + sh_degree) ** 2), 6e-5, dtype=torch.float64)
+    rates[1:, 0], rates[0, 1:], rates[0, 0] = 5e-4, 1.25e-4, 2.5e-3
+    rates = rates.reshape(-1, 1)
     dense = [gradients.sh() for gradients in batches]
     expected = torch_adam(gaussians.sh, dense, rates)
     # The gradient of a batch is a sum over views, whose rounding may differ by its order: 1e-6 of the
@@ -135,8 +136,8 @@ def test_sh_rows_left_out_are_not_touched_and_the_others_are_stepped_as_ever(mas
     assert mask != "random" or ((seen & ~kept).any() and (~seen & kept).any())
     start = [gaussians.sh, torch.full_like(gaussians.sh, 0.1), torch.full_like(gaussians.sh, 0.2)]
     dense, sparse = [tensor.clone() for tensor in start], [tensor.clone() for tensor in start]
-    sh_adam_step(dense[0], gradients, dense[1], dense[2], 0.01, 0.002, 5)
-    sh_adam_step(sparse[0], gradients, sparse[1], sparse[2], 0.01, 0.002, 5, sparse_rows=kept.to(torch.uint8))
+    sh_adam_step(dense[0], gradients, dense[1], dense[2], [0.01, 0.002, 0.005, 0.001], 5)
+    sh_adam_step(sparse[0], gradients, sparse[1], sparse[2], [0.01, 0.002, 0.005, 0.001], 5, sparse_rows=kept.to(torch.uint8))
     for found, stepped, untouched in zip(sparse, dense, start):
         assert torch.equal(found[~kept], untouched[~kept])
         assert torch.equal(found[kept], stepped[kept])
@@ -150,7 +151,7 @@ def test_degrees_and_orders_no_view_used_are_left_alone_and_the_others_stepped_a
     low[0].render(gaussians, request)
     low[0].backward(low[1], d_color=torch.ones(3, 37, 45))
     sh, m, v = gaussians.sh.clone(), torch.zeros_like(gaussians.sh), torch.zeros_like(gaussians.sh)
-    sh_adam_step(sh, low[1], m, v, 0.01, 0.01, 1)
+    sh_adam_step(sh, low[1], m, v, [0.01] * 4, 1)
     used = torch.zeros(48, dtype=torch.bool)
     used[[0, 1, 2, 3, 16, 17, 18, 19]] = True  # degrees 0 and 1 of Fourier orders 0 and 1
     seen = low[1].views[0].visible.long()
@@ -167,6 +168,6 @@ def test_a_moment_too_small_to_matter_ends_at_zero_and_other_arithmetic_keeps_it
     assert not m.any() and torch.equal(parameter, torch.ones(40, 4))
     gaussians = random_gaussians(40, "full", generator(1)).to(torch.float32)
     sh, m, v = gaussians.sh.clone(), torch.full_like(gaussians.sh, 1e-39), torch.full_like(gaussians.sh, 1e-12)
-    sh_adam_step(sh, batch(gaussians, [], 0), m, v, 0.01, 0.01, 1000, threads=threads)
+    sh_adam_step(sh, batch(gaussians, [], 0), m, v, [0.01] * 4, 1000, threads=threads)
     assert not m[:, 0].any() and torch.equal(sh, gaussians.sh)
     assert (torch.full((5,), 1e-39) * 0.5).all()  # the processor's mode is put back

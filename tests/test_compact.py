@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import torch
-from tiny import tiny_config, tiny_scene, train_tiny
+from tiny import TinyRun, fake_evaluate, tiny_config, tiny_scene, train_tiny
 
-from pipeline.compact.__main__ import measure, smallest
+from pipeline.compact.__main__ import held_out_psnr, measure, smaller, smallest
 from pipeline.compact.importance import keep_most_important
+from pipeline.compact.retrain import retrained
 from pipeline.compact.storage import load_compact, save_compact
 from pipeline.evidence import evidence
+from pipeline.initialise import initialise
+from pipeline.train import train
 
 
 @pytest.fixture
@@ -58,10 +62,44 @@ def test_another_file_is_refused(tmp_path, content):
 def test_the_whole_model_comes_first_and_the_smallest_is_within_the_loss(trained):
     scene, cfg = tiny_scene(), tiny_config()
     worth = evidence(trained, scene.train, scene, cfg, 1.0, threads=1).weight
-    points = measure(trained, worth, scene, cfg, fractions=(1.0, 0.5))
+    models = {fraction: smaller(trained, worth, scene, cfg, fraction, 0.0) for fraction in (1.0, 0.5)}
+    points = measure(models, scene, cfg)
     assert [(p.fraction, p.half) for p in points] == [(1.0, False), (0.5, False), (1.0, True), (0.5, True)]
     assert smallest(points, loss=100.0) is points[3]
     assert smallest(points, loss=0.0).psnr >= points[0].psnr
+
+
+def test_training_again_makes_up_for_what_was_left_out_and_neither_adds_nor_prunes(trained):
+    scene, cfg = tiny_scene(), tiny_config(200)
+    small = keep_most_important(trained, torch.rand(len(trained), generator=torch.Generator().manual_seed(0)), 0.3)
+    before, whole, asked = held_out_psnr(small, scene, cfg, threads=1), trained.copy(), []
+
+    def look(model, progress):
+        asked.append(progress.iteration)
+        return {"psnr": 0.0}
+
+    after = retrained(small, scene, cfg, 0.5, look)
+    assert asked == [200] and len(after) == len(small)
+    assert held_out_psnr(after, scene, cfg, threads=1) > before + 1  # dB; a hundred iterations bring two
+    for name, tensor in whole.parameters.items():
+        assert torch.equal(trained.parameters[name], tensor)
+
+
+def test_training_again_for_none_of_the_schedule_changes_nothing(trained):
+    before = trained.copy()
+    after = retrained(trained, tiny_scene(), tiny_config(40), 0.0, lambda model, progress: {"psnr": 0.0})
+    for name, tensor in before.parameters.items():
+        assert torch.equal(after.parameters[name], tensor)
+
+
+def test_the_schedule_begins_where_training_is_said_to_have_come_to(tmp_path):
+    """From iteration 30 of 40 on: ten steps, with all degrees and orders that the schedule has there."""
+    scene, cfg = tiny_scene(), tiny_config(40)
+    model = initialise(scene, cfg, np.random.default_rng(0))
+    run = TinyRun(tmp_path / "late")
+    done = train(model, scene, cfg, run, fake_evaluate, done=30)
+    assert done.iteration == 40 and [row["iteration"] for row in run.rows("error_vs_time.jsonl")] == [40]
+    assert done.model.parameters["sh"][:, 4:16].any()  # degree 2, from iteration 30 on
 
 
 def test_a_fraction_of_nothing_keeps_one(trained):

@@ -1,8 +1,8 @@
 """Quality against size and speed of a trained model: python -m pipeline.compact RUN
 
-Leaves out the Gaussians that make least of the training images, a tenth more each time, stores the rest in single and
-in half precision, and measures each on the run's test views. Writes a table, a plot, and the smallest model that loses
-no more than --loss dB as `compact.safetensors`.
+Leaves out the Gaussians that make least of the training images, a tenth more each time, trains the rest for the last
+--retrain of the run's schedule again, stores it in single and in half precision, and measures each on the run's test
+views. Writes a table, a plot, and the smallest model that loses no more than --loss dB as `compact.safetensors`.
 """
 
 from __future__ import annotations
@@ -18,18 +18,19 @@ from torch import Tensor
 
 from datasets.scene import Scene
 from pipeline.config import Config
-from pipeline.evaluate import Renderer, frames_per_second
+from pipeline.evaluate import Renderer, frames_per_second, quick_evaluate
 from pipeline.evidence import evidence
 from pipeline.machine import environment
 from pipeline.metrics import psnr
 from pipeline.model import Model
-from pipeline.train import thread_count
+from pipeline.train import Progress, thread_count
 from pipeline.trained_run import open_run
 from pipeline.views import target_of
 from rasterizer import Frame
 
 from .draw import draw
 from .importance import keep_most_important
+from .retrain import retrained
 from .storage import load_compact, save_compact
 
 FRACTIONS = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2)
@@ -48,18 +49,29 @@ class Point:
     fps: float  # frames a second, everything from the 4D Gaussians to the image
 
 
-def measure(model: Model, worth: Tensor, scene: Scene, cfg: Config, fractions: tuple[float, ...] = FRACTIONS
-            ) -> list[Point]:
-    """Every fraction in both precisions; what is measured is what was read back from the file.
+def smaller(model: Model, worth: Tensor, scene: Scene, cfg: Config, fraction: float, share: float) -> Model:
+    """The most important `fraction` of `model`, trained again for `share` of the schedule; the whole stays as it is.
 
     worth: (N,) the Gaussians' importance.
     """
+    if fraction == 1:
+        return model
+    frame = Frame(threads=thread_count(cfg.threads))
+
+    def look(state: Model, progress: Progress) -> dict:
+        return quick_evaluate(state, scene, cfg, frame)
+
+    return retrained(keep_most_important(model, worth, fraction), scene, cfg, share, look)
+
+
+def measure(models: dict[float, Model], scene: Scene, cfg: Config) -> list[Point]:
+    """Every model, by the fraction that it is of the whole, in both precisions; of what was read back from the file."""
     threads, points = thread_count(cfg.threads), []
     with TemporaryDirectory() as folder:
         for half in (False, True):
-            for fraction in fractions:
+            for fraction, model in models.items():
                 path = Path(folder) / OUTPUT
-                size = save_compact(path, keep_most_important(model, worth, fraction), half)
+                size = save_compact(path, model, half)
                 small = load_compact(path)
                 points.append(Point(fraction, half, len(small), size / 1e6, held_out_psnr(small, scene, cfg, threads),
                                     frames_per_second(small, scene, cfg, threads)["fps_render"]))
@@ -80,7 +92,7 @@ def smallest(points: list[Point], loss: float) -> Point:
     return min((p for p in points if p.psnr >= points[0].psnr - loss), key=lambda p: p.megabytes)
 
 
-def markdown(points: list[Point], chosen: Point, heading: str) -> str:
+def markdown(points: list[Point], chosen: Point, heading: str, share: float) -> str:
     """A row a point; sizes and speeds also as ratios to the whole model's."""
     whole = points[0]
     lines = ["### Quality against size and speed", "", heading, "",
@@ -91,7 +103,8 @@ def markdown(points: list[Point], chosen: Point, heading: str) -> str:
                f"{p.megabytes / whole.megabytes:.2f}", f"{p.fps:.0f}", f"{p.fps / whole.fps:.2f}", f"{p.psnr:.2f}",
                f"{p.psnr - whole.psnr:+.2f}")
         lines.append("| " + " | ".join(f"**{cell}**" if p is chosen else cell for cell in row) + " |")
-    note = "- Bold: the smallest within the loss asked for, as stored. Means stay float32. No training after leaving out."
+    again = f"Trained again after leaving out: the last {share:.0%} of the schedule." if share else "Not trained again."
+    note = f"- Bold: the smallest within the loss asked for, as stored. Means stay float32. {again}"
     return "\n".join([*lines, "", note]) + "\n"
 
 
@@ -99,8 +112,13 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m pipeline.compact", description=__doc__.splitlines()[0])
     parser.add_argument("run", type=Path, help="folder of a finished run")
     parser.add_argument("--loss", type=float, default=0.1, help="dB of PSNR that may be lost (0.1)")
+    parser.add_argument("--retrain", type=float, default=0.2, metavar="SHARE",
+                        help="of the schedule to train again after leaving out (0.2); 0: none")
     parser.add_argument("--out", type=Path, default=Path("results/compact"), help="(results/compact)")
     options = parser.parse_args(arguments)
+    if not 0 <= options.retrain <= 1:
+        print(f"--retrain: expected a share of the schedule, 0 to 1, found {options.retrain}", file=sys.stderr)
+        return 1
     try:
         run = open_run(options.run, print)
     except ValueError as error:
@@ -109,7 +127,8 @@ def main(arguments: list[str] | None = None) -> int:
     cfg, model = run.cfg, run.model
     threads = thread_count(cfg.threads)
     worth = evidence(model, run.scene.train, run.scene, cfg, cfg.train.resolution_scale, threads).weight
-    points = measure(model, worth, run.scene, cfg)
+    models = {fraction: smaller(model, worth, run.scene, cfg, fraction, options.retrain) for fraction in FRACTIONS}
+    points = measure(models, run.scene, cfg)
     chosen = smallest(points, options.loss)
     typed = sys.argv[1:] if arguments is None else arguments
     made = environment(" ".join(["python -m pipeline.compact", *map(str, typed)]))
@@ -117,10 +136,10 @@ def main(arguments: list[str] | None = None) -> int:
                f"{made['date'][:16]}; commit {made['git_commit'][:10]}; `{made['command']}`.")
     out = options.out
     out.mkdir(parents=True, exist_ok=True)
-    (out / "compact.md").write_text(markdown(points, chosen, heading), encoding="utf-8")
+    (out / "compact.md").write_text(markdown(points, chosen, heading, options.retrain), encoding="utf-8")
     (out / "compact.svg").write_text(draw(points, f"{cfg.scene.name}, {cfg.train.name}"), encoding="utf-8")
-    save_compact(out / OUTPUT, keep_most_important(model, worth, chosen.fraction), chosen.half)
-    print(markdown(points, chosen, heading))
+    save_compact(out / OUTPUT, models[chosen.fraction], chosen.half)
+    print(markdown(points, chosen, heading, options.retrain))
     print(f"written to {out}")
     return 0
 

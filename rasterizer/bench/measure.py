@@ -154,7 +154,7 @@ def time_iteration(workload: Workload, threads: int, repeats: int, views: int = 
         t0 = clock()
         for name, p in parameters.items():  # with rate 0: the same work each time
             if name == "sh":
-                sh_adam_step(p, gradients, first[name], second[name], 0.0, 0.0, step, sparse_rows=touched,
+                sh_adam_step(p, gradients, first[name], second[name], [0.0] * 4, step, sparse_rows=touched,
                              threads=threads)
             else:
                 adam_step(p, getattr(gradients, name), first[name], second[name], 0.0, step, sparse_rows=touched,

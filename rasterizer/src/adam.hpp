@@ -87,19 +87,33 @@ inline void adam_rows(scalar* p, const scalar* g, scalar* m, scalar* v, size_t r
 
 inline constexpr uint32_t kRowsAhead = 3;
 
+// Learning rates of SH coefficients, by whether a colour's coefficient has to do with view, time, both, none.
+struct ShRates {
+    scalar constant, view, time, view_time;
+};
+
+// The rates of an order's coefficients: the first three floats are degree 0.
+inline ShRow sh_rate_row(scalar degree0, scalar rest) {
+    const Float others(rest);
+    ShRow row;
+    for (Float& v : row.v) v = others;
+    alignas(64) scalar lane[kLanes];
+    others.store(lane);
+    for (int k = 0; k < 3; ++k) lane[k] = degree0;
+    row.v[0] = Float::load(lane);
+    return row;
+}
+
 // Adam on SH coefficients [N, orders · coefficients, 3], their gradient expanded chunk by chunk and never
 // stored. Orders from `active_orders` on, and in each order coefficients from `active_coefficients` on, are
 // left alone: they have had no gradient yet, so their moments are zero. keep: as adam_rows.
 inline void adam_sh(scalar* sh, scalar* m, scalar* v, uint32_t count, int coefficients, int orders,
-                    int active_coefficients, int active_orders, scalar lr_dc, scalar lr_rest,
-                    const uint8_t* keep, const std::vector<ViewColors>& views, const AdamStep& a,
-                    int threads) {
+                    int active_coefficients, int active_orders, const ShRates& lr, const uint8_t* keep,
+                    const std::vector<ViewColors>& views, const AdamStep& a, int threads) {
     const size_t order_stride = static_cast<size_t>(coefficients) * 3, row_stride = order_stride * orders;
-    const Float rest(lr_rest * a.inverse_correction1);
-    alignas(64) scalar first_lanes[16];
-    rest.store(first_lanes);
-    for (int k = 0; k < 3; ++k) first_lanes[k] = lr_dc * a.inverse_correction1;  // degree 0, order 0
-    const Float with_dc = Float::load(first_lanes);
+    const scalar correction = a.inverse_correction1;
+    const ShRow order0 = sh_rate_row(lr.constant * correction, lr.view * correction);
+    const ShRow others = sh_rate_row(lr.time * correction, lr.view_time * correction);
 #pragma omp parallel num_threads(threads)
     {
         const FlushDenormals flushed;
@@ -125,7 +139,7 @@ inline void adam_sh(scalar* sh, scalar* m, scalar* v, uint32_t count, int coeffi
                     ShRow mr = ShRow::load(m + at, active_coefficients),
                           vr = ShRow::load(v + at, active_coefficients);
                     for (int k = 0; k < kRowVectors; ++k)
-                        adam_vector(pr.v[k], g.v[k], mr.v[k], vr.v[k], n == 0 && k == 0 ? with_dc : rest, a);
+                        adam_vector(pr.v[k], g.v[k], mr.v[k], vr.v[k], (n == 0 ? order0 : others).v[k], a);
                     pr.store(sh + at, active_coefficients), mr.store(m + at, active_coefficients);
                     vr.store(v + at, active_coefficients);
                 }

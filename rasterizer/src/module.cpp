@@ -2,6 +2,7 @@
 // here arrays are views of the caller's memory, nothing is copied.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
+#include <nanobind/stl/array.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
@@ -174,14 +175,14 @@ void adam(Out p, In g, Out m, Out v, const std::vector<scalar>& lr, std::optiona
 }
 
 void adam_sh(Out sh, Out m, Out v, int coefficients, int orders, int active_coefficients, int active_orders,
-             scalar lr_dc, scalar lr_rest, std::optional<Array<const uint8_t>> keep,
+             const std::array<scalar, 4>& lr, std::optional<Array<const uint8_t>> keep,
              const std::vector<View>& views, double beta1, double beta2, double epsilon, long step,
              int threads) {
     const auto colors = view_colors(views);
     const uint32_t count = static_cast<uint32_t>(sh.shape(0));
     nb::gil_scoped_release release;
     splat::adam_sh(sh.data(), m.data(), v.data(), count, coefficients, orders, active_coefficients,
-                   active_orders, lr_dc, lr_rest, pointer(keep), colors,
+                   active_orders, {lr[0], lr[1], lr[2], lr[3]}, pointer(keep), colors,
                    splat::AdamStep(beta1, beta2, epsilon, step), threads);
 }
 
@@ -256,8 +257,8 @@ NB_MODULE(KERNEL_MODULE_NAME, m) {
           nb::arg("keep").none(), nb::arg("beta1"), nb::arg("beta2"), nb::arg("epsilon"), nb::arg("step"),
           nb::arg("threads"));
     m.def("adam_sh", &adam_sh, nb::arg("sh"), nb::arg("m"), nb::arg("v"), nb::arg("coefficients"),
-          nb::arg("orders"), nb::arg("active_coefficients"), nb::arg("active_orders"), nb::arg("lr_dc"),
-          nb::arg("lr_rest"), nb::arg("keep").none(), nb::arg("views"), nb::arg("beta1"), nb::arg("beta2"),
+          nb::arg("orders"), nb::arg("active_coefficients"), nb::arg("active_orders"), nb::arg("lr"),
+          nb::arg("keep").none(), nb::arg("views"), nb::arg("beta1"), nb::arg("beta2"),
           nb::arg("epsilon"), nb::arg("step"), nb::arg("threads"));
     m.def("add_view", &add_view, nb::arg("id"), nb::arg("mean2d"), nb::arg("mean_t"), nb::arg("radius"),
           nb::arg("half_width"), nb::arg("half_height"), nb::arg("duration"), nb::arg("space"),
