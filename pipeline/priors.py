@@ -13,6 +13,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from datasets.scene import Scene
 from pipeline.model import Model
 from pipeline.train_config import PriorConfig
 from rasterizer import Gradients
@@ -21,21 +22,33 @@ TILT_SOFTENING = 1e-3  # radians: the norm's slope is smooth within this of stan
 DECAY_EVERY = 10  # iterations between decays of the coefficients, a pass over most of the model's bytes
 
 
-def add_prior_gradients(gradients: Gradients, model: Model, cfg: PriorConfig, frame_spacing: float) -> None:
-    """Add ∂/∂parameters of the priors on motion, lifetime and opacity to `gradients`, in place.
-
-    frame_spacing: between training times, in the scene's time unit.
-    """
+def add_prior_gradients(gradients: Gradients, model: Model, cfg: PriorConfig, scene: Scene) -> None:
+    """Add ∂/∂parameters of the priors on motion, lifetime and opacity to `gradients`, in place."""
     p, share = model.parameters, 1.0 / len(model)
     if cfg.motion > 0 and model.kind.motion == "full":
         left, right = tilt_gradient(p["quat_left"], p["quat_right"])
         gradients.quat_left.add_(left, alpha=cfg.motion * share)
         gradients.quat_right.add_(right, alpha=cfg.motion * share)
     if cfg.lifetime > 0 and model.kind.dims == 4:
-        gradients.log_scale[:, 3].sub_(torch.exp(-p["log_scale"][:, 3]), alpha=cfg.lifetime * share * frame_spacing)
+        gradients.log_scale[:, 3].sub_(torch.exp(-p["log_scale"][:, 3]), alpha=cfg.lifetime * share * scene.frame_spacing)
     if cfg.opacity > 0:
         opacity = torch.sigmoid(p["opacity_logit"])
-        gradients.opacity_logit.addcmul_(opacity, 1 - opacity, value=cfg.opacity * share)
+        gradients.opacity_logit.addcmul_(opacity * lack_of_views(model, cfg, scene), 1 - opacity,
+                                         value=cfg.opacity * share)
+
+
+def lack_of_views(model: Model, cfg: PriorConfig, scene: Scene) -> Tensor | float:
+    """(N,) or one for all, in (0, 1]: opacity_views / training views within a standard deviation of the lifetime.
+
+    1 where there are fewer, or where opacity_views is 0. What many views agree on needs no prior. A function of st
+    that the prior does not pull at.
+    """
+    if cfg.opacity_views == 0:
+        return 1.0
+    if model.kind.dims == 3:
+        return min(1.0, cfg.opacity_views / len(scene.train))
+    views = torch.exp(model.parameters["log_scale"][:, 3]).mul_(len(scene.train) / scene.duration)
+    return (cfg.opacity_views / views).clamp_(max=1.0)
 
 
 def tilt(quat_left: Tensor, quat_right: Tensor) -> Tensor:

@@ -100,14 +100,15 @@ def train(model: Model, scene: Scene, cfg: Config, run: RunFolder, evaluate: Eva
     views, kernels = TrainingViews(scene.train), Kernels(cfg.train.ssim_weight, threads)
     gradients = Gradients.zeros_like(model.gaussians())
     time_split = cfg.ablation.time_split and cfg.train.densify.time_split
-    spacing, asked = scene.frame_spacing, views_to_ask(scene)
+    asked = views_to_ask(scene)
 
     with TrainingDisplay(state.iteration, cfg.train.iterations, cfg.train.time_budget_s) as display:
         last = _done(state.iteration, watch.seconds, cfg)
         while not last:
             state.iteration += 1
             iteration, now = state.iteration, schedule.clock(state.iteration, watch.seconds, cfg.train)
-            phase = schedule.phase(now, cfg.train, scene.extent, model.kind.sh_degree, model.kind.fourier_order)
+            phase = schedule.phase(now, cfg.train, scene.extent, model.kind.sh_degree, model.kind.fourier_order,
+                                   model.kind.dims == 3)
             collect = now < cfg.train.densify.stop  # nobody else asks for the statistics
 
             # One batch: gradients and statistics of every view, then one step.
@@ -126,7 +127,7 @@ def train(model: Model, scene: Scene, cfg: Config, run: RunFolder, evaluate: Eva
                 state.statistics.end(len(targets))
             guard.check_gradients(gradients, iteration, [t.name for t in targets],
                                   lambda position: batch.gradients_of(targets[position]), threads)
-            add_prior_gradients(gradients, model, cfg.train.prior, spacing)
+            add_prior_gradients(gradients, model, cfg.train.prior, scene)
             rows = moving_rows(model, phase.sphere, batch.touched)
             state.optimiser.step(gradients, phase.rates, rows, batch.d_environment)
             if cfg.train.prior.color > 0 and iteration % DECAY_EVERY == 0:

@@ -21,8 +21,9 @@ class RateConfig:
     decay_iterations: int = 30_000
     sh_dc: float = 2.5e-3
     sh_rest: float = 1.25e-4
-    sh_time: Optional[float] = None  # of colours from everywhere that change with time (degree 0); None: sh_rest
-    sh_view_time: Optional[float] = None  # None: sh_rest
+    sh_time: Optional[float] = None  # of colours that change with time alone (degree 0); None: sh_rest
+    sh_view_time: Optional[float] = None  # of colours that change with both; None: sh_rest
+    sh_rest_static: Optional[float] = None  # sh_rest where nothing moves; None: sh_rest
     opacity: float = 5e-2
     scale: float = 5e-3
     rotation: float = 1e-3
@@ -103,6 +104,7 @@ class PriorConfig:
     lifetime: float = 0.0  # towards living long: × mean of (frame spacing / st)
     color: float = 0.0  # towards one colour from everywhere, at all times: decay per unit of the coefficients' rate
     opacity: float = 0.0  # towards transparency: × mean opacity
+    opacity_views: float = 0.0  # weaker where more training views than this share the lifetime; 0: all alike
 
     def __post_init__(self) -> None:
         for f in fields(self):

@@ -7,13 +7,15 @@ import math
 import pytest
 import torch
 from builders import random_gaussians
+from tiny import tiny_scene
 
 from pipeline.model import Model
-from pipeline.priors import DECAY_EVERY, TILT_SOFTENING, add_prior_gradients, decay_colors, tilt
+from pipeline.priors import DECAY_EVERY, TILT_SOFTENING, add_prior_gradients, decay_colors, lack_of_views, tilt
 from pipeline.train_config import PriorConfig
 from rasterizer import Gradients
 from rasterizer.reference import rotation_4d
 
+SCENE = tiny_scene(views=51)  # one camera, 51 moments of one second
 SPACING = 0.02
 
 
@@ -27,21 +29,33 @@ def penalty(p: dict[str, torch.Tensor], cfg: PriorConfig) -> torch.Tensor:
     """The sum of the priors as the configuration words them, written out; any dtype."""
     turned = torch.sqrt(tilt(p["quat_left"], p["quat_right"]) ** 2 + TILT_SOFTENING**2)
     lifetime = p["log_scale"][:, 3].exp()
+    weight = (cfg.opacity_views / (51 * lifetime.detach())).clamp(max=1) if cfg.opacity_views else 1.0
     return (cfg.motion * turned.mean() + cfg.lifetime * (SPACING / lifetime).mean()
-            + cfg.opacity * p["opacity_logit"].sigmoid().mean())
+            + cfg.opacity * (weight * p["opacity_logit"].sigmoid()).mean())
 
 
-@pytest.mark.parametrize("name", ["motion", "lifetime", "opacity"])
-def test_the_gradient_is_that_of_the_penalty(name):
-    found, cfg = model(), PriorConfig(**{name: 0.7})
+@pytest.mark.parametrize("keys", [{"motion": 0.7}, {"lifetime": 0.7}, {"opacity": 0.7},
+                                  {"opacity": 0.7, "opacity_views": 20.0}])
+def test_the_gradient_is_that_of_the_penalty(keys):
+    found, cfg = model(), PriorConfig(**keys)
     gradients = Gradients.zeros_like(found.gaussians())
-    add_prior_gradients(gradients, found, cfg, SPACING)
+    add_prior_gradients(gradients, found, cfg, SCENE)
     leaves = {key: tensor.double().requires_grad_() for key, tensor in found.parameters.items()}
     penalty(leaves, cfg).backward()
     for key, mine in gradients.dense().items():
         truth = leaves[key].grad if leaves[key].grad is not None else torch.zeros_like(leaves[key])
         # float32 against float64: a few roundings of 6e-8 each, relative to the field's largest
         torch.testing.assert_close(mine.double(), truth, rtol=1e-5, atol=1e-6 * float(truth.abs().max()) + 1e-12)
+
+
+def test_opacity_is_let_be_where_many_views_share_a_lifetime():
+    """20 of 51 views: all of the pull on what lives for 0.1 s, half of it on 0.784, 20/51 where nothing moves."""
+    found, cfg = model(), PriorConfig(opacity=1.0, opacity_views=20.0)
+    found.parameters["log_scale"][:2, 3] = torch.tensor([0.1, 40 / 51]).log()
+    weight = lack_of_views(found, cfg, SCENE)
+    torch.testing.assert_close(weight[:2], torch.tensor([1.0, 0.5]))
+    assert lack_of_views(model("static"), cfg, SCENE) == pytest.approx(20 / 51)
+    assert lack_of_views(model("static"), PriorConfig(opacity=1.0, opacity_views=60.0), SCENE) == 1.0
 
 
 def test_tilt_is_twice_the_sine_of_half_the_angle_of_the_time_axis():
@@ -63,7 +77,7 @@ def test_a_rotation_of_space_alone_has_no_tilt():
 def test_no_prior_changes_nothing():
     found = model()
     gradients = Gradients.zeros_like(found.gaussians())
-    add_prior_gradients(gradients, found, PriorConfig(), SPACING)
+    add_prior_gradients(gradients, found, PriorConfig(), SCENE)
     assert all(not tensor.any() for tensor in gradients.dense().values())
 
 
@@ -71,7 +85,7 @@ def test_no_prior_changes_nothing():
 def test_models_without_the_part_get_no_such_pull(motion):
     found = model(motion)
     gradients = Gradients.zeros_like(found.gaussians())
-    add_prior_gradients(gradients, found, PriorConfig(motion=1.0, lifetime=1.0), SPACING)
+    add_prior_gradients(gradients, found, PriorConfig(motion=1.0, lifetime=1.0), SCENE)
     assert not gradients.quat_left.any()
     assert gradients.log_scale[:, 3:].any() == (motion == "separable")
 

@@ -22,7 +22,14 @@ def test_positional_rate_is_log_linear_over_the_extent_and_times_is_constant() -
 def test_constant_rates() -> None:
     r = rates(12_345, 0.4, RateConfig(), EXTENT)
     assert (r["log_scale"], r["quat_left"], r["quat_right"], r["opacity_logit"]) == ((5e-3,) * 4, 1e-3, 1e-3, 5e-2)
-    assert r["sh"] == (2.5e-3, 1.25e-4)
+    assert r["sh"] == (2.5e-3, 1.25e-4, 1.25e-4, 1.25e-4)
+
+
+def test_what_view_time_and_both_do_to_a_colour_has_a_rate_each_and_another_where_nothing_moves() -> None:
+    cfg = RateConfig(sh_rest=1e-4, sh_time=1e-3, sh_view_time=3e-5, sh_rest_static=5e-4)
+    assert rates(1, 0.0, cfg, EXTENT)["sh"] == (2.5e-3, 1e-4, 1e-3, 3e-5)
+    assert rates(1, 0.0, cfg, EXTENT, static=True)["sh"][:2] == (2.5e-3, 5e-4)
+    assert rates(1, 0.0, RateConfig(sh_rest=1e-4), EXTENT, static=True)["sh"] == (2.5e-3, 1e-4, 1e-4, 1e-4)
 
 
 def test_final_factor_reaches_every_rate_at_the_end() -> None:
