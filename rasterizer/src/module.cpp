@@ -258,8 +258,8 @@ NB_MODULE(KERNEL_MODULE_NAME, m) {
           nb::arg("threads"));
     m.def("adam_sh", &adam_sh, nb::arg("sh"), nb::arg("m"), nb::arg("v"), nb::arg("coefficients"),
           nb::arg("orders"), nb::arg("active_coefficients"), nb::arg("active_orders"), nb::arg("lr"),
-          nb::arg("keep").none(), nb::arg("views"), nb::arg("beta1"), nb::arg("beta2"),
-          nb::arg("epsilon"), nb::arg("step"), nb::arg("threads"));
+          nb::arg("keep").none(), nb::arg("views"), nb::arg("beta1"), nb::arg("beta2"), nb::arg("epsilon"),
+          nb::arg("step"), nb::arg("threads"));
     m.def("add_view", &add_view, nb::arg("id"), nb::arg("mean2d"), nb::arg("mean_t"), nb::arg("radius"),
           nb::arg("half_width"), nb::arg("half_height"), nb::arg("duration"), nb::arg("space"),
           nb::arg("time"), nb::arg("views"), nb::arg("largest_radius"), nb::arg("threads"));
