@@ -30,7 +30,8 @@ def add_prior_gradients(gradients: Gradients, model: Model, cfg: PriorConfig, sc
         gradients.quat_left.add_(left, alpha=cfg.motion * share)
         gradients.quat_right.add_(right, alpha=cfg.motion * share)
     if cfg.lifetime > 0 and model.kind.dims == 4:
-        gradients.log_scale[:, 3].sub_(torch.exp(-p["log_scale"][:, 3]), alpha=cfg.lifetime * share * scene.frame_spacing)
+        short = torch.exp(-p["log_scale"][:, 3])
+        gradients.log_scale[:, 3].sub_(short, alpha=cfg.lifetime * share * scene.frame_spacing)
     if cfg.opacity > 0:
         opacity = torch.sigmoid(p["opacity_logit"])
         gradients.opacity_logit.addcmul_(opacity * lack_of_views(model, cfg, scene), 1 - opacity,

@@ -97,7 +97,7 @@ def test_the_schedule_begins_where_training_is_said_to_have_come_to(tmp_path):
     scene, cfg = tiny_scene(), tiny_config(40)
     model = initialise(scene, cfg, np.random.default_rng(0))
     run = TinyRun(tmp_path / "late")
-    done = train(model, scene, cfg, run, fake_evaluate, done=30)
+    done = train(model, scene, cfg, run, fake_evaluate, begin=30)
     assert done.iteration == 40 and [row["iteration"] for row in run.rows("error_vs_time.jsonl")] == [40]
     assert done.model.parameters["sh"][:, 4:16].any()  # degree 2, from iteration 30 on
 

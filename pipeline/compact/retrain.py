@@ -42,4 +42,4 @@ def retrained(model: Model, scene: Scene, cfg: Config, share: float, evaluate: E
         return model
     with TemporaryDirectory() as folder:
         run = _NoRecord(Path(folder))
-        return train(model, scene, replace(cfg, train=schedule, resume=False), run, evaluate, done=first).model
+        return train(model, scene, replace(cfg, train=schedule, resume=False), run, evaluate, begin=first).model
