@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Protocol, Union
 
@@ -76,10 +77,15 @@ class Scene:
     def time_end(self) -> float:
         return self.time_start + self.duration
 
+    @cached_property
+    def moments(self) -> tuple[float, ...]:
+        """The times of the training views, each once, ascending."""
+        return tuple(sorted({view.time for view in self.train}))
+
     @property
     def frame_spacing(self) -> float:
         """The mean time between training moments; the whole duration where there is one moment."""
-        return self.duration / max(1, len({view.time for view in self.train}) - 1)
+        return self.duration / max(1, len(self.moments) - 1)
 
     @property
     def is_static(self) -> bool:

@@ -41,15 +41,19 @@ def add_prior_gradients(gradients: Gradients, model: Model, cfg: PriorConfig, sc
 def lack_of_views(model: Model, cfg: PriorConfig, scene: Scene) -> Tensor | float:
     """(N,) or one for all, in (0, 1]: opacity_views / training views within a standard deviation of the lifetime.
 
-    1 where there are fewer, or where opacity_views is 0. What many views agree on needs no prior. A function of st
-    that the prior does not pull at.
+    1 where there are fewer, where opacity_views is 0, and where several cameras film what moves: there Gaussians are
+    many for the cap, and the prior is what shares it out (synthetic/counter at 160 px: 27.91 dB with 1, 27.24 without).
+    A function of st that the prior does not pull at.
     """
+    views = len(scene.train)
     if cfg.opacity_views == 0:
         return 1.0
     if model.kind.dims == 3:
-        return min(1.0, cfg.opacity_views / len(scene.train))
-    views = torch.exp(model.parameters["log_scale"][:, 3]).mul_(len(scene.train) / scene.duration)
-    return (cfg.opacity_views / views).clamp_(max=1.0)
+        return min(1.0, cfg.opacity_views / views)
+    if len(scene.moments) < views:
+        return 1.0
+    shared = torch.exp(model.parameters["log_scale"][:, 3]).mul_(views / scene.duration)
+    return (cfg.opacity_views / shared).clamp_(max=1.0)
 
 
 def tilt(quat_left: Tensor, quat_right: Tensor) -> Tensor:

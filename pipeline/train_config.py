@@ -104,7 +104,7 @@ class PriorConfig:
     lifetime: float = 0.0  # towards living long: × mean of (frame spacing / st)
     color: float = 0.0  # towards one colour from everywhere, at all times: decay per unit of the coefficients' rate
     opacity: float = 0.0  # towards transparency: × mean opacity
-    opacity_views: float = 0.0  # weaker where more training views than this share the lifetime; 0: all alike
+    opacity_views: float = 0.0  # of one camera: weaker where more than this share a lifetime; 0: all alike
 
     def __post_init__(self) -> None:
         for f in fields(self):

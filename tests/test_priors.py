@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -56,6 +57,12 @@ def test_opacity_is_let_be_where_many_views_share_a_lifetime():
     torch.testing.assert_close(weight[:2], torch.tensor([1.0, 0.5]))
     assert lack_of_views(model("static"), cfg, SCENE) == pytest.approx(20 / 51)
     assert lack_of_views(model("static"), PriorConfig(opacity=1.0, opacity_views=60.0), SCENE) == 1.0
+
+
+def test_opacity_is_pulled_at_alike_where_several_cameras_film_what_moves():
+    twice, cfg = replace(SCENE, train=SCENE.train + SCENE.train), PriorConfig(opacity=1.0, opacity_views=20.0)
+    assert twice.moments == SCENE.moments and len(twice.train) == 2 * len(twice.moments)
+    assert lack_of_views(model(), cfg, twice) == 1.0
 
 
 def test_tilt_is_twice_the_sine_of_half_the_angle_of_the_time_axis():
