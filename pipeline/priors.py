@@ -50,7 +50,7 @@ def lack_of_views(model: Model, cfg: PriorConfig, scene: Scene) -> Tensor | floa
         return 1.0
     if model.kind.dims == 3:
         return min(1.0, cfg.opacity_views / views)
-    if len(scene.moments) < views:
+    if views >= 2 * len(scene.moments):
         return 1.0
     shared = torch.exp(model.parameters["log_scale"][:, 3]).mul_(views / scene.duration)
     return (cfg.opacity_views / shared).clamp_(max=1.0)
