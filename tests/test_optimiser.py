@@ -13,7 +13,7 @@ from test_model import random_model
 
 KIND = ModelKind("full", 2, 3)
 RATES = {"mean": (1e-3, 1e-3, 1e-3, 2e-3), "log_scale": 5e-3, "quat_left": 1e-3, "quat_right": 1e-3,
-         "opacity_logit": 5e-2, "sh": (2.5e-3, 1.25e-4), "environment": 0.02}
+         "opacity_logit": 5e-2, "sh": (2.5e-3, 1.25e-4, 5e-4, 6e-5), "environment": 0.02}
 FIELDS = RATES.keys() - {"sh", "environment"}
 
 
