@@ -17,7 +17,7 @@ from datasets.scene import Scene, View
 from pipeline.config import Config
 from pipeline.model import Model
 from pipeline.optimiser import Adam
-from pipeline.train_config import DensifyConfig
+from pipeline.train_config import DensifyConfig, TrainConfig
 from pipeline.views import camera_at, spread
 from rasterizer import Frame, Gradients, Request
 
@@ -67,18 +67,36 @@ def views_to_ask(scene: Scene) -> list[View]:
     return [view for view in scene.train if view.time in chosen]
 
 
-def prune_due(iteration: int, cfg: DensifyConfig) -> bool:
-    return cfg.min_views > 0 and iteration > cfg.start and iteration % cfg.views_every == 0
+def prune_due(iteration: int, cfg: TrainConfig) -> bool:
+    """Every `evidence_every` iterations, on after the last densification, but not so late that what is left has no
+    time to make up for it."""
+    rules = cfg.densify
+    wanted = (rules.min_views > 0 or rules.leave_out > 0) and iteration > rules.start
+    return wanted and iteration % rules.evidence_every == 0 and iteration + rules.evidence_every <= cfg.iterations
+
+
+def least(weight: Tensor, share: float) -> Tensor:
+    """(N,) bool: those of least weight that together have no more than `share` of all weight; ties by index."""
+    order = torch.sort(weight.double(), stable=True)
+    together = torch.cumsum(order.values, dim=0)
+    few = torch.zeros(len(weight), dtype=torch.bool)
+    few[order.indices] = together <= share * together[-1]
+    return few
 
 
 def prune_unproven(optimiser: Adam, found: Evidence, cfg: DensifyConfig, all_asked: bool = True) -> int:
-    """Remove what fewer than `min_views` views have seen, but the background's sphere; returns how many.
+    """Remove what fewer than `min_views` views have seen, and what makes least of them, together the share `leave_out`;
+    but not the background's sphere. Returns how many.
 
+    Nothing is left out where nothing moves: there each Gaussian has all views to learn from, and the last small ones
+    are detail (synthetic/still, scene.seed=1, train=best, 0.02: 38.71 dB, not 40.21).
     What no view has seen goes too if all were asked (all_asked), or else it may live between the moments that were.
     Nothing goes where that would leave nothing.
     """
     model = optimiser.model
     keep = found.views >= cfg.min_views
+    if cfg.leave_out > 0 and model.kind.dims == 4:
+        keep = keep & ~least(found.weight, cfg.leave_out)
     if not all_asked:
         keep = keep | (found.views == 0)
     if model.sphere is not None:

@@ -141,7 +141,7 @@ def train(model: Model, scene: Scene, cfg: Config, run: RunFolder, evaluate: Eva
                 gradients = Gradients.zeros_like(model.gaussians())
                 run.log({"event": "densify", "iteration": iteration, "cloned": done.cloned, "split": done.split,
                          "pruned": done.pruned, "n_gaussians": done.total})
-            if prune_due(iteration, cfg.train.densify):
+            if prune_due(iteration, cfg.train):
                 found = evidence(model, asked, scene, cfg, phase.resolution, threads)
                 pruned = prune_unproven(state.optimiser, found, cfg.train.densify, len(asked) == len(scene.train))
                 state.statistics, gradients = densify.Statistics(len(model)), Gradients.zeros_like(model.gaussians())

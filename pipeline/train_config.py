@@ -62,7 +62,9 @@ class DensifyConfig:
     prune_radius_px: float = 20.0
     prune_scale: float = 0.1  # × extent
     min_views: float = 0.0  # prune what fewer training views (evidence.py: effective number) have seen; 0: nothing
-    views_every: int = 500  # iterations between
+    # Prune those that make least, together this share of the training images, where anything moves; 0: nothing
+    leave_out: float = 0.0
+    evidence_every: int = 500  # iterations between looks at what the views say of each
     opacity_reset_every: int = 3000  # 0: never
     opacity_reset_to: float = 0.01
 
@@ -76,7 +78,8 @@ class DensifyConfig:
                  self.opacity_reset_every)
         require(0 < self.opacity_reset_to < 1, "train.densify.opacity_reset_to", "in (0, 1)", self.opacity_reset_to)
         require(self.min_views >= 0, "train.densify.min_views", ">= 0 (0: no pruning)", self.min_views)
-        require(self.views_every >= 1, "train.densify.views_every", "at least 1", self.views_every)
+        require(0 <= self.leave_out < 1, "train.densify.leave_out", "in [0, 1) (0: nothing)", self.leave_out)
+        require(self.evidence_every >= 1, "train.densify.evidence_every", "at least 1", self.evidence_every)
         require(self.every >= 1, "train.densify.every", "at least 1", self.every)
         require(self.max_gaussians >= 1, "train.densify.max_gaussians", "at least 1", self.max_gaussians)
         require(self.split_shrink > 1, "train.densify.split_shrink", "> 1", self.split_shrink)

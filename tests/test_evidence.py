@@ -8,11 +8,12 @@ import numpy as np
 import torch
 from tiny import TinyRun, tiny_config, tiny_scene, train_tiny
 
-from pipeline.evidence import Evidence, MOST_VIEWS, evidence, prune_due, prune_unproven, views_to_ask
+from pipeline.evidence import Evidence, MOST_VIEWS, evidence, least, prune_due, prune_unproven, views_to_ask
 from pipeline.initialise import initialise
 from pipeline.model import Model
 from pipeline.optimiser import Adam
-from pipeline.train_config import DensifyConfig
+from pipeline.train_config import DensifyConfig, TrainConfig
+from rasterizer import Frame
 from rasterizer.arguments import Request
 from rasterizer.reference import make_splats
 from rasterizer.reference_blend import blend
@@ -97,15 +98,83 @@ def test_what_no_view_saw_stays_where_not_all_were_asked():
     assert prune_unproven(Adam(model), found, DensifyConfig(min_views=2.0), all_asked=False) == count // 4
 
 
+def test_the_least_are_as_many_as_fit_into_their_share():
+    weight = torch.from_numpy(np.random.default_rng(0).pareto(1.0, 300).astype(np.float32))
+    weight[::7] = 0.0
+    for share in (0.0, 1e-3, 0.05, 0.5, 0.999):
+        few = least(weight, share)
+        inside, outside = weight[few].double(), weight[~few].double()
+        total = weight.double().sum()
+        assert inside.sum() <= share * total < inside.sum() + outside.min()  # one more would not fit
+        assert len(inside) == 0 or inside.max() <= outside.min()
+        assert few[weight == 0].all()
+    assert least(torch.ones(10), 0.35).tolist() == [True] * 3 + [False] * 7  # ties by index
+
+
+def test_images_change_by_no_more_than_the_share_left_out():
+    scene, cfg = tiny_scene(views=3), tiny_config()
+    model = initialise(scene, cfg, np.random.default_rng(0))
+    noise = np.random.default_rng(1).normal(size=len(model))
+    model.parameters["opacity_logit"] += torch.from_numpy(noise).float().view_as(model.parameters["opacity_logit"])
+    found, before = found_in(model, scene, cfg), shown(model, scene, cfg)
+    share, count = 0.2, len(model)
+    assert prune_unproven(Adam(model), found, DensifyConfig(leave_out=share)) > 0.2 * count
+    after = shown(model, scene, cfg)
+    # What a pixel loses of those that went it gains of those behind: weights and the background's sum to one. So it
+    # changes by no more than their weight × the range of colours; 1 + 1e-3 for sums in float32 and what ends a ray.
+    colors = torch.cat([image.flatten() for image in before + after])
+    change = sum(float((a - b).abs().amax(dim=0).sum()) for a, b in zip(after, before))
+    bound = share * float(found.weight.sum()) * float(colors.max() - colors.min())
+    assert 0.01 * bound < change < (1 + 1e-3) * bound
+
+
+def shown(model, scene, cfg) -> list[torch.Tensor]:
+    """Its images of the training views, (3, h, w) each."""
+    requests = [Request(v.camera, v.time, scene.duration, near=cfg.scene.near) for v in scene.train]
+    return [Frame(threads=1).render(model.gaussians(), request).color.clone() for request in requests]
+
+
+def test_nothing_is_left_out_of_the_sphere_nor_where_nothing_moves_nor_what_was_not_asked_about():
+    rules = DensifyConfig(leave_out=0.2)
+    model = initialise(tiny_scene(), tiny_config(), np.random.default_rng(0))
+    count = len(model)
+    found = Evidence(torch.where(torch.arange(count) < count // 2, 0.0, 1.0), (torch.arange(count) % 2).float())
+    lost = torch.arange(count) < count // 2 + int(0.2 * (count - count // 2))  # those of no weight and a fifth of it
+    assert prune_unproven(Adam(model.copy()), found, rules) == int(lost.sum())
+    assert prune_unproven(Adam(model.copy()), found, rules, all_asked=False) == int((lost & (found.views > 0)).sum())
+    sphere = Model.restored(model.kind, model.state() | {"sphere": torch.ones(count, dtype=torch.bool)})
+    assert prune_unproven(Adam(sphere), found, rules) == 0
+    still = initialise(tiny_scene(static=True), tiny_config(), np.random.default_rng(0))
+    none = Evidence(torch.zeros(len(still)), torch.ones(len(still)))
+    assert prune_unproven(Adam(still), none, rules) == 0
+
+
+def test_training_leaves_out_what_makes_least(tmp_path):
+    cfg = tiny_config(60)
+    cfg.train.densify.leave_out, cfg.train.densify.evidence_every = 0.05, 20
+    scene = tiny_scene()
+    free = train_tiny(tmp_path / "free", tiny_config(60)).model
+    model = train_tiny(tmp_path / "run", cfg).model
+    # Each time a twentieth of the images' weight, most of it of many small ones.
+    assert len(model) < 0.9 * len(free)
+    idle, before = (float(least(found_in(m, scene, cfg).weight, 0.05).float().mean()) for m in (model, free))
+    assert idle < before
+
+
 def test_when_it_is_due():
-    cfg = DensifyConfig(min_views=2.0, views_every=100, start=150, stop=300)
-    assert [i for i in range(501) if prune_due(i, cfg)] == [200, 300, 400, 500]  # on after the last densification
-    assert not any(prune_due(i, DensifyConfig(views_every=1)) for i in range(1000))  # off by default
+    rules = DensifyConfig(min_views=2.0, evidence_every=100, start=150, stop=300)
+    cfg = TrainConfig(iterations=580, densify=rules)
+    # On after the last densification; not at 500, after which there is less than a period to go.
+    assert [i for i in range(581) if prune_due(i, cfg)] == [200, 300, 400]
+    alone = dataclasses.replace(cfg, densify=dataclasses.replace(rules, min_views=0.0, leave_out=0.01))
+    assert [i for i in range(581) if prune_due(i, alone)] == [200, 300, 400]
+    off = TrainConfig(densify=DensifyConfig(evidence_every=1))
+    assert not any(prune_due(i, off) for i in range(1000))  # by default
 
 
 def test_training_leaves_none_that_one_view_alone_saw(tmp_path):
     cfg = tiny_config(60)
-    cfg.train.densify.min_views, cfg.train.densify.views_every = 1.5, 20
+    cfg.train.densify.min_views, cfg.train.densify.evidence_every = 1.5, 2
     scene = tiny_scene()
     free = train_tiny(tmp_path / "free", tiny_config(60)).model
     model = train_tiny(tmp_path / "run", cfg).model
@@ -113,5 +182,5 @@ def test_training_leaves_none_that_one_view_alone_saw(tmp_path):
     few, before = (float((found_in(m, scene, cfg).views < 1.5).float().mean()) for m in (model, free))
     assert few < 0.1 * before
     pruned = [row for row in TinyRun(tmp_path / "run").rows("log.jsonl") if row["event"] == "prune"]
-    assert [row["iteration"] for row in pruned] == [20, 40, 60]
-    assert pruned[-1]["n_gaussians"] == len(model) and pruned[0]["pruned"] > 0
+    assert [row["iteration"] for row in pruned] == list(range(6, 59, 2))
+    assert pruned[-1]["n_gaussians"] == len(model) and sum(row["pruned"] for row in pruned) > 0
