@@ -14,6 +14,7 @@ from hydra.errors import OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 
 from pipeline.config import Config
+from pipeline.where_still import with_differences
 
 CONFIG_DIR = Path(__file__).resolve().parent.parent / "conf"
 
@@ -25,11 +26,13 @@ def register_schema() -> None:
 
 def to_config(composed: DictConfig) -> Config:
     """The typed configuration of a run. ValueError, one line, where a key is unknown or a value out of range."""
-    known = set(known_keys())
+    known = set(known_keys()) | _keys_where_still()
     for key in _keys_of(OmegaConf.to_container(composed, resolve=False)):
         if key not in known:  # `+key=value` on the command line gets past Hydra's own check
             raise ValueError(_unknown_key(key))
-    return OmegaConf.to_object(composed)
+    cfg = OmegaConf.to_object(composed)
+    with_differences(cfg)  # or they would be found wrong on the first scene where nothing moves
+    return cfg
 
 
 def known_keys(schema: type = Config, prefix: str = "") -> list[str]:
@@ -41,6 +44,12 @@ def known_keys(schema: type = Config, prefix: str = "") -> list[str]:
         if is_dataclass(hints[f.name]):
             keys += known_keys(hints[f.name], f"{prefix}{f.name}.")
     return keys
+
+
+def _keys_where_still() -> set[str]:
+    """`train.where_still` holds keys of `train`, but itself."""
+    keys = (key.removeprefix("train.") for key in known_keys() if key.startswith("train."))
+    return {f"train.where_still.{key}" for key in keys if key != "where_still"}
 
 
 def one_line(error: BaseException) -> str:
@@ -92,6 +101,8 @@ def _options(group: str) -> str:
 
 
 def _unknown_key(key: str) -> str:
+    if key in _keys_where_still():
+        return f"{key}: not among this schedule's differences; add it as +{key}=..."
     siblings = [known for known in known_keys() if known.count(".") == key.count(".")]
     close = difflib.get_close_matches(key, siblings, n=1)
     return f"{key}: no such key" + (f"; did you mean {close[0]}?" if close else "; pipeline/config.py lists them")

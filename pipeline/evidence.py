@@ -88,14 +88,12 @@ def prune_unproven(optimiser: Adam, found: Evidence, cfg: DensifyConfig, all_ask
     """Remove what fewer than `min_views` views have seen, and what makes least of them, together the share `leave_out`;
     but not the background's sphere. Returns how many.
 
-    Nothing is left out where nothing moves: there each Gaussian has all views to learn from, and the last small ones
-    are detail (synthetic/still, scene.seed=1, train=best, 0.02: 38.71 dB, not 40.21).
     What no view has seen goes too if all were asked (all_asked), or else it may live between the moments that were.
     Nothing goes where that would leave nothing.
     """
     model = optimiser.model
     keep = found.views >= cfg.min_views
-    if cfg.leave_out > 0 and model.kind.dims == 4:
+    if cfg.leave_out > 0:
         keep = keep & ~least(found.weight, cfg.leave_out)
     if not all_asked:
         keep = keep | (found.views == 0)

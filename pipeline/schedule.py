@@ -33,21 +33,21 @@ def clock(iteration: int, train_seconds: float, cfg: TrainConfig) -> float:
     return max(float(iteration), cfg.iterations * min(1.0, train_seconds / cfg.time_budget_s))
 
 
-def phase(now: float, cfg: TrainConfig, extent: float, max_sh_degree: int, max_fourier_order: int,
-          static: bool = False) -> Phase:
-    """The phase at clock `now`. extent, static: as `rates`."""
+def phase(now: float, cfg: TrainConfig, extent: float, max_sh_degree: int, max_fourier_order: int
+          ) -> Phase:
+    """The phase at clock `now`. extent: as `rates`."""
     fraction = min(1.0, now / cfg.iterations)
-    return Phase(rates(now, fraction, cfg.rate, extent, static),
+    return Phase(rates(now, fraction, cfg.rate, extent),
                  sh_degree(now, cfg.sh_degree_every, max_sh_degree),
                  fourier_order(now, cfg.fourier_at, max_fourier_order),
                  cfg.resolution_scale * resolution(fraction, cfg.resolution_steps),
                  sphere=now <= cfg.sphere_freeze_after, environment=now <= cfg.environment_until)
 
 
-def rates(now: float, fraction: float, cfg: RateConfig, extent: float, static: bool = False) -> dict[str, Rate]:
+def rates(now: float, fraction: float, cfg: RateConfig, extent: float) -> dict[str, Rate]:
     """Learning rate of every field, and of the environment map, at clock `now`, `fraction` of the whole schedule done.
 
-    extent: world units (SPEC 2), which positional rates are multiplied by. static: nothing moves.
+    extent: world units (SPEC 2), which positional rates are multiplied by.
     The mean's columns are x, y, z (log-linear decay over `decay_iterations`) and t (constant, as the release).
     The unit of t's rate is the extent's too: the paper does not scale time.
     """
@@ -57,14 +57,13 @@ def rates(now: float, fraction: float, cfg: RateConfig, extent: float, static: b
     rotation = cfg.rotation * decay
     return {"mean": (xyz, xyz, xyz, t), "log_scale": (cfg.scale * decay,) * 4, "quat_left": rotation,
             "quat_right": rotation, "opacity_logit": cfg.opacity * decay,
-            "sh": tuple(rate * decay for rate in sh_rates(cfg, static)), "environment": cfg.environment * decay}
+            "sh": tuple(rate * decay for rate in sh_rates(cfg)), "environment": cfg.environment * decay}
 
 
-def sh_rates(cfg: RateConfig, static: bool) -> tuple[float, float, float, float]:
+def sh_rates(cfg: RateConfig) -> tuple[float, float, float, float]:
     """Of coefficients of neither view nor time, of view, of time, of both."""
-    rest = cfg.sh_rest if cfg.sh_rest_static is None or not static else cfg.sh_rest_static
-    return (cfg.sh_dc, rest, rest if cfg.sh_time is None else cfg.sh_time,
-            rest if cfg.sh_view_time is None else cfg.sh_view_time)
+    return (cfg.sh_dc, cfg.sh_rest, cfg.sh_rest if cfg.sh_time is None else cfg.sh_time,
+            cfg.sh_rest if cfg.sh_view_time is None else cfg.sh_view_time)
 
 
 def log_linear(start: float, end: float, fraction: float) -> float:

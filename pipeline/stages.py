@@ -28,6 +28,7 @@ from pipeline.ply import load_ply, save_ply
 from pipeline.prepare import Prepared, prepare
 from pipeline.run_folder import RunFolder, now, replacing, write_csv, write_json
 from pipeline.train import Progress, TrainResult, train
+from pipeline.where_still import fitted
 from rasterizer import Frame
 
 Say = Callable[[str], None]
@@ -43,6 +44,7 @@ def run(cfg: Config, command: str, say: Say) -> dict:
             for line in needs.lines(cfg):
                 say(line)
         data = prepare(cfg, say)
+        cfg = fitted(cfg, data.scene)
         inputs = stage_inputs(cfg, data)
         if folder.inputs_of("init") not in (None, inputs["init"]):
             raise ValueError(f"{folder.path}: holds a run made from other data than {data.scene.source} holds now, or "

@@ -107,8 +107,7 @@ def train(model: Model, scene: Scene, cfg: Config, run: RunFolder, evaluate: Eva
         while not last:
             state.iteration += 1
             iteration, now = state.iteration, schedule.clock(state.iteration, watch.seconds, cfg.train)
-            phase = schedule.phase(now, cfg.train, scene.extent, model.kind.sh_degree, model.kind.fourier_order,
-                                   model.kind.dims == 3)
+            phase = schedule.phase(now, cfg.train, scene.extent, model.kind.sh_degree, model.kind.fourier_order)
             collect = now < cfg.train.densify.stop  # nobody else asks for the statistics
 
             # One batch: gradients and statistics of every view, then one step.

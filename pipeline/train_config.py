@@ -6,7 +6,7 @@ The defaults are `train=paper`; the files under conf/train/ hold differences fro
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
-from typing import Optional
+from typing import Any, Optional
 
 from pipeline.ranges import BACKGROUNDS, require
 
@@ -23,7 +23,6 @@ class RateConfig:
     sh_rest: float = 1.25e-4
     sh_time: Optional[float] = None  # of colours that change with time alone (degree 0); None: sh_rest
     sh_view_time: Optional[float] = None  # of colours that change with both; None: sh_rest
-    sh_rest_static: Optional[float] = None  # sh_rest where nothing moves; None: sh_rest
     opacity: float = 5e-2
     scale: float = 5e-3
     rotation: float = 1e-3
@@ -62,8 +61,7 @@ class DensifyConfig:
     prune_radius_px: float = 20.0
     prune_scale: float = 0.1  # × extent
     min_views: float = 0.0  # prune what fewer training views (evidence.py: effective number) have seen; 0: nothing
-    # Prune those that make least, together this share of the training images, where anything moves; 0: nothing
-    leave_out: float = 0.0
+    leave_out: float = 0.0  # prune those that make least, together this share of the training images; 0: nothing
     evidence_every: int = 500  # iterations between looks at what the views say of each
     opacity_reset_every: int = 3000  # 0: never
     opacity_reset_to: float = 0.01
@@ -144,6 +142,7 @@ class TrainConfig:
     init_box: Optional[list[float]] = None  # canonical units; None: the scene's
     rate: RateConfig = field(default_factory=RateConfig)
     densify: DensifyConfig = field(default_factory=DensifyConfig)
+    where_still: Optional[dict[str, Any]] = None  # keys of `train` that differ where nothing moves (where_still.py)
     eval_every: int = 500
     eval_views: int = 30  # at most so many test views, spread evenly, each time; the final evaluation takes all
     checkpoint_every: int = 1000

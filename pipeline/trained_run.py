@@ -14,6 +14,7 @@ from pipeline.config import Config
 from pipeline.configure import to_config
 from pipeline.model import Model
 from pipeline.prepare import prepare
+from pipeline.where_still import fitted
 
 
 @dataclass(frozen=True)
@@ -29,4 +30,5 @@ def open_run(folder: Path, say: Callable[[str], None]) -> TrainedRun:
         if not (folder / name).exists():
             raise ValueError(f"{folder}: expected a trained run with {name}, found none")
     cfg = to_config(OmegaConf.merge(OmegaConf.structured(Config), OmegaConf.load(folder / "config.yaml")))
-    return TrainedRun(cfg, prepare(cfg, say).scene, load_model(folder / FILE_NAME))
+    scene = prepare(cfg, say).scene
+    return TrainedRun(fitted(cfg, scene), scene, load_model(folder / FILE_NAME))

@@ -25,11 +25,10 @@ def test_constant_rates() -> None:
     assert r["sh"] == (2.5e-3, 1.25e-4, 1.25e-4, 1.25e-4)
 
 
-def test_what_view_time_and_both_do_to_a_colour_has_a_rate_each_and_another_where_nothing_moves() -> None:
-    cfg = RateConfig(sh_rest=1e-4, sh_time=1e-3, sh_view_time=3e-5, sh_rest_static=5e-4)
+def test_what_view_time_and_both_do_to_a_colour_has_a_rate_each() -> None:
+    cfg = RateConfig(sh_rest=1e-4, sh_time=1e-3, sh_view_time=3e-5)
     assert rates(1, 0.0, cfg, EXTENT)["sh"] == (2.5e-3, 1e-4, 1e-3, 3e-5)
-    assert rates(1, 0.0, cfg, EXTENT, static=True)["sh"][:2] == (2.5e-3, 5e-4)
-    assert rates(1, 0.0, RateConfig(sh_rest=1e-4), EXTENT, static=True)["sh"] == (2.5e-3, 1e-4, 1e-4, 1e-4)
+    assert rates(1, 0.0, RateConfig(sh_rest=1e-4), EXTENT)["sh"] == (2.5e-3, 1e-4, 1e-4, 1e-4)
 
 
 def test_final_factor_reaches_every_rate_at_the_end() -> None:
