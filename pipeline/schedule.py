@@ -33,8 +33,7 @@ def clock(iteration: int, train_seconds: float, cfg: TrainConfig) -> float:
     return max(float(iteration), cfg.iterations * min(1.0, train_seconds / cfg.time_budget_s))
 
 
-def phase(now: float, cfg: TrainConfig, extent: float, max_sh_degree: int, max_fourier_order: int
-          ) -> Phase:
+def phase(now: float, cfg: TrainConfig, extent: float, max_sh_degree: int, max_fourier_order: int) -> Phase:
     """The phase at clock `now`. extent: as `rates`."""
     fraction = min(1.0, now / cfg.iterations)
     return Phase(rates(now, fraction, cfg.rate, extent),

@@ -9,7 +9,7 @@ import hashlib
 import json
 import shutil
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -44,7 +44,9 @@ def run(cfg: Config, command: str, say: Say) -> dict:
             for line in needs.lines(cfg):
                 say(line)
         data = prepare(cfg, say)
-        cfg = fitted(cfg, data.scene)
+        asked, cfg = cfg, fitted(cfg, data.scene)
+        if asked.train.where_still and cfg.train != replace(asked.train, where_still=None):
+            say("nothing moves: trained with the differences of train.where_still")
         inputs = stage_inputs(cfg, data)
         if folder.inputs_of("init") not in (None, inputs["init"]):
             raise ValueError(f"{folder.path}: holds a run made from other data than {data.scene.source} holds now, or "
