@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -146,12 +147,16 @@ def test_nothing_is_left_out_of_the_sphere_nor_what_was_not_asked_about():
     assert prune_unproven(Adam(sphere), found, rules) == 0
 
 
-def test_training_leaves_out_what_makes_least(tmp_path):
+def trained_with_and_without(folder: Path, **rules) -> tuple[Model, Model]:
+    """After 60 iterations: with these rules of densification, and as tiny_config has them. The first is in folder/run."""
     cfg = tiny_config(60)
-    cfg.train.densify.leave_out, cfg.train.densify.evidence_every = 0.05, 20
-    scene = tiny_scene()
-    free = train_tiny(tmp_path / "free", tiny_config(60)).model
-    model = train_tiny(tmp_path / "run", cfg).model
+    cfg.train.densify = dataclasses.replace(cfg.train.densify, **rules)
+    return train_tiny(folder / "run", cfg).model, train_tiny(folder / "free", tiny_config(60)).model
+
+
+def test_training_leaves_out_what_makes_least(tmp_path):
+    model, free = trained_with_and_without(tmp_path, leave_out=0.05, evidence_every=20)
+    scene, cfg = tiny_scene(), tiny_config()
     # Each time a twentieth of the images' weight, most of it of many small ones.
     assert len(model) < 0.9 * len(free)
     idle, before = (float(least(found_in(m, scene, cfg).weight, 0.05).float().mean()) for m in (model, free))
@@ -170,11 +175,8 @@ def test_when_it_is_due():
 
 
 def test_training_leaves_none_that_one_view_alone_saw(tmp_path):
-    cfg = tiny_config(60)
-    cfg.train.densify.min_views, cfg.train.densify.evidence_every = 1.5, 2
-    scene = tiny_scene()
-    free = train_tiny(tmp_path / "free", tiny_config(60)).model
-    model = train_tiny(tmp_path / "run", cfg).model
+    model, free = trained_with_and_without(tmp_path, min_views=1.5, evidence_every=2)
+    scene, cfg = tiny_scene(), tiny_config()
     # Not quite none: what stood behind those that went is uncovered, in one view more than in another.
     few, before = (float((found_in(m, scene, cfg).views < 1.5).float().mean()) for m in (model, free))
     assert few < 0.1 * before
