@@ -10,9 +10,10 @@ from tiny import TinyRun, fake_evaluate, tiny_config, tiny_scene, train_tiny
 from pipeline.compact.__main__ import held_out_psnr, measure, smaller, smallest
 from pipeline.compact.importance import keep_most_important
 from pipeline.compact.retrain import retrained
-from pipeline.compact.storage import load_compact, save_compact
+from pipeline.compact.storage import LEVELS, PRECISIONS, load_compact, save_compact
 from pipeline.evidence import evidence
 from pipeline.initialise import initialise
+from pipeline.model import Model, ModelKind
 from pipeline.train import train
 
 
@@ -31,7 +32,7 @@ def test_the_most_important_stay_in_their_order(trained):
 
 
 def test_single_precision_is_exact_but_for_the_quaternions_length(trained, tmp_path):
-    save_compact(tmp_path / "m", trained, half=False)
+    save_compact(tmp_path / "m", trained, "float32")
     back = load_compact(tmp_path / "m")
     for name, tensor in trained.parameters.items():
         if not name.startswith("quat"):
@@ -42,7 +43,7 @@ def test_single_precision_is_exact_but_for_the_quaternions_length(trained, tmp_p
 
 
 def test_half_precision_is_half_as_large_and_nearly_the_same(trained, tmp_path):
-    whole, half = save_compact(tmp_path / "w", trained, half=False), save_compact(tmp_path / "h", trained)
+    whole, half = save_compact(tmp_path / "w", trained, "float32"), save_compact(tmp_path / "h", trained)
     values = sum(t.numel() for t in trained.parameters.values())
     assert whole - half == pytest.approx(2 * (values - trained.parameters["mean"].numel()), abs=64)  # the header's words
     back = load_compact(tmp_path / "h")
@@ -50,6 +51,28 @@ def test_half_precision_is_half_as_large_and_nearly_the_same(trained, tmp_path):
     for name in ("log_scale", "opacity_logit", "sh"):
         # Half precision rounds to 2^-11 of a value; below 6e-5 its steps are 6e-8.
         torch.testing.assert_close(back.parameters[name], trained.parameters[name], rtol=2**-11, atol=6e-8)
+
+
+def test_eight_bits_are_a_quarter_of_the_coefficients_and_err_by_half_a_step(trained, tmp_path):
+    trained.parameters["sh"][3, 1:] = 0.0  # no largest to divide by
+    half, eight = save_compact(tmp_path / "h", trained), save_compact(tmp_path / "e", trained, "int8")
+    others = trained.parameters["sh"][:, 1:]
+    assert half - eight == pytest.approx(others.numel() - 4 * len(trained), abs=256)  # a step each; the header's words
+    back = load_compact(tmp_path / "e").parameters
+    step = others.abs().amax(dim=(1, 2), keepdim=True) / LEVELS
+    # Half a step, and a rounding of the quotient and of the product in float32.
+    assert ((back["sh"][:, 1:] - others).abs() <= 0.5 * step * (1 + 1e-4)).all()
+    assert (back["sh"][3, 1:] == 0).all()
+    same = load_compact(tmp_path / "h").parameters
+    assert all(torch.equal(back[name], same[name]) for name in back if name != "sh")
+    assert torch.equal(back["sh"][:, 0], same["sh"][:, 0])
+
+
+def test_a_model_of_one_coefficient_has_no_others_to_store(tmp_path):
+    model = initialise(tiny_scene(static=True), tiny_config(), np.random.default_rng(0))
+    bare = Model.restored(ModelKind("static", 0, 0), {**model.state(), "sh": model.parameters["sh"][:, :1]})
+    save_compact(tmp_path / "m", bare, "int8")
+    assert torch.equal(load_compact(tmp_path / "m").parameters["sh"], bare.parameters["sh"].half().float())
 
 
 @pytest.mark.parametrize("content", [b"", b"not one", b"\x02\0\0\0\0\0\0\0{}"])
@@ -64,8 +87,8 @@ def test_the_whole_model_comes_first_and_the_smallest_is_within_the_loss(trained
     worth = evidence(trained, scene.train, scene, cfg, 1.0, threads=1).weight
     models = {fraction: smaller(trained, worth, scene, cfg, fraction, 0.0) for fraction in (1.0, 0.5)}
     points = measure(models, scene, cfg)
-    assert [(p.fraction, p.half) for p in points] == [(1.0, False), (0.5, False), (1.0, True), (0.5, True)]
-    assert smallest(points, loss=100.0) is points[3]
+    assert [(p.fraction, p.precision) for p in points] == [(f, p) for p in PRECISIONS for f in (1.0, 0.5)]
+    assert smallest(points, loss=100.0) is points[5]
     assert smallest(points, loss=0.0).psnr >= points[0].psnr
 
 

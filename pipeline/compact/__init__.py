@@ -1,1 +1,1 @@
-"""A trained model made smaller and faster: what each Gaussian is worth, which to leave out, and half precision on disk."""
+"""A trained model made smaller and faster: what each Gaussian is worth, which to leave out, and few bits on disk."""

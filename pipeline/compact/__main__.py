@@ -1,7 +1,7 @@
 """Quality against size and speed of a trained model: python -m pipeline.compact RUN
 
 Leaves out the Gaussians that make least of the training images, a tenth more each time, trains the rest for the last
---retrain of the run's schedule again, stores it in single and in half precision, and measures each on the run's test
+--retrain of the run's schedule again, stores it in 32, 16 and 8 bits, and measures each on the run's test
 views. Writes a table, a plot, and the smallest model that loses no more than --loss dB as `compact.safetensors`.
 """
 
@@ -31,7 +31,7 @@ from rasterizer import Frame
 from .draw import draw
 from .importance import keep_most_important
 from .retrain import retrained
-from .storage import load_compact, save_compact
+from .storage import PRECISIONS, Precision, load_compact, save_compact
 
 FRACTIONS = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2)
 OUTPUT = "compact.safetensors"
@@ -42,7 +42,7 @@ class Point:
     """One size of a model, measured."""
 
     fraction: float  # of the Gaussians kept
-    half: bool  # stored in half precision
+    precision: Precision  # stored in
     gaussians: int
     megabytes: float  # of the file
     psnr: float  # dB, mean over the test views
@@ -65,16 +65,19 @@ def smaller(model: Model, worth: Tensor, scene: Scene, cfg: Config, fraction: fl
 
 
 def measure(models: dict[float, Model], scene: Scene, cfg: Config) -> list[Point]:
-    """Every model, by the fraction that it is of the whole, in both precisions; of what was read back from the file."""
+    """Every model, by the fraction that it is of the whole, in each precision; PSNR of what was read back from the file.
+
+    Frames a second once for all precisions: what is read back is float32 again.
+    """
     threads, points = thread_count(cfg.threads), []
+    fps = {fraction: frames_per_second(model, scene, cfg, threads)["fps_render"] for fraction, model in models.items()}
     with TemporaryDirectory() as folder:
-        for half in (False, True):
+        path = Path(folder) / OUTPUT
+        for precision in PRECISIONS:
             for fraction, model in models.items():
-                path = Path(folder) / OUTPUT
-                size = save_compact(path, model, half)
-                small = load_compact(path)
-                points.append(Point(fraction, half, len(small), size / 1e6, held_out_psnr(small, scene, cfg, threads),
-                                    frames_per_second(small, scene, cfg, threads)["fps_render"]))
+                size = save_compact(path, model, precision)
+                psnr_read = held_out_psnr(load_compact(path), scene, cfg, threads)
+                points.append(Point(fraction, precision, len(model), size / 1e6, psnr_read, fps[fraction]))
     return points
 
 
@@ -99,12 +102,12 @@ def markdown(points: list[Point], chosen: Point, heading: str, share: float) -> 
              "| Gaussians kept | stored as | MB | of the whole | FPS | × the whole | PSNR, dB | change |",
              "|---:|:---|---:|---:|---:|---:|---:|---:|"]
     for p in points:
-        row = (f"{p.fraction:.0%}, {p.gaussians:,}", "float16" if p.half else "float32", f"{p.megabytes:.2f}",
+        row = (f"{p.fraction:.0%}, {p.gaussians:,}", p.precision, f"{p.megabytes:.2f}",
                f"{p.megabytes / whole.megabytes:.2f}", f"{p.fps:.0f}", f"{p.fps / whole.fps:.2f}", f"{p.psnr:.2f}",
                f"{p.psnr - whole.psnr:+.2f}")
         lines.append("| " + " | ".join(f"**{cell}**" if p is chosen else cell for cell in row) + " |")
     again = f"Trained again after leaving out: the last {share:.0%} of the schedule." if share else "Not trained again."
-    note = f"- Bold: the smallest within the loss asked for, as stored. Means stay float32. {again}"
+    note = f"- Bold: the smallest within the loss asked for, as stored. Means stay float32, what int8 leaves of the rest float16. {again}"
     return "\n".join([*lines, "", note]) + "\n"
 
 
@@ -138,7 +141,7 @@ def main(arguments: list[str] | None = None) -> int:
     out.mkdir(parents=True, exist_ok=True)
     (out / "compact.md").write_text(markdown(points, chosen, heading, options.retrain), encoding="utf-8")
     (out / "compact.svg").write_text(draw(points, f"{cfg.scene.name}, {cfg.train.name}"), encoding="utf-8")
-    save_compact(out / OUTPUT, models[chosen.fraction], chosen.half)
+    save_compact(out / OUTPUT, models[chosen.fraction], chosen.precision)
     print(markdown(points, chosen, heading, options.retrain))
     print(f"written to {out}")
     return 0

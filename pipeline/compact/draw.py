@@ -17,7 +17,7 @@ _PANELS = (("megabytes", "MB on disk"), ("fps", "frames a second"))
 
 class Measured(Protocol):
     fraction: float
-    half: bool
+    precision: str
     megabytes: float
     psnr: float
     fps: float
@@ -31,11 +31,11 @@ def draw(points: Sequence[Measured], title: str, theme: Theme = LIGHT) -> str:
         panels = figure.subplots(1, 2, sharey=True, gridspec_kw={"left": 0.07, "right": 0.985, "bottom": 0.14,
                                                                  "top": 0.86, "wspace": 0.08})
         for axis, (name, label) in zip(panels, _PANELS, strict=True):
-            for half, colour in ((False, theme.ablations[0]), (True, theme.ablations[1])):
-                line = [p for p in points if p.half == half]
+            for precision, colour in zip(dict.fromkeys(p.precision for p in points), theme.ablations):
+                line = [p for p in points if p.precision == precision]
                 axis.plot([getattr(p, name) for p in line], [p.psnr for p in line], "o-", ms=4, color=colour,
-                          label="float16" if half else "float32")
-            for p in (p for p in points if p.half):
+                          label=precision)
+            for p in (p for p in points if p.precision == points[-1].precision):
                 axis.annotate(f"{p.fraction:.0%}", (getattr(p, name), p.psnr), xytext=(3, -9),
                               textcoords="offset points", fontsize=7, color=theme.ink)
             axis.set(xlabel=label)
