@@ -107,7 +107,8 @@ def markdown(points: list[Point], chosen: Point, heading: str, share: float) -> 
                f"{p.psnr - whole.psnr:+.2f}")
         lines.append("| " + " | ".join(f"**{cell}**" if p is chosen else cell for cell in row) + " |")
     again = f"Trained again after leaving out: the last {share:.0%} of the schedule." if share else "Not trained again."
-    note = f"- Bold: the smallest within the loss asked for, as stored. Means stay float32, what int8 leaves of the rest float16. {again}"
+    note = ("- Bold: the smallest within the loss asked for, as stored. Means stay float32, what int8 leaves of the rest "
+            f"float16. {again}")
     return "\n".join([*lines, "", note]) + "\n"
 
 
