@@ -65,7 +65,7 @@ def smaller(model: Model, worth: Tensor, scene: Scene, cfg: Config, fraction: fl
 
 
 def measure(models: dict[float, Model], scene: Scene, cfg: Config) -> list[Point]:
-    """Every model, by the fraction that it is of the whole, in each precision; PSNR of what was read back from the file.
+    """Every model, by the fraction that it is of the whole, in each precision; PSNR of what was read back.
 
     Frames a second once for all precisions: what is read back is float32 again.
     """
@@ -107,8 +107,8 @@ def markdown(points: list[Point], chosen: Point, heading: str, share: float) -> 
                f"{p.psnr - whole.psnr:+.2f}")
         lines.append("| " + " | ".join(f"**{cell}**" if p is chosen else cell for cell in row) + " |")
     again = f"Trained again after leaving out: the last {share:.0%} of the schedule." if share else "Not trained again."
-    note = ("- Bold: the smallest within the loss asked for, as stored. Means stay float32, what int8 leaves of the rest "
-            f"float16. {again}")
+    note = ("- Bold: the smallest within the loss asked for, as stored. Means stay float32, what int8 leaves of the "
+            f"rest float16. {again}")
     return "\n".join([*lines, "", note]) + "\n"
 
 
