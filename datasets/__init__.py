@@ -26,9 +26,6 @@ def load_scene(cfg: SceneConfig, *, threads: int = 0, say: Say = print) -> Scene
     for bad data, and for the reader `video`: its cameras are known only after structure from motion, see load_footage.
     """
     if is_filmed(cfg):
-        if cfg.validation_every:
-            raise SceneError("scene.validation_every", f"0 for {cfg.name}, which several cameras filmed (hold out another "
-                             "by scene.test_cameras)", str(cfg.validation_every))
         return load_posed(cfg, threads=threads, say=say).to_scene()
     if cfg.reader not in ("dnerf", "synthetic"):
         raise SceneError("scene.reader", "dnerf, plenoptic or synthetic", repr(cfg.reader))
@@ -47,8 +44,9 @@ def load_posed(cfg: SceneConfig, *, threads: int = 0, say: Say = print) -> Posed
         raise SceneError("scene.reader", "several cameras with known poses: plenoptic, or a synthetic scene of that kind",
                          repr(cfg.reader))
     from datasets.plenoptic import open_plenoptic
+    filming = _filming(cfg, threads, say)
     path = _make_synthetic(cfg, say) if cfg.reader == "synthetic" else _path(cfg)
-    return open_plenoptic(path, **_filming(cfg, threads, say))
+    return open_plenoptic(path, **filming)
 
 
 def load_footage(cfg: SceneConfig, *, threads: int = 0, say: Say = print) -> Footage:
@@ -89,7 +87,10 @@ def _synthetic_name(cfg: SceneConfig) -> str:
 
 
 def _filming(cfg: SceneConfig, threads: int, say: Say) -> dict[str, Any]:
-    """The fields of datasets.plenoptic.Reading."""
+    """The fields of datasets.plenoptic.Reading. SceneError where views are to be held out, not cameras."""
+    if cfg.validation_every:
+        raise SceneError("scene.validation_every", f"0 for {cfg.name}, which several cameras filmed (hold out another "
+                         "by scene.test_cameras)", str(cfg.validation_every))
     return {"name": cfg.name, "downscale": cfg.downscale, "test_cameras": cfg.test_cameras,
             "drop_cameras": cfg.drop_cameras, "first_frame": cfg.first_frame, "frames": cfg.frames, "cache": cfg.cache,
             "background": cfg.background, "threads": threads, "say": say}

@@ -98,6 +98,8 @@ def _estimate(cfg: Config, size: Size, threads: int) -> Estimate:
     train = cfg.train.iterations * iteration
     if cfg.train.time_budget_s is not None:
         train = min(train, cfg.train.time_budget_s)
+    elif cfg.ablation.fourier_order:
+        train *= 1 + 2 * cfg.train.trial  # at most: it is half the size, and none where nothing moves
     view = time_frame(workload, threads, TIMED_ITERATIONS).forward.minimum / 1e3
     image = np.random.default_rng(0).random((size.height, size.width, 3), dtype=np.float32)
     started = time.perf_counter()

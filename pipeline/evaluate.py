@@ -160,6 +160,15 @@ def quick_evaluate(model: Model, scene: Scene, cfg: Config, frame: Frame) -> dic
     return {**means(scene.test), "train_psnr": means(scene.train)["psnr"]}
 
 
+def held_out_psnr(model: Model, scene: Scene, cfg: Config, threads: int) -> np.ndarray:
+    """(test views,) dB, as metrics.json's, at the size training ended with; nothing else is measured."""
+    renderer, found = Renderer(model, scene, cfg, Frame(threads=threads)), []
+    for view in scene.test:
+        target = target_of(view, cfg.train.resolution_scale)
+        found.append(psnr(renderer.image(target.camera, view.time), target.image.numpy().transpose(1, 2, 0)))
+    return np.array(found)
+
+
 def frames_per_second(model: Model, scene: Scene, cfg: Config, threads: int) -> dict[str, float]:
     """{fps_render, fps_raster} over SPEED_VIEWS test views, the fastest of `evaluate.speed_repeats` passes each.
 

@@ -6,7 +6,7 @@ where the budget would end before the iterations do, so that decays still reach 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Union
 
 from pipeline.train_config import RateConfig, ResolutionStep, TrainConfig
@@ -31,6 +31,24 @@ def clock(iteration: int, train_seconds: float, cfg: TrainConfig) -> float:
     if cfg.time_budget_s is None:
         return float(iteration)
     return max(float(iteration), cfg.iterations * min(1.0, train_seconds / cfg.time_budget_s))
+
+
+def shortened(cfg: TrainConfig, share: float) -> TrainConfig:
+    """The whole schedule in `share` (0 to 1) of its iterations: every point of it so much sooner.
+
+    How often Gaussians are looked at stays: that is how many views a look needs. No time budget.
+    """
+    def sooner(iteration: int) -> int:
+        return round(iteration * share)
+
+    dense = cfg.densify
+    return replace(
+        cfg, iterations=max(1, sooner(cfg.iterations)), time_budget_s=None, sh_degree_every=sooner(cfg.sh_degree_every),
+        fourier_at=[sooner(start) for start in cfg.fourier_at], sphere_freeze_after=sooner(cfg.sphere_freeze_after),
+        environment_until=sooner(cfg.environment_until),
+        rate=replace(cfg.rate, decay_iterations=max(1, sooner(cfg.rate.decay_iterations))),
+        densify=replace(dense, start=sooner(dense.start), stop=sooner(dense.stop),
+                        prune_big_after=sooner(dense.prune_big_after)))
 
 
 def phase(now: float, cfg: TrainConfig, extent: float, max_sh_degree: int, max_fourier_order: int) -> Phase:

@@ -1,4 +1,4 @@
-"""The stages of a run: (sfm →) init → train → evaluate. Each is skipped if it was finished with the same inputs.
+"""The stages of a run: (sfm → trial →) init → train → evaluate. Each is skipped if it was finished with the same inputs.
 
 A stage's inputs are what its result depends on: the stage before it, the data, and its part of the configuration.
 """
@@ -17,6 +17,7 @@ import numpy as np
 from datasets import Scene
 from datasets.fault import read_json
 from pipeline import checkpoint as checkpoints
+from pipeline import trial
 from pipeline.config import Config
 from pipeline.estimate import estimate_if_large
 from pipeline.evaluate import Evaluation, evaluate, evaluate_and_show, quick_evaluate
@@ -59,13 +60,14 @@ def run(cfg: Config, command: str, say: Say) -> dict:
                 say(f"{stage}: already done in {folder.path}")
                 continue
             say(f"{stage}: {folder.path}")
-            folder.finish(stage, inputs[stage], **_WORK[stage](cfg, data, folder))
+            folder.finish(stage, inputs[stage], **_WORK[stage](cfg, data, folder, say))
             folder.log({"event": f"finished {stage}"})
         return read_json(folder.metrics)
 
 
 def stage_inputs(cfg: Config, data: Prepared) -> dict[str, str]:
-    """Stage -> hash of everything its result depends on; `sfm` only where the scene has points from it."""
+    """Stage -> hash of everything its result depends on; `sfm` only where the scene has points from it, `trial` only
+    where there is something to leave out."""
     config, found = asdict(cfg), {}
     starts = {key: value for key, value in config["train"].items() if key.startswith("init_")}
     beginning = [fingerprint(data.scene), config["ablation"], starts, config["scene"]["init_points"], cfg.seed]
@@ -76,6 +78,9 @@ def stage_inputs(cfg: Config, data: Prepared) -> dict[str, str]:
         beginning.append(found["sfm"])
     if cfg.background_model != "none":
         beginning += [cfg.background_model, cfg.init.sphere_points, cfg.init.sphere_radius]
+    if trial.due(cfg, data.scene):
+        found["trial"] = _hash(*beginning, config["train"], config["scene"]["near"])
+        beginning.append(found["trial"])
     found["init"] = _hash(*beginning)
     found["train"] = _hash(found["init"], config["train"], config["scene"]["near"])
     found["evaluate"] = _hash(found["train"], config["evaluate"])
@@ -98,7 +103,7 @@ def fingerprint(scene: Scene) -> str:
     return digest.hexdigest()
 
 
-def _sfm(cfg: Config, data: Prepared, folder: RunFolder) -> dict:
+def _sfm(cfg: Config, data: Prepared, folder: RunFolder, say: Say) -> dict:
     """The kept result of structure from motion → sfm.json, sfm.png."""
     for path in (folder.sfm, folder.sfm_picture):
         with replacing(path) as temporary:
@@ -106,8 +111,17 @@ def _sfm(cfg: Config, data: Prepared, folder: RunFolder) -> dict:
     return data.cloud.summary()
 
 
-def _init(cfg: Config, data: Prepared, folder: RunFolder) -> dict:
+def _trial(cfg: Config, data: Prepared, folder: RunFolder, say: Say) -> dict:
+    """scene and points → whether the model's colours change with time."""
+    verdict = trial.judge(data.scene, cfg, data.cloud, _threads(cfg), say)
+    say(f"trial: {verdict}")
+    return asdict(verdict)
+
+
+def _init(cfg: Config, data: Prepared, folder: RunFolder, say: Say) -> dict:
     """scene and points → init.ply; and in canonical.json how its coordinates come from the files'."""
+    if (verdict := _verdict(folder)) and not verdict.kept:
+        cfg = trial.without_time_colors(cfg)
     model = initialise(data.scene, cfg, np.random.default_rng([cfg.seed, 0]), data.cloud)
     with replacing(folder.init_ply) as temporary:
         save_ply(temporary, model)
@@ -116,8 +130,11 @@ def _init(cfg: Config, data: Prepared, folder: RunFolder) -> dict:
     return {"n_gaussians": len(model)}
 
 
-def _train(cfg: Config, data: Prepared, folder: RunFolder) -> dict:
-    """init.ply → checkpoint.safetensors, error_vs_time.csv; goes on from the checkpoint if there is one."""
+def _train(cfg: Config, data: Prepared, folder: RunFolder, say: Say) -> dict:
+    """init.ply → checkpoint.safetensors, error_vs_time.csv; goes on from the checkpoint if there is one.
+
+    The trial's seconds are training seconds.
+    """
     scene = data.scene
     frame = Frame(threads=_threads(cfg))
 
@@ -128,12 +145,13 @@ def _train(cfg: Config, data: Prepared, folder: RunFolder) -> dict:
         return found
 
     reset_peak_memory()
-    result = train(load_ply(folder.init_ply), scene, cfg, folder, look)
+    verdict = _verdict(folder)
+    result = train(load_ply(folder.init_ply), scene, cfg, folder, look, spent=verdict.seconds if verdict else 0.0)
     return {"iterations": result.iteration, "train_seconds": result.train_seconds,
             "n_gaussians": len(result.model), **_sizes(result), "peak_rss_mb": _peak_memory_mb(folder)}
 
 
-def _evaluate(cfg: Config, data: Prepared, folder: RunFolder) -> dict:
+def _evaluate(cfg: Config, data: Prepared, folder: RunFolder, say: Say) -> dict:
     """checkpoint.safetensors → metrics.json, per_image.csv, renders/."""
     scene = data.scene
     trained = folder.values_of("train")
@@ -144,20 +162,28 @@ def _evaluate(cfg: Config, data: Prepared, folder: RunFolder) -> dict:
         is_final = saved.best["iteration"] == saved.iteration
         best = final if is_final else evaluate(saved.best_model, scene, cfg, _threads(cfg))
 
+    verdict = _verdict(folder)
     write_csv(folder.per_image, _per_image(final, best))
     write_json(folder.metrics, {
         "scene": cfg.scene.name, "ablation": cfg.ablation.name, "train": cfg.train.name, "seed": cfg.seed,
         "date": now(), "final": final.metrics,
         "best_on_test": None if best is None else {**best.metrics, "iteration": saved.best["iteration"]},
+        "trial": None if verdict is None else {**asdict(verdict), "kept": verdict.kept},
         "note": final.note(), "n_alive_mean": final.n_alive_mean, "n_test_views": len(scene.test), **trained})
     return {"psnr": final.metrics["psnr"]}
 
 
-_WORK = {"sfm": _sfm, "init": _init, "train": _train, "evaluate": _evaluate}
+def _verdict(folder: RunFolder) -> trial.Verdict | None:
+    """What the run's trial said; None where it had none."""
+    return trial.Verdict(**folder.values_of("trial")) if folder.inputs_of("trial") else None
+
+
+_WORK = {"sfm": _sfm, "trial": _trial, "init": _init, "train": _train, "evaluate": _evaluate}
 
 # What each stage leaves behind; a stage whose output was deleted is not done.
 _OUTPUTS: dict[str, tuple[Callable[[RunFolder], Path], ...]] = {
     "sfm": (lambda folder: folder.sfm, lambda folder: folder.sfm_picture),
+    "trial": (),  # all in stages.json
     "init": (lambda folder: folder.init_ply,),
     "train": (lambda folder: folder.checkpoint, lambda folder: folder.curve),
     "evaluate": (lambda folder: folder.metrics, lambda folder: folder.per_image, lambda folder: folder.renders),

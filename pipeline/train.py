@@ -88,14 +88,16 @@ class TrainState:
     best_model: Model | None = None
 
 
-def train(model: Model, scene: Scene, cfg: Config, run: RunFolder, evaluate: Evaluate, begin: int = 0) -> TrainResult:
+def train(model: Model, scene: Scene, cfg: Config, run: RunFolder, evaluate: Evaluate, begin: int = 0,
+          spent: float = 0.0) -> TrainResult:
     """Train `model` (in place) on `scene.train`, or continue from the run folder's checkpoint if `cfg.resume`.
 
     `evaluate` is called every `train.eval_every` iterations and at the end, off the clock. begin: iterations that a
-    fresh run counts as done before its first; where the schedule begins for a model that is trained already. Raises
-    guard.NonFiniteError, with the last good checkpoint kept, and ValueError for a checkpoint that does not fit.
+    fresh run counts as done before its first; where the schedule begins for a model that is trained already. spent:
+    seconds that count as training from the start. Raises guard.NonFiniteError, with the last good checkpoint kept, and
+    ValueError for a checkpoint that does not fit.
     """
-    state, watch = _start(model, scene, cfg, run, begin)
+    state, watch = _start(model, scene, cfg, run, begin, spent)
     model, threads = state.model, thread_count(cfg.threads)
     views, kernels = TrainingViews(scene.train), Kernels(cfg.train.ssim_weight, threads)
     gradients = Gradients.zeros_like(model.gaussians())
@@ -200,7 +202,8 @@ def _done(iteration: int, train_seconds: float, cfg: Config) -> bool:
     return iteration >= cfg.train.iterations or (budget is not None and train_seconds >= budget)
 
 
-def _start(model: Model, scene: Scene, cfg: Config, run: RunFolder, begin: int) -> tuple[TrainState, Stopwatch]:
+def _start(model: Model, scene: Scene, cfg: Config, run: RunFolder, begin: int, spent: float
+           ) -> tuple[TrainState, Stopwatch]:
     """A fresh state around `model`, or the one saved in the run folder."""
     path = run.path / checkpoints.FILE_NAME
     if not cfg.resume:
@@ -221,7 +224,7 @@ def _start(model: Model, scene: Scene, cfg: Config, run: RunFolder, begin: int) 
                        torch.Generator().manual_seed(cfg.seed), iteration=begin)
     if saved is None:
         run.truncate_after(begin)
-        return state, Stopwatch(0.0)
+        return state, Stopwatch(spent)
 
     state.iteration, state.best, state.best_model = saved.iteration, saved.best, saved.best_model
     if saved.moments is not None:

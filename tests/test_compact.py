@@ -7,10 +7,11 @@ import pytest
 import torch
 from tiny import TinyRun, fake_evaluate, tiny_config, tiny_scene, train_tiny
 
-from pipeline.compact.__main__ import held_out_psnr, measure, smaller, smallest
+from pipeline.compact.__main__ import main, measure, smaller, smallest
 from pipeline.compact.importance import keep_most_important
 from pipeline.compact.retrain import retrained
 from pipeline.compact.storage import LEVELS, PRECISIONS, load_compact, save_compact
+from pipeline.evaluate import held_out_psnr
 from pipeline.evidence import evidence
 from pipeline.initialise import initialise
 from pipeline.model import Model, ModelKind
@@ -95,7 +96,7 @@ def test_the_whole_model_comes_first_and_the_smallest_is_within_the_loss(trained
 def test_training_again_makes_up_for_what_was_left_out_and_neither_adds_nor_prunes(trained):
     scene, cfg = tiny_scene(), tiny_config(200)
     small = keep_most_important(trained, torch.rand(len(trained), generator=torch.Generator().manual_seed(0)), 0.3)
-    before, whole, asked = held_out_psnr(small, scene, cfg, threads=1), trained.copy(), []
+    before, whole, asked = held_out_psnr(small, scene, cfg, threads=1).mean(), trained.copy(), []
 
     def look(model, progress):
         asked.append(progress.iteration)
@@ -103,7 +104,7 @@ def test_training_again_makes_up_for_what_was_left_out_and_neither_adds_nor_prun
 
     after = retrained(small, scene, cfg, 0.5, look)
     assert asked == [200] and len(after) == len(small)
-    assert held_out_psnr(after, scene, cfg, threads=1) > before + 1  # dB; a hundred iterations bring two
+    assert held_out_psnr(after, scene, cfg, threads=1).mean() > before + 1  # dB; a hundred iterations bring two
     for name, tensor in whole.parameters.items():
         assert torch.equal(trained.parameters[name], tensor)
 
@@ -129,3 +130,11 @@ def test_a_fraction_of_nothing_keeps_one(trained):
     worth = torch.zeros(len(trained))
     worth[7] = 1.0
     assert torch.equal(keep_most_important(trained, worth, 0.0).parameters["mean"], trained.parameters["mean"][7:8])
+
+
+@pytest.mark.parametrize("asked, found", [
+    (["--fractions", "0.5", "1"], "--fractions: expected parts of the Gaussians, above 0 and below 1, found 1"),
+    (["--retrain", "1.5"], "--retrain: expected a share of the schedule, 0 to 1, found 1.5")])
+def test_a_number_out_of_range_is_one_line(capsys, tmp_path, asked, found):
+    assert main([str(tmp_path), *asked]) == 1
+    assert capsys.readouterr().err == found + "\n"

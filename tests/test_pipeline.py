@@ -64,6 +64,22 @@ def test_metrics(finished: Path) -> None:
     assert metrics["model_with_optimiser_mb"] == pytest.approx(3 * metrics["model_mb"])
 
 
+def test_what_a_trial_leaves_out_the_model_does_not_hold(tmp_path: Path) -> None:
+    """Orders that come in after the end show nothing."""
+    shell, asked = Shell(tmp_path), (*TINY, "train.trial=0.5", "train.fourier_at=[80,80]", "out=run")
+    out, _ = shell(*asked)
+    assert "trial: without colours that change with time, 30 iterations; 6 training views, 2 judge" in out
+    assert "+0.00 ± 0.00 dB: left out" in out
+    folder = tmp_path / "run"
+    metrics = json.loads((folder / "metrics.json").read_text())
+    assert metrics["trial"]["kept"] is False and metrics["trial"]["gain"] == 0
+    # 65 float32 a Gaussian: mean 4, scale 4, rotations 8, opacity 1, colour 16 · 3.
+    assert metrics["model_mb"] == pytest.approx(metrics["n_gaussians"] * 65 * 4 / 1e6)
+    first = float(read_csv(folder / "error_vs_time.csv")[0]["train_seconds"])
+    assert metrics["train_seconds"] > first > metrics["trial"]["seconds"] > 0  # its seconds are training's
+    assert all(f"{stage}: already done" in shell(*asked)[0] for stage in ("trial", "init", "train", "evaluate"))
+
+
 def test_per_image_rows_average_to_the_metrics(finished: Path) -> None:
     rows = [row for row in read_csv(finished / "per_image.csv") if row["model"] == "final"]
     assert len(rows) == 3

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from pipeline.train_config import RateConfig, ResolutionStep, TrainConfig
-from pipeline.schedule import clock, phase, rates
+from pipeline.schedule import clock, phase, rates, shortened
 
 EXTENT = 4.4
 
@@ -74,3 +76,18 @@ def test_clock_is_the_iteration_unless_a_budget_ends_first() -> None:
     assert clock(100, 3, cfg) == 100.0, "ahead of its budget"
     assert clock(100, 30, cfg) == 500.0, "half the budget gone: half the schedule"
     assert clock(100, 90, cfg) == 1000.0
+
+
+@pytest.mark.parametrize("now", [1, 99, 1000, 3000, 4200, 5001, 12_000, 29_990])
+def test_a_shortened_schedule_is_the_whole_one_sooner(now: int) -> None:
+    cfg = TrainConfig(resolution_steps=[ResolutionStep(0.15, 0.25), ResolutionStep(0.5, 0.5)], time_budget_s=9.0)
+    short = shortened(cfg, 0.1)
+    assert (short.iterations, short.time_budget_s) == (3000, None)
+    whole, sooner = phase(now, cfg, EXTENT, 3, 2), phase(0.1 * now, short, EXTENT, 3, 2)
+    assert whole.rates["mean"] == pytest.approx(sooner.rates["mean"], rel=1e-12)  # a few float64 operations
+    assert replace(whole, rates={}) == replace(sooner, rates={})
+    assert (short.densify.start, short.densify.stop, short.densify.every) == (50, 1500, cfg.densify.every)
+
+
+def test_shortened_by_nothing_it_is_the_same() -> None:
+    assert shortened(TrainConfig(), 1.0) == TrainConfig()

@@ -1,7 +1,7 @@
 """Quality against size and speed of a trained model: python -m pipeline.compact RUN
 
-Leaves out the Gaussians that make least of the training images, a tenth more each time, trains the rest for the last
---retrain of the run's schedule again, stores it in 32, 16 and 8 bits, and measures each on the run's test
+Leaves out the Gaussians that make least of the training images, all but each of --fractions, trains the rest for the
+last --retrain of the run's schedule again, stores it in 32, 16 and 8 bits, and measures each on the run's test
 views. Writes a table, a plot, and the smallest model that loses no more than --loss dB as `compact.safetensors`.
 """
 
@@ -13,19 +13,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import numpy as np
 from torch import Tensor
 
 from datasets.scene import Scene
 from pipeline.config import Config
-from pipeline.evaluate import Renderer, frames_per_second, quick_evaluate
+from pipeline.evaluate import frames_per_second, held_out_psnr, quick_evaluate
 from pipeline.evidence import evidence
 from pipeline.machine import environment
-from pipeline.metrics import psnr
 from pipeline.model import Model
 from pipeline.train import Progress, thread_count
 from pipeline.trained_run import open_run
-from pipeline.views import target_of
 from rasterizer import Frame
 
 from .draw import draw
@@ -33,7 +30,7 @@ from .importance import keep_most_important
 from .retrain import retrained
 from .storage import PRECISIONS, Precision, load_compact, save_compact
 
-FRACTIONS = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2)
+FRACTIONS = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2)
 OUTPUT = "compact.safetensors"
 
 
@@ -76,18 +73,9 @@ def measure(models: dict[float, Model], scene: Scene, cfg: Config) -> list[Point
         for precision in PRECISIONS:
             for fraction, model in models.items():
                 size = save_compact(path, model, precision)
-                psnr_read = held_out_psnr(load_compact(path), scene, cfg, threads)
+                psnr_read = float(held_out_psnr(load_compact(path), scene, cfg, threads).mean())
                 points.append(Point(fraction, precision, len(model), size / 1e6, psnr_read, fps[fraction]))
     return points
-
-
-def held_out_psnr(model: Model, scene: Scene, cfg: Config, threads: int) -> float:
-    """Mean over all test views, dB, as metrics.json's."""
-    renderer, values = Renderer(model, scene, cfg, Frame(threads=threads)), []
-    for view in scene.test:
-        target = target_of(view, cfg.train.resolution_scale)
-        values.append(psnr(renderer.image(target.camera, view.time), target.image.numpy().transpose(1, 2, 0)))
-    return float(np.mean(values))
 
 
 def smallest(points: list[Point], loss: float) -> Point:
@@ -118,10 +106,15 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--loss", type=float, default=0.1, help="dB of PSNR that may be lost (0.1)")
     parser.add_argument("--retrain", type=float, default=0.2, metavar="SHARE",
                         help="of the schedule to train again after leaving out (0.2); 0: none")
+    parser.add_argument("--fractions", type=float, nargs="+", default=FRACTIONS, metavar="F",
+                        help=f"of the Gaussians to keep, beside all of them ({' '.join(map(str, FRACTIONS))})")
     parser.add_argument("--out", type=Path, default=Path("results/compact"), help="(results/compact)")
     options = parser.parse_args(arguments)
     if not 0 <= options.retrain <= 1:
         print(f"--retrain: expected a share of the schedule, 0 to 1, found {options.retrain}", file=sys.stderr)
+        return 1
+    if bad := [fraction for fraction in options.fractions if not 0 < fraction < 1]:
+        print(f"--fractions: expected parts of the Gaussians, above 0 and below 1, found {bad[0]:g}", file=sys.stderr)
         return 1
     try:
         run = open_run(options.run, print)
@@ -131,7 +124,8 @@ def main(arguments: list[str] | None = None) -> int:
     cfg, model = run.cfg, run.model
     threads = thread_count(cfg.threads)
     worth = evidence(model, run.scene.train, run.scene, cfg, cfg.train.resolution_scale, threads).weight
-    models = {fraction: smaller(model, worth, run.scene, cfg, fraction, options.retrain) for fraction in FRACTIONS}
+    models = {fraction: smaller(model, worth, run.scene, cfg, fraction, options.retrain)
+              for fraction in (1.0, *options.fractions)}
     points = measure(models, run.scene, cfg)
     chosen = smallest(points, options.loss)
     typed = sys.argv[1:] if arguments is None else arguments

@@ -7,26 +7,12 @@ earlier iteration (Renda, Frankle & Carbin 2020, "rewinding") does that better t
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from datasets.scene import Scene
 from pipeline.config import Config
 from pipeline.model import Model
+from pipeline.no_record import no_record
 from pipeline.train import Evaluate, train
-
-
-class _NoRecord:
-    """A run folder that keeps nothing but the checkpoint, and that only while it is there."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-
-    def log(self, row: dict) -> None: ...
-
-    def append_error_vs_time(self, row: dict) -> None: ...
-
-    def truncate_after(self, iteration: int) -> None: ...
 
 
 def retrained(model: Model, scene: Scene, cfg: Config, share: float, evaluate: Evaluate) -> Model:
@@ -40,6 +26,5 @@ def retrained(model: Model, scene: Scene, cfg: Config, share: float, evaluate: E
     first = round(cfg.train.iterations * (1 - share))
     if first == cfg.train.iterations:
         return model
-    with TemporaryDirectory() as folder:
-        run = _NoRecord(Path(folder))
+    with no_record() as run:
         return train(model, scene, replace(cfg, train=schedule, resume=False), run, evaluate, begin=first).model
