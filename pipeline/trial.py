@@ -55,10 +55,9 @@ def due(cfg: Config, scene: Scene) -> bool:
     if train.trial == 0 or train.time_budget_s is not None or kind_of(scene, cfg).fourier_order == 0:
         return False
     try:
-        hold_out_poses(scene, HELD_OUT)
-    except SceneError:  # too few views to hold any out
+        return len(hold_out_poses(scene, HELD_OUT).test) >= 2  # one says nothing of its error
+    except SceneError:
         return False
-    return True
 
 
 def without_time_colors(cfg: Config) -> Config:
@@ -82,17 +81,16 @@ def judge(scene: Scene, cfg: Config, cloud: Reconstruction | None, threads: int,
 
 
 def mean_and_error(gains: np.ndarray, poses: Sequence[Hashable]) -> tuple[float, float]:
-    """The mean of `gains` (views,), and its standard error: over the poses, if there are two.
+    """The mean of `gains` (at least two views,), and its standard error: over the poses, if there are two.
 
     The frames of one camera err together: a hundred of them know little more of another camera than ten. Of a single
-    pose frames are all there is. A single view leaves the error infinite.
+    pose frames are all there is.
     """
     groups: dict[Hashable, list[float]] = defaultdict(list)
     for pose, gain in zip(poses, gains.tolist(), strict=True):
         groups[pose].append(gain)
     samples = np.array([np.mean(group) for group in groups.values()]) if len(groups) > 1 else gains
-    error = samples.std(ddof=1) / len(samples) ** 0.5 if len(samples) > 1 else np.inf
-    return float(samples.mean()), float(error)
+    return float(samples.mean()), float(samples.std(ddof=1) / len(samples) ** 0.5)
 
 
 def _trained_psnr(part: Scene, cfg: Config, cloud: Reconstruction | None, threads: int) -> np.ndarray:

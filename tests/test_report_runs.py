@@ -9,6 +9,7 @@ from report_runs import write_run
 
 from pipeline.report.__main__ import main
 from pipeline.report.collect import collect
+from pipeline.report.run_tables import all_runs
 from pipeline.report.variants import name_variants
 
 
@@ -29,6 +30,12 @@ from pipeline.report.variants import name_variants
                 (f / "metrics.json").read_text().replace("12345", '"many"')
             ),
             "n_gaussians: expected a finite number, found 'many'",
+        ),
+        (
+            lambda f: (f / "metrics.json").write_text(
+                (f / "metrics.json").read_text().replace('"seed"', '"trial": 3, "seed"')
+            ),
+            "trial: expected an object, found 3",
         ),
         (lambda f: (f / "config.yaml").write_text("a: [1"), "config.yaml: expected YAML"),
     ],
@@ -112,3 +119,18 @@ def test_a_copied_run_counts_once(tmp_path):
     assert found.left_out == (
         "synthetic/wheel/full/fast/seed0: left out: same scene, ablation, settings and seed as copy",
     )
+
+
+def test_what_a_trial_said_stands_beside_the_run(tmp_path):
+    write_run(tmp_path, "synthetic/lamp", trial={"gain": 1.126, "standard_error": 0.094, "kept": True})
+    write_run(tmp_path, "synthetic/still", trial=None)
+    write_run(tmp_path, "synthetic/wheel", trial={"gain": 0.05, "standard_error": 0.05, "kept": False})
+    table = all_runs(collect(tmp_path).runs)
+    assert [row.cells["trial"].text for row in table.rows] == ["+1.13 ± 0.09: kept", "none", "+0.05 ± 0.05: left out"]
+    assert any("Trial of 4DSH" in note for _, note in table.notes)
+
+
+def test_without_a_trial_nothing_is_said_of_one(tmp_path):
+    write_run(tmp_path, "synthetic/lamp")
+    table = all_runs(collect(tmp_path).runs)
+    assert not any("Trial" in said for said in (*(c.header for c in table.columns), *(note for _, note in table.notes)))

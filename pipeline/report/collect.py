@@ -64,7 +64,8 @@ class Collection:
 
     runs:     one row a run: run (its path under RUNS_DIR), folder, scene, ablation, train, seed, machine,
               date, git_commit, command, *_note, and the metrics as `final.psnr`, `best_on_test.psnr`,
-              `n_gaussians` … (floats; NaN: not measured). `*.dssim_ms` = (1 - MS-SSIM) / 2 is the paper's
+              `n_gaussians` … (floats; NaN: not measured), `trial.gain` and `trial.standard_error` (dB; NaN:
+              no trial), `trial.kept`. `*.dssim_ms` = (1 - MS-SSIM) / 2 is the paper's
               DSSIM; `*.flicker_levels` is flicker in levels of 255
     curves:   one row an evaluation: run, scene, ablation, train, seed, train_seconds (s), iteration,
               psnr (dB), n_gaussians, and ssim, test_loss (NaN: not measured)
@@ -160,6 +161,12 @@ def read_metrics(path: Path) -> dict[str, Any]:
     for key in REQUIRED:
         if math.isnan(row[key]):
             raise BrokenRun(f"metrics.json: {key}: expected a number, found none")
+    trial = data.get("trial") or {}
+    if not isinstance(trial, dict):
+        raise BrokenRun(f"metrics.json: trial: expected an object, found {trial!r}")
+    for key in ("gain", "standard_error"):
+        row[f"trial.{key}"] = _number(trial.get(key), f"trial.{key}")
+    row["trial.kept"] = trial.get("kept") is True
     for key in ("lpips_note", "ms_ssim_note"):  # why a number is missing
         row[key] = _note(data["final"].get(key))
     return row
