@@ -67,9 +67,11 @@ def test_views_of_one_camera_are_one_witness(gains: list[float], poses: str, mea
     assert trial.mean_and_error(np.array(gains), poses) == (mean, error)
 
 
-def test_a_gain_must_be_twice_its_error() -> None:
-    assert trial.Verdict(0.21, 0.1, 6, 1.0).kept
-    assert not trial.Verdict(0.19, 0.1, 6, 1.0).kept
+def test_a_gain_must_be_twice_its_error_and_worth_having() -> None:
+    assert trial.Verdict(0.41, 0.2, 6, 1.0).kept
+    assert not trial.Verdict(0.39, 0.2, 6, 1.0).kept
+    assert trial.Verdict(0.21, 0.01, 6, 1.0).kept
+    assert not trial.Verdict(0.19, 0.01, 6, 1.0).kept
     assert not trial.Verdict(-0.3, 0.1, 6, 1.0).kept
 
 
