@@ -98,14 +98,10 @@ def mean_and_error(gains: np.ndarray, poses: Sequence[Hashable]) -> tuple[float,
 
 def _trained_psnr(part: Scene, cfg: Config, cloud: Reconstruction | None, threads: int) -> np.ndarray:
     """(test views,) dB, of a model trained on `part.train`."""
-    found = np.zeros(0)
-
     def look(model: Model, progress: Progress) -> dict:
-        nonlocal found
-        found = held_out_psnr(model, part, cfg, threads)
-        return {"psnr": float(found.mean())}
+        return {"psnr": float(held_out_psnr(model, part, cfg, threads).mean())}
 
-    model = initialise(part, cfg, np.random.default_rng([cfg.seed, 0]), cloud)
+    start = initialise(part, cfg, np.random.default_rng([cfg.seed, 0]), cloud)
     with no_record() as run:
-        train(model, part, cfg, run, look)
-    return found
+        model = train(start, part, cfg, run, look).model
+    return held_out_psnr(model, part, cfg, threads)
