@@ -23,11 +23,9 @@ def hold_out_poses(scene: Scene, every: int) -> Scene:
     """Likewise every `every`-th pose that a training camera takes, with all its views.
 
     One moving camera has a pose a view, so that it is `hold_out_every`; of several standing ones whole cameras are held
-    out; of a single one, for want of a second, views. Raises SceneError as that does.
+    out. Raises SceneError as that does.
     """
     poses = dict.fromkeys(view.camera.world_to_cam.tobytes() for view in scene.train)
-    if len(poses) == 1:
-        return hold_out_every(scene, every)
     chosen = set(list(poses)[every // 2 :: every])
     return _hold_out(scene, {index for index, view in enumerate(scene.train)
                              if view.camera.world_to_cam.tobytes() in chosen}, every)

@@ -58,9 +58,10 @@ def due(cfg: Config, scene: Scene) -> bool:
     if train.trial == 0 or train.time_budget_s is not None or kind_of(scene, cfg).fourier_order == 0:
         return False
     try:
-        return len(hold_out_poses(scene, HELD_OUT).test) >= 2  # one says nothing of its error
+        part = hold_out_poses(scene, HELD_OUT)
     except SceneError:
         return False
+    return part.extent > 0 and len(part.test) >= 2  # one says nothing of its error
 
 
 def without_time_colors(cfg: Config) -> Config:

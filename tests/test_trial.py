@@ -83,6 +83,8 @@ def test_when_there_is_one() -> None:
     assert not trial.due(cfg, tiny_scene(static=True))
     assert not trial.due(replace(cfg, train=replace(cfg.train, time_budget_s=1.0)), scene)
     assert not trial.due(cfg, replace(scene, train=scene.train[:4]))  # of four one would judge
+    two = tuple(replace(view, camera=scene.train[i % 2].camera) for i, view in enumerate(scene.train))
+    assert not trial.due(cfg, replace(scene, train=two))  # of two poses none can be spared
 
 
 def test_a_share_out_of_range_is_one_line() -> None:

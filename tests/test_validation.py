@@ -38,12 +38,6 @@ def test_whole_cameras_are_held_out():
     assert len(split.test) == 5 and len(split.train) == 10
 
 
-def test_of_a_single_camera_views_are_held_out():
-    scene = tiny_film(frames=9)
-    alone = replace(scene, train=scene.train[:9])
-    assert hold_out_poses(alone, 4).test == hold_out_every(alone, 4).test == (alone.train[2], alone.train[6])
-
-
 def test_a_moving_camera_has_a_pose_a_view():
     scene = tiny_scene(views=4)  # as many places
     assert hold_out_poses(scene, 4) == hold_out_every(scene, 4)
