@@ -1,14 +1,16 @@
 """Quality against size and speed of a trained model: python -m pipeline.compact RUN
 
-Leaves out the Gaussians that make least of the training images, all but each of --fractions, trains the rest for the
-last --retrain of the run's schedule again, stores it in 32, 16 and 8 bits, and measures each on the run's test
-views. Writes a table, a plot, and the smallest model that loses no more than --loss dB as `compact.safetensors`.
+Leaves out the Gaussians that make least of the training images, down to each of --fractions in turn, trains the rest for
+the last --retrain of the run's schedule again before it goes on, stores each in 32, 16 and 8 bits, and measures it on
+the run's test views. Writes a table, a plot, and the smallest model that loses no more than --loss dB as
+`compact.safetensors`.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -59,6 +61,17 @@ def smaller(model: Model, worth: Tensor, scene: Scene, cfg: Config, fraction: fl
         return quick_evaluate(state, scene, cfg, frame)
 
     return retrained(keep_most_important(model, worth, fraction), scene, cfg, share, look)
+
+
+def smaller_and_smaller(model: Model, scene: Scene, cfg: Config, fractions: Sequence[float], share: float
+                        ) -> dict[float, Model]:
+    """Fraction → model: the whole, then each from the one before, as that makes the images once it is trained again."""
+    models = {1.0: model}
+    for fraction in sorted(set(fractions), reverse=True):
+        before = models[min(models)]
+        worth = evidence(before, scene.train, scene, cfg, cfg.train.resolution_scale, thread_count(cfg.threads)).weight
+        models[fraction] = smaller(before, worth, scene, cfg, fraction * len(model) / len(before), share)
+    return models
 
 
 def measure(models: dict[float, Model], scene: Scene, cfg: Config) -> list[Point]:
@@ -122,10 +135,7 @@ def main(arguments: list[str] | None = None) -> int:
         print(error, file=sys.stderr)
         return 1
     cfg, model = run.cfg, run.model
-    threads = thread_count(cfg.threads)
-    worth = evidence(model, run.scene.train, run.scene, cfg, cfg.train.resolution_scale, threads).weight
-    models = {fraction: smaller(model, worth, run.scene, cfg, fraction, options.retrain)
-              for fraction in (1.0, *options.fractions)}
+    models = smaller_and_smaller(model, run.scene, cfg, options.fractions, options.retrain)
     points = measure(models, run.scene, cfg)
     chosen = smallest(points, options.loss)
     typed = sys.argv[1:] if arguments is None else arguments
