@@ -7,7 +7,7 @@ import pytest
 import torch
 from tiny import TinyRun, fake_evaluate, tiny_config, tiny_scene, train_tiny
 
-from pipeline.compact.__main__ import main, measure, smaller, smaller_and_smaller, smallest
+from pipeline.compact.__main__ import main, measure, smaller, smallest
 from pipeline.compact.importance import keep_most_important
 from pipeline.compact.retrain import retrained
 from pipeline.compact.storage import LEVELS, PRECISIONS, load_compact, save_compact
@@ -91,17 +91,6 @@ def test_the_whole_model_comes_first_and_the_smallest_is_within_the_loss(trained
     assert [(p.fraction, p.precision) for p in points] == [(f, p) for p in PRECISIONS for f in (1.0, 0.5)]
     assert smallest(points, loss=100.0) is points[5]
     assert smallest(points, loss=0.0).psnr >= points[0].psnr
-
-
-def test_each_size_is_made_of_the_one_before(trained):
-    """Without training again each holds a part of the Gaussians of the next larger one, whatever order they are asked in."""
-    scene, cfg = tiny_scene(), tiny_config()
-    models = smaller_and_smaller(trained, scene, cfg, (0.3, 0.6), 0.0)
-    assert {f: len(model) for f, model in models.items()} == {f: round(f * len(trained)) for f in (1.0, 0.6, 0.3)}
-    rows = [{tuple(row.tolist()) for row in models[f].parameters["mean"]} for f in (0.3, 0.6, 1.0)]
-    assert rows[0] < rows[1] < rows[2]
-    other = smaller_and_smaller(trained, scene, cfg, (0.6, 0.3), 0.0)
-    assert torch.equal(other[0.3].parameters["mean"], models[0.3].parameters["mean"])
 
 
 def test_training_again_makes_up_for_what_was_left_out_and_neither_adds_nor_prunes(trained):

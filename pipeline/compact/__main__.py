@@ -1,16 +1,14 @@
 """Quality against size and speed of a trained model: python -m pipeline.compact RUN
 
-Leaves out the Gaussians that make least of the training images, down to each of --fractions in turn, trains the rest for
-the last --retrain of the run's schedule again before it goes on, stores each in 32, 16 and 8 bits, and measures it on
-the run's test views. Writes a table, a plot, and the smallest model that loses no more than --loss dB as
-`compact.safetensors`.
+Leaves out the Gaussians that make least of the training images, all but each of --fractions, trains the rest for the
+last --retrain of the run's schedule again, stores it in 32, 16 and 8 bits, and measures each on the run's test
+views. Writes a table, a plot, and the smallest model that loses no more than --loss dB as `compact.safetensors`.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -32,7 +30,7 @@ from .importance import keep_most_important
 from .retrain import retrained
 from .storage import PRECISIONS, Precision, load_compact, save_compact
 
-FRACTIONS = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2)
+FRACTIONS = (0.8, 0.7, 0.6, 0.5, 0.4)
 OUTPUT = "compact.safetensors"
 
 
@@ -61,17 +59,6 @@ def smaller(model: Model, worth: Tensor, scene: Scene, cfg: Config, fraction: fl
         return quick_evaluate(state, scene, cfg, frame)
 
     return retrained(keep_most_important(model, worth, fraction), scene, cfg, share, look)
-
-
-def smaller_and_smaller(model: Model, scene: Scene, cfg: Config, fractions: Sequence[float], share: float
-                        ) -> dict[float, Model]:
-    """Fraction → model: the whole, then each from the one before, as that makes the images once it is trained again."""
-    models = {1.0: model}
-    for fraction in sorted(set(fractions), reverse=True):
-        before = models[min(models)]
-        worth = evidence(before, scene.train, scene, cfg, cfg.train.resolution_scale, thread_count(cfg.threads)).weight
-        models[fraction] = smaller(before, worth, scene, cfg, fraction * len(model) / len(before), share)
-    return models
 
 
 def measure(models: dict[float, Model], scene: Scene, cfg: Config) -> list[Point]:
@@ -117,8 +104,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m pipeline.compact", description=__doc__.splitlines()[0])
     parser.add_argument("run", type=Path, help="folder of a finished run")
     parser.add_argument("--loss", type=float, default=0.1, help="dB of PSNR that may be lost (0.1)")
-    parser.add_argument("--retrain", type=float, default=0.2, metavar="SHARE",
-                        help="of the schedule to train again after leaving out (0.2); 0: none")
+    parser.add_argument("--retrain", type=float, default=0.6, metavar="SHARE",
+                        help="of the schedule to train again after leaving out (0.6); 0: none")
     parser.add_argument("--fractions", type=float, nargs="+", default=FRACTIONS, metavar="F",
                         help=f"of the Gaussians to keep, beside all of them ({' '.join(map(str, FRACTIONS))})")
     parser.add_argument("--out", type=Path, default=Path("results/compact"), help="(results/compact)")
@@ -135,7 +122,10 @@ def main(arguments: list[str] | None = None) -> int:
         print(error, file=sys.stderr)
         return 1
     cfg, model = run.cfg, run.model
-    models = smaller_and_smaller(model, run.scene, cfg, options.fractions, options.retrain)
+    threads = thread_count(cfg.threads)
+    worth = evidence(model, run.scene.train, run.scene, cfg, cfg.train.resolution_scale, threads).weight
+    models = {fraction: smaller(model, worth, run.scene, cfg, fraction, options.retrain)
+              for fraction in (1.0, *options.fractions)}
     points = measure(models, run.scene, cfg)
     chosen = smallest(points, options.loss)
     typed = sys.argv[1:] if arguments is None else arguments
