@@ -41,8 +41,8 @@ def load_scene(cfg: SceneConfig, *, threads: int = 0, say: Say = print) -> Scene
 def load_posed(cfg: SceneConfig, *, threads: int = 0, say: Say = print) -> Posed:
     """What several cameras filmed, and where they stood: checked but not decoded; Posed.to_scene makes the scene."""
     if cfg.reader == "video" or not is_filmed(cfg):
-        raise SceneError("scene.reader", "several cameras with known poses: plenoptic, or a synthetic scene of that kind",
-                         repr(cfg.reader))
+        raise SceneError("scene.reader", "several cameras with known poses: plenoptic, or a synthetic scene of that "
+                         "kind", repr(cfg.reader))
     from datasets.plenoptic import open_plenoptic
     filming = _filming(cfg, threads, say)
     path = _make_synthetic(cfg, say) if cfg.reader == "synthetic" else _path(cfg)

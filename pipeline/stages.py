@@ -1,4 +1,4 @@
-"""The stages of a run: (sfm → trial →) init → train → evaluate. Each is skipped if it was finished with the same inputs.
+"""The stages of a run: (sfm → trial →) init → train → evaluate. Each is skipped if it was finished with equal inputs.
 
 A stage's inputs are what its result depends on: the stage before it, the data, and its part of the configuration.
 """
