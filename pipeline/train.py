@@ -163,7 +163,7 @@ def train(model: Model, scene: Scene, cfg: Config, run: RunFolder, evaluate: Eva
             if last or iteration % cfg.train.eval_every == 0:
                 with watch.paused():
                     row = _evaluate(state, evaluate, run, Progress(iteration, watch.seconds, phase.resolution, last))
-                display.line(f"iteration {iteration}: test psnr {row['psnr']:.2f} after "
+                display.line(f"iteration {iteration}: held-out psnr {row['psnr']:.2f} after "
                              f"{watch.seconds:.0f} s of training, {len(model)} Gaussians")
             if last or iteration % cfg.train.checkpoint_every == 0:
                 guard.check_model(model, iteration)

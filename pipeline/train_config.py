@@ -136,7 +136,7 @@ class TrainConfig:
     # Fourier order 1, 2 from these iterations; empty: both at once
     fourier_at: list[int] = field(default_factory=lambda: [4000, 5000])
     # As this share of the schedule two trainings on three quarters of the cameras, with and without colours that change
-    # with time; what shows the other quarter no better is left out (trial.py). 0: none. Not under a time budget
+    # with time; these go where the other quarter gains too little by them (trial.py). 0: none. Not under a time budget
     trial: float = 0.0
     init_opacity: float = 0.1
     init_time_scale: float = 0.5  # × duration
