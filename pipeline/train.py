@@ -20,13 +20,12 @@ import torch
 
 from datasets.scene import Scene
 from pipeline import checkpoint as checkpoints
-from pipeline import densify, guard, schedule
+from pipeline import densify, guard, leave_out, schedule
 from pipeline.background import moving_rows
 from pipeline.batch import Batch, Kernels
 from pipeline.config import Config
 from pipeline.display import TrainingDisplay
 from pipeline.environment import EnvironmentMap
-from pipeline.evidence import evidence, prune_due, prune_unproven, views_to_ask
 from pipeline.losses import psnr
 from pipeline.model import Model
 from pipeline.optimiser import Adam
@@ -102,7 +101,7 @@ def train(model: Model, scene: Scene, cfg: Config, run: RunFolder, evaluate: Eva
     views, kernels = TrainingViews(scene.train), Kernels(cfg.train.ssim_weight, threads)
     gradients = Gradients.zeros_like(model.gaussians())
     time_split = cfg.ablation.time_split and cfg.train.densify.time_split
-    asked = views_to_ask(scene)
+    asked = leave_out.views_to_ask(scene)
 
     with TrainingDisplay(state.iteration, cfg.train.iterations, cfg.train.time_budget_s) as display:
         last = _done(state.iteration, watch.seconds, cfg)
@@ -142,11 +141,13 @@ def train(model: Model, scene: Scene, cfg: Config, run: RunFolder, evaluate: Eva
                 gradients = Gradients.zeros_like(model.gaussians())
                 run.log({"event": "densify", "iteration": iteration, "cloned": done.cloned, "split": done.split,
                          "pruned": done.pruned, "n_gaussians": done.total})
-            if prune_due(iteration, cfg.train):
-                found = evidence(model, asked, scene, cfg, phase.resolution, threads)
-                pruned = prune_unproven(state.optimiser, found, cfg.train.densify, len(asked) == len(scene.train))
+            if leave_out.due(iteration, cfg.train):
+                change = leave_out.missed(model, asked, scene, cfg, phase.resolution,
+                                          np.random.default_rng([cfg.seed, 3, iteration]), threads)
+                gone = leave_out.leave_out(state.optimiser, change, cfg.train.densify.leave_out,
+                                           len(asked) == len(scene.train))
                 state.statistics, gradients = densify.Statistics(len(model)), Gradients.zeros_like(model.gaussians())
-                run.log({"event": "prune", "iteration": iteration, "pruned": pruned, "n_gaussians": len(model)})
+                run.log({"event": "leave_out", "iteration": iteration, "left_out": gone, "n_gaussians": len(model)})
             if densify.opacity_reset_due(iteration, now, cfg.train.densify):
                 densify.reset_opacity(state.optimiser, cfg.train.densify, phase.sphere)
 

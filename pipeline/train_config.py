@@ -60,9 +60,9 @@ class DensifyConfig:
     prune_big_after: int = 3000
     prune_radius_px: float = 20.0
     prune_scale: float = 0.1  # × extent
-    min_views: float = 0.0  # prune what fewer training views (evidence.py: effective number) have seen; 0: nothing
-    leave_out: float = 0.0  # prune those that make least, together this share of the training images; 0: nothing
-    evidence_every: int = 500  # iterations between looks at what the views say of each
+    # Remove what the training images miss least, together this share of what they miss of all (leave_out.py); 0: nothing
+    leave_out: float = 0.0
+    leave_out_every: int = 500  # iterations
     opacity_reset_every: int = 3000  # 0: never
     opacity_reset_to: float = 0.01
 
@@ -75,9 +75,8 @@ class DensifyConfig:
         require(self.opacity_reset_every >= 0, "train.densify.opacity_reset_every", ">= 0 (0: never)",
                  self.opacity_reset_every)
         require(0 < self.opacity_reset_to < 1, "train.densify.opacity_reset_to", "in (0, 1)", self.opacity_reset_to)
-        require(self.min_views >= 0, "train.densify.min_views", ">= 0 (0: no pruning)", self.min_views)
         require(0 <= self.leave_out < 1, "train.densify.leave_out", "in [0, 1) (0: nothing)", self.leave_out)
-        require(self.evidence_every >= 1, "train.densify.evidence_every", "at least 1", self.evidence_every)
+        require(self.leave_out_every >= 1, "train.densify.leave_out_every", "at least 1", self.leave_out_every)
         require(self.every >= 1, "train.densify.every", "at least 1", self.every)
         require(self.max_gaussians >= 1, "train.densify.max_gaussians", "at least 1", self.max_gaussians)
         require(self.split_shrink > 1, "train.densify.split_shrink", "> 1", self.split_shrink)

@@ -12,8 +12,8 @@ from pipeline.compact.importance import keep_most_important
 from pipeline.compact.retrain import retrained
 from pipeline.compact.storage import LEVELS, PRECISIONS, load_compact, save_compact
 from pipeline.evaluate import held_out_psnr
-from pipeline.evidence import evidence
 from pipeline.initialise import initialise
+from pipeline.leave_out import missed
 from pipeline.model import Model, ModelKind
 from pipeline.train import train
 
@@ -85,7 +85,7 @@ def test_another_file_is_refused(tmp_path, content):
 
 def test_the_whole_model_comes_first_and_the_smallest_is_within_the_loss(trained):
     scene, cfg = tiny_scene(), tiny_config()
-    worth = evidence(trained, scene.train, scene, cfg, 1.0, threads=1).weight
+    worth = missed(trained, scene.train, scene, cfg, 1.0, np.random.default_rng(0), threads=1)
     models = {fraction: smaller(trained, worth, scene, cfg, fraction, 0.0) for fraction in (1.0, 0.5)}
     points = measure(models, scene, cfg)
     assert [(p.fraction, p.precision) for p in points] == [(f, p) for p in PRECISIONS for f in (1.0, 0.5)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 
 import numpy as np
@@ -12,8 +13,12 @@ from tiny import tiny_config, tiny_scene
 from pipeline.generalisation.draw import mosaic
 from pipeline.generalisation.history import read_history
 from pipeline.generalisation.lifetimes import BIN_EDGES, QUANTILES, lifetimes
+from pipeline.generalisation.seen import views_that_saw
 from pipeline.generalisation.where import moving_pixels, shared_out
 from pipeline.initialise import initialise
+from rasterizer import Request
+from rasterizer.reference import make_splats
+from rasterizer.reference_blend import blend
 
 
 def test_lifetimes_of_unrotated_gaussians_are_their_fourth_scale_in_frames():
@@ -41,6 +46,38 @@ def test_lifetimes_beyond_the_histogram_are_counted_at_its_ends():
 def test_a_static_model_has_none():
     scene = tiny_scene(static=True)
     assert lifetimes(initialise(scene, tiny_config(), np.random.default_rng(0)), scene) is None
+
+
+def test_views_that_saw_by_the_weights_of_the_twin():
+    scene, cfg = tiny_scene(views=3), tiny_config()
+    model = initialise(scene, cfg, np.random.default_rng(0))
+    model.parameters["sh"][::2, 0] = -2.0  # black: they show nothing and hide what is behind them
+    # The twin blends features linearly: one indicator a Gaussian as its feature gives the image of its weights.
+    truth = torch.zeros(len(scene.train), len(model), dtype=torch.float64)
+    doubles = type(model.gaussians())(**{name: tensor.double() for name, tensor in model.gaussians().tensors().items()})
+    for row, view in zip(truth, scene.train):
+        splats = make_splats(doubles, Request(view.camera, view.time, scene.duration, near=cfg.scene.near))
+        count = len(splats.index)
+        indicators = type(splats)(**{**vars(splats), "features": torch.eye(count, dtype=torch.float64)})
+        row[splats.index] += blend(indicators, view.camera)[0].sum(dim=(1, 2))
+    solid = truth.sum(dim=0) > 1  # one pixel in all: of less, a pair or two that just misses 1/255 is a large part
+    views = truth.sum(dim=0).square() / truth.square().sum(dim=0).clamp(min=1e-30)
+    assert solid.sum() > 50
+    torch.testing.assert_close(views_that_saw(model, scene, cfg, 1)[solid].double(), views[solid], rtol=1e-2, atol=0)
+
+
+def test_one_view_is_one_and_as_many_alike_are_as_many():
+    scene, cfg = tiny_scene(views=4, static=True), tiny_config()
+    model = initialise(scene, cfg, np.random.default_rng(0))
+    model.parameters["mean"][::2, 2] += 100.0  # behind the camera
+    alone = dataclasses.replace(scene, train=scene.train[:1])
+    once = views_that_saw(model, alone, cfg, 1)
+    seen = once > 0
+    assert seen.any() and not seen.all()
+    # Exact but for one rounding of the square and of the quotient.
+    torch.testing.assert_close(once[seen], torch.ones(int(seen.sum())), rtol=1e-6, atol=0)
+    thrice = views_that_saw(model, dataclasses.replace(scene, train=scene.train[:1] * 3), cfg, 1)
+    torch.testing.assert_close(thrice[seen], torch.full((int(seen.sum()),), 3.0), rtol=1e-6, atol=0)
 
 
 def write_run(folder, rows):

@@ -1,8 +1,7 @@
 """Quality against size and speed of a trained model: python -m pipeline.compact RUN
 
-Leaves out the Gaussians that make least of the training images, all but each of --fractions, trains the rest for the
-last --retrain of the run's schedule again, stores it in 32, 16 and 8 bits, and measures each on the run's test
-views. Writes a table, a plot, and the smallest model that loses no more than --loss dB as `compact.safetensors`.
+Leaves out the Gaussians that the training images miss least, all but each of --fractions, trains the rest for the last
+--retrain of the run's schedule again, stores it in 32, 16 and 8 bits, and measures each on the run's test views. Writes a table, a plot, and the smallest model that loses no more than --loss dB as `compact.safetensors`.
 """
 
 from __future__ import annotations
@@ -13,12 +12,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import numpy as np
 from torch import Tensor
 
 from datasets.scene import Scene
 from pipeline.config import Config
 from pipeline.evaluate import frames_per_second, held_out_psnr, quick_evaluate
-from pipeline.evidence import evidence
+from pipeline.leave_out import missed
 from pipeline.machine import environment
 from pipeline.model import Model
 from pipeline.train import Progress, thread_count
@@ -47,9 +47,9 @@ class Point:
 
 
 def smaller(model: Model, worth: Tensor, scene: Scene, cfg: Config, fraction: float, share: float) -> Model:
-    """The most important `fraction` of `model`, trained again for `share` of the schedule; the whole stays as it is.
+    """The `fraction` of `model`, trained again for `share` of the schedule; the whole stays as it is.
 
-    worth: (N,) the Gaussians' importance.
+    worth: (N,) of each Gaussian.
     """
     if fraction == 1:
         return model
@@ -123,7 +123,8 @@ def main(arguments: list[str] | None = None) -> int:
         return 1
     cfg, model = run.cfg, run.model
     threads = thread_count(cfg.threads)
-    worth = evidence(model, run.scene.train, run.scene, cfg, cfg.train.resolution_scale, threads).weight
+    worth = missed(model, run.scene.train, run.scene, cfg, cfg.train.resolution_scale,
+                   np.random.default_rng([cfg.seed, 3]), threads)
     models = {fraction: smaller(model, worth, run.scene, cfg, fraction, options.retrain)
               for fraction in (1.0, *options.fractions)}
     points = measure(models, run.scene, cfg)

@@ -1,4 +1,4 @@
-"""Leaving out the Gaussians that are worth least: those that make little of the training images."""
+"""Leaving out the Gaussians that are worth least: those that the training images miss least."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ def retrained(model: Model, scene: Scene, cfg: Config, share: float, evaluate: E
 
     evaluate: called once, at the end. Adam starts anew.
     """
-    steady = replace(cfg.train.densify, stop=0, min_views=0.0, leave_out=0.0)
+    steady = replace(cfg.train.densify, stop=0, leave_out=0.0)
     schedule = replace(cfg.train, densify=steady, time_budget_s=None, eval_every=cfg.train.iterations,
                        checkpoint_every=cfg.train.iterations)
     first = round(cfg.train.iterations * (1 - share))

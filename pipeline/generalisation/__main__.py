@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.evaluate import Renderer
-from pipeline.evidence import evidence
 from pipeline.train import thread_count
 from pipeline.trained_run import TrainedRun, open_run
 from pipeline.views import target_of
@@ -23,6 +22,7 @@ from rasterizer import Frame
 
 from .draw import draw, mosaic
 from .history import read_history
+from .seen import views_that_saw
 from .where import error_by_motion
 
 ONE_VIEW = 1.5  # seen by fewer, effectively, is seen by one
@@ -43,12 +43,6 @@ def moment(runs: list[TrainedRun]) -> list[list[np.ndarray]]:
     return rows
 
 
-def seen_by(run: TrainedRun) -> np.ndarray:
-    """(N,) the effective number of training views that have seen each Gaussian."""
-    scale, threads = run.cfg.train.resolution_scale, thread_count(run.cfg.threads)
-    return evidence(run.model, run.scene.train, run.scene, run.cfg, scale, threads).views.numpy()
-
-
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m pipeline.generalisation", description=__doc__.splitlines()[0])
     parser.add_argument("runs", type=Path, nargs="+", metavar="RUN", help="folders of finished runs of one scene")
@@ -63,7 +57,7 @@ def main(arguments: list[str] | None = None) -> int:
     except ValueError as error:
         print(error, file=sys.stderr)
         return 1
-    views = [seen_by(run) for run in runs]
+    views = [views_that_saw(run.model, run.scene, run.cfg, thread_count(run.cfg.threads)).numpy() for run in runs]
     options.out.mkdir(parents=True, exist_ok=True)
     (options.out / "generalisation.svg").write_text(draw(histories, views), encoding="utf-8")
     mosaic(moment(runs)).save(options.out / "moment.webp", quality=90)
