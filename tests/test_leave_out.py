@@ -10,6 +10,7 @@ import pytest
 import torch
 from tiny import TinyRun, tiny_config, tiny_scene, train_tiny
 
+from pipeline.environment import EnvironmentMap
 from pipeline.initialise import initialise
 from pipeline.leave_out import MOST_VIEWS, due, least, leave_out, missed, views_to_ask
 from pipeline.model import Model
@@ -68,6 +69,16 @@ def test_what_has_the_colour_of_what_is_behind_it_is_not_missed():
     seen = mean_missed(model, scene, cfg, draws=1)
     assert float(seen.max()) < 1e-8  # 3,072 products of float32, each wrong by 1e-7, of random signs, squared
     model.parameters["sh"][:20, 0] = 0.0  # grey
+    assert float(mean_missed(model, scene, cfg, draws=1).max()) > 1
+
+
+def test_what_has_the_colour_of_the_environment_is_not_missed_either():
+    scene, cfg = tiny_scene(views=2), tiny_config()
+    model = loud_model(scene, cfg, 40)
+    model.environment = EnvironmentMap.grey(12)
+    model.parameters["sh"].zero_()  # grey
+    assert float(mean_missed(model, scene, cfg, draws=1).max()) < 1e-8
+    model.environment = None  # black
     assert float(mean_missed(model, scene, cfg, draws=1).max()) > 1
 
 
