@@ -85,17 +85,17 @@ def least(worth: Tensor, share: float) -> Tensor:
 
 
 def leave_out(optimiser: Adam, change: Tensor, share: float, all_asked: bool = True) -> int:
-    """Remove what is missed least, together `share` of all (N,) `change`; but not the background's sphere. Returns how
-    many.
+    """Remove what is missed least, together `share` of the (N,) `change` of all that may go. Returns how many.
 
-    What no view has seen goes too if all were asked (all_asked), or else it may live between the moments that were.
-    Nothing goes where that would leave nothing.
+    The background's sphere may not. What no view has seen goes if all were asked (all_asked), or else it may live
+    between the moments that were. Nothing goes where that would leave nothing.
     """
-    model, gone = optimiser.model, least(change, share)
+    model, may_go = optimiser.model, torch.ones_like(change, dtype=torch.bool)
     if not all_asked:
-        gone &= change > 0
+        may_go &= change > 0
     if model.sphere is not None:
-        gone &= ~model.sphere
+        may_go &= ~model.sphere
+    gone = may_go & least(change * may_go, share)
     removed = int(gone.sum())
     if removed == len(model):
         return 0
