@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from datasets.dnerf import compose, read_dnerf
+from datasets.composition import compose
+from datasets.dnerf import read_dnerf
 from datasets.scene import SceneError
 
 SIZE = 8
@@ -174,6 +175,77 @@ def test_the_real_lego() -> None:
     assert 4.4 < scene.extent < 5.6  # 1.1 × about 4.03, their centre lying above the origin
 
 
+# --- the background of images without alpha ------------------------------------------------------------------------
+
+def opaque_disc(root: Path, border: int, inside: int = 60) -> Path:
+    """Every image RGB: one level all over, a smaller square of another in it that reaches the lower edge."""
+    for split in ("train", "test"):
+        for path in (root / split).iterdir():
+            image = np.full((SIZE, SIZE, 3), border, np.uint8)
+            image[4:, 3:5] = inside
+            Image.fromarray(image).save(path)
+    return root
+
+
+def test_the_background_of_opaque_images_is_the_colour_of_their_borders(folder: Path) -> None:
+    told: list[str] = []
+    scene = read(opaque_disc(folder, 255), background=None, downscale=1, say=told.append)
+    assert scene.background == (1.0, 1.0, 1.0)
+    assert told == ["scene.background: white, the colour of the images' borders; scene.background=black overrides"]
+    assert read(opaque_disc(folder, 253), background=None, downscale=1).background == (1.0, 1.0, 1.0)
+    assert read(opaque_disc(folder, 3), background=None, downscale=1).background == (0.0, 0.0, 0.0)
+    assert read(opaque_disc(folder, 102), background=None, downscale=1).background == (0.4, 0.4, 0.4)
+
+
+def test_a_background_that_is_asked_for_stays_and_is_remarked_on(folder: Path) -> None:
+    told: list[str] = []
+    scene = read(opaque_disc(folder, 255), background=(0.0, 0.0, 0.0), downscale=1, say=told.append)
+    assert scene.background == (0.0, 0.0, 0.0)
+    assert told == ["scene.background: black, as asked for, though the images' borders are white"]
+
+
+def test_images_with_alpha_and_photographs_stay_over_black(folder: Path) -> None:
+    told: list[str] = []
+    assert read(folder, background=None, say=told.append).background == (0.0, 0.0, 0.0)  # random, with alpha
+    for path in (folder / "train").iterdir():
+        Image.open(path).convert("RGB").save(path)  # random, opaque: borders of many colours
+    assert read(folder, background=None, say=told.append).background == (0.0, 0.0, 0.0)
+    assert told == []
+
+
+# --- layouts that converters write ----------------------------------------------------------------------------------
+
+def test_a_missing_split_says_what_makes_do_without_it(folder: Path) -> None:
+    (folder / "transforms_test.json").unlink()
+    with pytest.raises(SceneError, match=r"transforms_test.json: expected a file .*, found none; transforms_val.json is "
+                                         r"there: scene.test_split=val takes it; scene.validation_every=8 holds out"):
+        read(folder)
+    assert [view.name for view in read(folder, test_split="val").test] == ["val/r_0", "val/r_1"]
+    (folder / "transforms_val.json").unlink()
+    with pytest.raises(SceneError, match=r"found none; scene.validation_every=8 holds out every eighth"):
+        read(folder)
+    scene = read(folder, test_split=None)
+    assert (len(scene.train), scene.test) == (3, ())
+
+
+def test_a_single_transforms_file_is_the_training_split(folder: Path) -> None:
+    expected = read(folder, test_split=None)
+    (folder / "transforms_train.json").rename(folder / "transforms.json")
+    found = read(folder, test_split=None)
+    assert [view.name for view in found.train] == [view.name for view in expected.train]
+    with pytest.raises(SceneError, match="scene.validation_every=8"):
+        (folder / "transforms_test.json").unlink()
+        read(folder)
+
+
+@pytest.mark.parametrize("ending", ["jpg", "jpeg", "JPG", "PNG"])
+def test_other_endings_may_be_left_out_too(folder: Path, ending: str) -> None:
+    for path in list((folder / "train").iterdir()):
+        Image.open(path).convert("RGB").save(path.with_suffix(f".{ending}"))
+        path.unlink()
+    assert [view.name for view in read(folder).train] == ["train/r_0", "train/r_1", "train/r_2"]
+
+
 # --- bad input (SPEC 7) ---------------------------------------------------------------------------------------------
 
 def frame(content: dict, **changes: object) -> None:
@@ -205,7 +277,7 @@ BAD_INPUT: dict[str, tuple[Callable[[Path], object], str]] = {
                      r"transforms_train\.json: expected valid JSON, found Expecting value: line 1"),
     "json not text": (lambda f: (f / "transforms_train.json").write_bytes(b"\xff\xfe\x00"), "expected valid JSON"),
     "json not an object": (lambda f: write_json(f / "transforms_train.json", []), "expected an object .* found list"),
-    "no angle": (transforms(lambda c: c.pop("camera_angle_x")), "the key camera_angle_x, found only frames"),
+    "no angle": (transforms(lambda c: c.pop("camera_angle_x")), "the key camera_angle_x, or fl_x, found only file_path"),
     "angle zero": (transforms(lambda c: c.update(camera_angle_x=0.0)),
                    r"camera_angle_x: expected .* \(0, π\).* found 0.0"),
     "angle beyond π": (transforms(lambda c: c.update(camera_angle_x=3.2)), "found 3.2"),
@@ -220,7 +292,7 @@ BAD_INPUT: dict[str, tuple[Callable[[Path], object], str]] = {
     "no pose": (transforms(drop("transform_matrix")), r"frames\[1\]: expected the key transform_matrix"),
     "file_path empty": (transforms(lambda c: frame(c, file_path="")), "file_path: expected a file name, found ''"),
     "image missing": (lambda f: (f / "train" / "r_1.png").unlink(),
-                      r"r_1\.png: expected an image, named by .*frames\[1\]"),
+                      r"r_1: expected an image, named by .*frames\[1\], found no such file, nor with \.png, "),
     "image empty": (lambda f: (f / "train" / "r_1.png").write_bytes(b""), r"r_1\.png: expected a readable image"),
     "image not a PNG": (lambda f: (f / "train" / "r_1.png").write_text("hello"),
                         r"r_1\.png: expected a readable image"),

@@ -24,7 +24,8 @@ from rich.console import Console
 from datasets import Scene, SceneError
 from datasets.plenoptic import decode as decoding
 from datasets.plenoptic import read_plenoptic
-from datasets.plenoptic.decode import Undistortion, fingerprint
+from datasets.lens import Undistortion
+from datasets.plenoptic.decode import fingerprint
 from datasets.plenoptic.display import DecodingDisplay
 from datasets.plenoptic.videos import Video
 from plenoptic_folder import FRAMES, write_camera, write_folder

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from tiny import tiny_scene
 
-from datasets.dnerf import compose, coverage
+from datasets.composition import compose, coverage
 from pipeline.random_background import over_random_background
 from pipeline.views import target_of
 

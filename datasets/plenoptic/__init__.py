@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 
 from datasets.canonical import canonical_space
-from datasets.plenoptic.decode import Undistortion, fingerprint
+from datasets.lens import Undistortion
+from datasets.plenoptic.decode import fingerprint
 from datasets.plenoptic.footage import Footage, Reading
 from datasets.plenoptic.images import camera_number, read_camera, read_entries, sequences
 from datasets.plenoptic.poses import read_poses

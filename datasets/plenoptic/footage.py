@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from datasets.canonical import FRAMES_A_UNIT
-from datasets.plenoptic.decode import Recipe, Stream, Undistortion, decode, reduce_camera, store_folder, straighten
+from datasets.lens import Undistortion, straighten
+from datasets.plenoptic.decode import Recipe, Stream, decode, reduce_camera, store_folder
 from datasets.plenoptic.display import Say
 from datasets.plenoptic.sync import drop_advice
 from datasets.scene import Box, Image, Scene, SceneError, View, camera_extent, camera_of, cube_round, validate_scene

@@ -2,17 +2,15 @@
 
     DIR/images/cam00_0000.png …   camera, frame number; frames of a camera follow each other without a gap
     DIR/transforms_train.json, transforms_test.json
-        {"w", "h", "fl_x", "fl_y", "cx", "cy": pixels (or "camera_angle_x": radians, and a centred principal point),
+        {"w", "h", "fl_x", "fl_y", "cx", "cy": pixels, or "camera_angle_x": radians (see datasets/intrinsics.py),
          "frames": [{"file_path": "images/cam00_0000", "time": …, "transform_matrix": 4×4 camera-to-world}, …]}
 
-Keys are instant-ngp's, whose lens distortion ("k1", "k2", "p1", "p2", "k3") is understood too; intrinsics of a single
-frame go before those of the file. Poses have Blender's camera axes. Which cameras are held out is not taken from the
+Poses have Blender's camera axes. Which cameras are held out is not taken from the
 two files but from scene.test_cameras, as for videos. Times are in any unit: frames, seconds, since 1970.
 """
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
@@ -20,19 +18,19 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets.dnerf import (common_size, compose, find_image, get_key, load_transforms, read_angle_x, read_number,
-                            read_pose, read_rgba)
-from datasets.plenoptic.decode import Undistortion
-from datasets.scene import SceneError, camera_of
+from datasets.composition import compose
+from datasets.image_files import common_size, read_rgba
+from datasets.intrinsics import intrinsics_of, read_lens, read_pinhole
+from datasets.lens import Undistortion
+from datasets.read_values import get_key, read_number
+from datasets.scene import SceneError
+from datasets.transforms import find_image, load_transforms, read_pose
 from rasterizer.camera import Camera
 
 FRAME_NAME = re.compile(r"(?P<camera>\D*(?P<number>\d+))_(?P<frame>\d+)")  # cam00_0000
 SPLITS = ("train", "test")
-LENS_KEYS = ("k1", "k2", "p1", "p2", "k3")  # in OpenCV's order
-LENS_MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV")
 STILL_TOLERANCE = 1e-6  # world units; a camera's pose is repeated in each of its frames
 LATEST = 1e19  # nanoseconds since 1970 are 2e18
-LARGEST_LENS = 1e6  # of a coefficient; those of real lenses are below 100
 SINGLE_FRAME_RATE = 30.0  # what the converter divides frame numbers by; from one frame no rate can be told
 
 
@@ -76,7 +74,6 @@ def read_entries(root: Path) -> dict[str, list[Entry]]:
     for split in SPLITS:
         path = root / f"transforms_{split}.json"
         content, frames = load_transforms(path)
-        shared = {key: value for key, value in content.items() if key != "frames"}
         for index, frame in enumerate(frames):
             where = f"{path}: frames[{index}]"
             file_path, image_path = find_image(frame, where, root)
@@ -86,7 +83,7 @@ def read_entries(root: Path) -> dict[str, list[Entry]]:
             entry = Entry(where, image_path, int(parts["frame"]),
                           read_number(get_key(frame, "time", where), f"{where}: time", LATEST),
                           read_pose(get_key(frame, "transform_matrix", where), f"{where}: transform_matrix"),
-                          {**shared, **frame}, path)
+                          intrinsics_of(content, frame), path)
             cameras.setdefault(parts["camera"], []).append(entry)
     return {name: sorted(cameras[name], key=lambda entry: entry.frame) for name in sorted(cameras)}
 
@@ -118,34 +115,8 @@ def read_camera(entries: list[Entry], size: tuple[int, int]) -> tuple[Camera, Un
         if np.abs(entry.cam_to_world - first.cam_to_world).max() > STILL_TOLERANCE:
             raise SceneError(f"{entry.where}: transform_matrix",
                              f"the pose of {first.image_path.name}, for cameras do not move", "another")
-    values, where = first.intrinsics, first.where
-    if "fl_x" in values:
-        keys = ("fl_x", "fl_y", "cx", "cy")
-        fx, fy, cx, cy = (read_number(get_key(values, key, where), f"{where}: {key}") for key in keys)
-        # The file's size may be another scale of the same image than the files'.
-        width, height = (read_number(values.get(key, pixels), f"{where}: {key}") for key, pixels in zip("wh", size))
-        if not (width > 0 and height > 0
-                and abs(width * size[1] / height - size[0]) <= max(1.0, size[1] / height) < math.inf):
-            raise SceneError(where, "w x h of {} x {} or the same shape at another scale".format(*size),
-                             f"{width:g} x {height:g}")
-        fx, cx, fy, cy = fx * size[0] / width, cx * size[0] / width, fy * size[1] / height, cy * size[1] / height
-    else:
-        fx = fy = 0.5 * size[0] / math.tan(0.5 * read_angle_x(values, first.file))
-        cx, cy = size[0] / 2, size[1] / 2
-    if not (fx > 0 and fy > 0 and np.isfinite([fx, fy, cx, cy]).all()):
-        raise SceneError(where, "finite intrinsics, fl_x and fl_y > 0", f"{fx:g}, {fy:g}, {cx:g}, {cy:g}")
-    pose = camera_of(where, lambda: Camera.from_blender(*size, fx, first.cam_to_world).world_to_cam)
-    camera = camera_of(where, lambda: Camera(*size, fx, fy, cx, cy, pose))
-    return camera, Undistortion.of(camera, *_lens(values, where))
-
-
-def _lens(values: dict, where: str) -> tuple[float, ...]:
-    """Distortion coefficients, as LENS_KEYS; 0 where the file says nothing."""
-    model = values.get("camera_model", LENS_MODELS[0])
-    if model not in LENS_MODELS or values.get("is_fisheye"):
-        raise SceneError(f"{where}: camera_model", ", ".join(LENS_MODELS), "a fisheye" if model in LENS_MODELS else
-                         repr(model))
-    return tuple(read_number(values.get(key, 0.0), f"{where}: {key}", LARGEST_LENS) for key in LENS_KEYS)
+    camera = read_pinhole(first.intrinsics, size, first.cam_to_world, first.where, first.file)
+    return camera, Undistortion.of(camera, *read_lens(first.intrinsics, first.where))
 
 
 def _rate(entries: list[Entry]) -> float:

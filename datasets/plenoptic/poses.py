@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets.dnerf import read_pose
 from datasets.scene import Box, SceneError, camera_of, cube_round
+from datasets.transforms import read_pose
 from rasterizer.camera import FARTHEST, Camera
 
 ROW = 17
