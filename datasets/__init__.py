@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from datasets.composition import BLACK, WHITE, Color
 from datasets.scene import Scene, SceneError, View, validate_scene
 from datasets.validation import hold_out_every, hold_out_outermost
 
@@ -29,13 +30,23 @@ def load_scene(cfg: SceneConfig, *, threads: int = 0, say: Say = print) -> Scene
         return load_posed(cfg, threads=threads, say=say).to_scene()
     if cfg.reader not in ("dnerf", "synthetic"):
         raise SceneError("scene.reader", "dnerf, plenoptic or synthetic", repr(cfg.reader))
-    from datasets.dnerf import read_dnerf
+    from datasets.dnerf import has_split, read_dnerf
     path = _make_synthetic(cfg, say) if cfg.reader == "synthetic" else _path(cfg)
-    scene = read_dnerf(path, name=cfg.name, test_split=cfg.test_split, downscale=cfg.downscale,
-                       background=tuple(cfg.background), init_box=tuple(cfg.init_box))
+    # Where training views are held out, a scene may come without a test split.
+    split = None if cfg.validation_every and not has_split(path, cfg.test_split) else cfg.test_split
+    scene = read_dnerf(path, name=cfg.name, test_split=split, downscale=cfg.downscale,
+                       background=background_color(cfg.background), init_box=tuple(cfg.init_box), say=say)
     if not cfg.validation_every:
         return scene
-    return (hold_out_outermost if cfg.validation_outermost else hold_out_every)(scene, cfg.validation_every)
+    hold_out = hold_out_outermost if cfg.validation_outermost else hold_out_every
+    return validate_scene(hold_out(scene, cfg.validation_every))
+
+
+def background_color(asked: str | Sequence[float]) -> Color | None:
+    """What scene.background means: RGB in [0, 1]; None for auto."""
+    if isinstance(asked, str):
+        return {"auto": None, "black": BLACK, "white": WHITE}[asked]
+    return tuple(float(channel) for channel in asked)
 
 
 def load_posed(cfg: SceneConfig, *, threads: int = 0, say: Say = print) -> Posed:
@@ -93,10 +104,10 @@ def _filming(cfg: SceneConfig, threads: int, say: Say) -> dict[str, Any]:
                          "by scene.test_cameras)", str(cfg.validation_every))
     return {"name": cfg.name, "downscale": cfg.downscale, "test_cameras": cfg.test_cameras,
             "drop_cameras": cfg.drop_cameras, "first_frame": cfg.first_frame, "frames": cfg.frames, "cache": cfg.cache,
-            "background": cfg.background, "threads": threads, "say": say}
+            "background": background_color(cfg.background) or BLACK, "threads": threads, "say": say}
 
 
 def _path(cfg: SceneConfig) -> Path:
     if cfg.path is None:
         raise SceneError("scene.path", "the folder of the data (scene.path=DIR)", "none")
-    return Path(cfg.path)
+    return Path(cfg.path).expanduser()

@@ -8,6 +8,7 @@ import numpy as np
 
 Color = tuple[float, float, float]  # RGB in [0, 1]
 BLACK: Color = (0.0, 0.0, 0.0)
+WHITE: Color = (1.0, 1.0, 1.0)
 
 BORDER_TOLERANCE = 8  # levels of 255: what JPEG makes of one colour
 BORDER_SHARE = 0.9  # of all border pixels; an object may reach over some of them, a photograph's are never so alike

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from datasets.canonical import canonical_space
-from datasets.composition import BLACK, Color, border_color, compose, coverage
+from datasets.composition import BLACK, WHITE, Color, border_color, compose, coverage
 from datasets.image_files import common_size, read_rgba
 from datasets.intrinsics import intrinsics_of, read_lens, read_pinhole
 from datasets.read_values import get_key, read_number
@@ -113,7 +113,7 @@ def _background(views: Sequence[View], asked: Color | None, say: Callable[[str],
 
 
 def _named(color: Color) -> str:
-    names = {BLACK: "black", (1.0, 1.0, 1.0): "white"}
+    names = {BLACK: "black", WHITE: "white"}
     return names.get(color) or "[" + ",".join(f"{channel:.3g}" for channel in color) + "]"
 
 

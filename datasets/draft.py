@@ -9,6 +9,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from datasets.disk import writing
+
 
 @contextmanager
 def draft_of(folder: Path, proof: str = "meta.json") -> Iterator[Path]:
@@ -18,7 +20,7 @@ def draft_of(folder: Path, proof: str = "meta.json") -> Iterator[Path]:
     first one's stands. proof: a file that is in every finished one.
     """
     folder.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}-") as temporary:
+    with writing(folder), tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}-") as temporary:
         draft = Path(temporary) / folder.name  # a plain folder: the temporary one is private to its owner
         draft.mkdir()
         yield draft

@@ -14,21 +14,17 @@ from __future__ import annotations
 import json
 import math
 import mmap
-import os
 import zlib
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from datasets.disk import replacing
 from datasets.fault import DataError, read_json
 from datasets.scene import SceneError
-
-TEMPORARY = ".tmp-"  # how the names of unfinished files begin
-
 
 class FrameFile:
     """One camera's decoded frames, mapped when the first one is read. May be pickled, and read by several threads."""
@@ -125,12 +121,8 @@ def write_frames(folder: Path, camera: str, shape: tuple[int, int, int, int], im
             file.write(image.data)
         if len(checksums) != shape[0]:
             raise ValueError(f"{camera}: expected {shape[0]} frames, got {len(checksums)}")
-        file.flush()
-        os.fsync(file.fileno())
     with replacing(manifest) as temporary, open(temporary, "w") as file:
         json.dump({**facts, "shape": shape, "offset": offset, "checksums": checksums}, file, indent=1)
-        file.flush()
-        os.fsync(file.fileno())
 
 
 def read_frames(folder: Path, camera: str, shape: tuple[int, int, int, int]) -> tuple[StoredFrame, ...] | None:
@@ -148,14 +140,3 @@ def read_frames(folder: Path, camera: str, shape: tuple[int, int, int, int]) -> 
         return None
     file = FrameFile(path, shape, offset, checksums)
     return tuple(StoredFrame(file, index) for index in range(shape[0]))
-
-
-@contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """A temporary path beside `path`, which the block writes and syncs, renamed over it if nothing went wrong."""
-    temporary = path.with_name(f"{TEMPORARY}{path.name}")
-    try:
-        yield temporary
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 from torch import Tensor
 
+from datasets.composition import Color
 from datasets.scene import Scene
 from pipeline.config import Config
 from pipeline.losses import view_loss
 from pipeline.model import Model
-from pipeline.random_background import over_random_background
 from pipeline.render import backward, render
 from pipeline.schedule import Phase
 from pipeline.views import Target
@@ -26,7 +25,7 @@ class ViewStep:
 
     loss: float
     image: Tensor  # (3, H, W)
-    target: Tensor  # (3, H, W) what it was compared with: over the same background
+    target: Tensor  # (3, H, W) what it was compared with
     gradient: ViewGradient  # of the batch's loss
 
 
@@ -50,17 +49,13 @@ class Batch:
         trained = model.environment is not None and phase.environment
         self.d_environment = torch.zeros_like(model.environment.image) if trained else None  # of the batch's loss
         self.loss = 0.0  # mean over the batch, once all views are through
-        self.alive = 0.0  # Gaussians with p(t) >= 0.05 a view, likewise
+        self.n_gaussians = len(model)  # densification after the batch may change how many there are
+        self.alive = 0.0  # of them those with p(t) >= 0.05 a view, likewise
 
-    def backward(self, target: Target, gradients: Gradients, generator: np.random.Generator | None = None) -> ViewStep:
-        """Render `target`, add the gradient of its share of the batch's loss into `gradients`.
-
-        generator: of its background, where the schedule asks for random ones; None: it keeps its own.
-        """
+    def backward(self, target: Target, background: Color, gradients: Gradients) -> ViewStep:
+        """Render `target` over `background`, which its image is composed over, and add the gradient of its share of the
+        batch's loss into `gradients`."""
         scene, cfg, frame = self._scene, self._cfg, self._kernels.frame
-        background = scene.background
-        if generator is not None and cfg.train.random_background:
-            target, background = over_random_background(target, background, generator)
         request = Request(target.camera, target.time, scene.duration, background,
                           near=cfg.scene.near * scene.unit,
                           sh_degree=self._phase.sh_degree,
@@ -79,8 +74,8 @@ class Batch:
         self.alive += frame.alive / self._size
         return ViewStep(loss, rendered.image, target.image, seen)
 
-    def gradients_of(self, target: Target) -> Gradients:
-        """The gradient of one view alone, to find out which is broken."""
+    def gradients_of(self, target: Target, background: Color) -> Gradients:
+        """The gradient of one view alone, over the background it was trained over: to find out which is broken."""
         alone = Gradients.zeros_like(self._model.gaussians())
-        self.backward(target, alone)
+        self.backward(target, background, alone)
         return alone

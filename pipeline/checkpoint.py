@@ -1,7 +1,7 @@
 """One file from which a run continues as if it had never stopped.
 
-A checkpoint is written beside its final name, synced to the disk and renamed over it, so that at any moment, also
-after a kill or a power cut, the name holds either the old one or the new one, whole.
+It is written as datasets/disk.py does, so that at any moment, also after a kill, a power cut or on a full disk, the name
+holds either the old one or the new one, whole.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -17,10 +18,11 @@ from typing import get_args
 
 import numpy as np
 import torch
-from safetensors import safe_open
+from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
+from datasets.disk import replacing
 from datasets.fault import DataError
 from pipeline.densify import Statistics
 from pipeline.model import Model, ModelKind
@@ -68,12 +70,12 @@ def save(path: Path, checkpoint: Checkpoint) -> None:
         "kind": [kind.motion, kind.fourier_order, kind.sh_degree],
         "sampler": {key: c.sampler[key] for key in ("position", "generator")},
     }
-    temporary = path.with_name(path.name + ".tmp")
-    # A single metadata key: with several, safetensors writes them in an order that changes from run to run.
-    save_file(tensors, temporary, metadata={"state": json.dumps(header, sort_keys=True)})
-    _sync(temporary)
-    os.replace(temporary, path)
-    _sync(path.parent)
+    with replacing(path) as temporary:
+        try:
+            # A single metadata key: with several, safetensors writes them in an order that changes from run to run.
+            save_file(tensors, temporary, metadata={"state": json.dumps(header, sort_keys=True)})
+        except SafetensorError as error:
+            raise _os_error(error) from error
 
 
 def load(path: Path) -> Checkpoint:
@@ -184,10 +186,12 @@ def _read(path: Path, prefix: str = "") -> tuple[dict, dict[str, Tensor]]:
     return header, tensors
 
 
-def _sync(path: Path) -> None:
-    """Force a file, or a directory's entries, to the disk."""
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+def _os_error(error: SafetensorError) -> OSError:
+    """What the operating system said, which safetensors passes on in words: "… (os error 28)"."""
+    code = re.search(r"os error (\d+)", str(error))
+    return OSError(int(code[1]), os.strerror(int(code[1]))) if code else OSError(str(error))
+
+
+def saved_iteration(path: Path) -> int:
+    """The last iteration that a checkpoint holds, from its header alone."""
+    return _whole("iteration", _read(path, prefix="none of the tensors")[0].get("iteration"))

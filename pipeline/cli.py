@@ -20,7 +20,8 @@ from rich.console import Console
 from rich.table import Table
 
 from pipeline.config import Config
-from pipeline.configure import CONFIG_DIR, one_line, register_schema, to_config
+from pipeline.configure import CONFIG_DIR, one_line, options, quote_paths, register_schema, to_config
+from pipeline.help_page import help_page
 from rasterizer.memory import keep_freed_memory
 
 # What a user can cause, by a wrong key, bad data, a full disk or a training that diverges. Anything else is a fault of
@@ -38,30 +39,39 @@ class RunFailed(Exception):
 
 def main() -> None:
     """Entry point of `python -m pipeline`."""
+    if {"--help", "-h"} & set(sys.argv[1:]):
+        print(help_page(), end="")
+        return
+    if "--version" in sys.argv[1:]:
+        print(_version())
+        return
     traceback_wanted = os.environ.get(_FULL_ERROR) == "1"
     os.environ[_FULL_ERROR] = "1"  # so that Hydra raises and does not print: what is printed is decided here
     os.environ.setdefault("PIPELINE_TRACEBACK", "1" if traceback_wanted else "0")  # for the workers of a sweep
     register_schema()
+    sys.argv[1:] = quote_paths(sys.argv[1:])
     try:
         hydra.main(config_path=str(CONFIG_DIR), config_name="config", version_base="1.3")(run_one)()
     except RunFailed:
         sys.exit(1)
-    except KeyboardInterrupt:
-        _complain("interrupted; the same command goes on where this one stopped")
+    except KeyboardInterrupt as interrupt:
+        _complain(f"interrupted; {interrupt or 'finished runs are kept, and the same command goes on with the others'}")
         sys.exit(130)
     except EXPECTED as error:
         if traceback_wanted:
             raise
-        _complain(one_line(error))
-        sys.exit(1)
+        _refuse(one_line(error))
 
 
 def run_one(composed: DictConfig) -> None:
     """One run of the command line's. A failure ends a single run with exit status 1, and is RunFailed in a sweep."""
     job = HydraConfig.get()
     command = shlex.join(["python", "-m", "pipeline", *job.overrides.task])
+    out: Path | None = None
     try:
         cfg = to_config(composed)
+        out = Path(cfg.out)
+        _hint_at_settings(cfg, job.runtime.choices.get("scene"))
         import torch  # these two late: a typo on the command line need not wait for them
 
         from pipeline.stages import run
@@ -74,14 +84,55 @@ def run_one(composed: DictConfig) -> None:
             return
         metrics = run(cfg, command, say=lambda text: print(text, flush=True))
         (_report_line if job.mode == RunMode.MULTIRUN else _report)(cfg, metrics)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(_where_it_stands(out)) from None
     except EXPECTED as error:
         if os.environ.get("PIPELINE_TRACEBACK") == "1":
             raise
+        line = one_line(error)
+        if isinstance(error, BrokenPipeError):
+            line = f"standard output was closed; {_where_it_stands(out)}"
         if job.mode == RunMode.MULTIRUN:
-            _complain(f"{one_line(error)}  [{command}]")
+            _complain(f"{line}  [{command}]")
             raise RunFailed(command) from error
-        _complain(one_line(error))
+        _complain(line)
         sys.exit(1)
+
+
+def _where_it_stands(out: Path | None) -> str:
+    if out is None or "pipeline.stages" not in sys.modules:
+        return "nothing was saved yet; the same command starts anew"
+    from pipeline.stages import where_it_stands
+    return where_it_stands(out)
+
+
+def _hint_at_settings(cfg: Config, chosen: str | None) -> None:
+    """A line where scene=dnerf reads a folder that conf/scene/dnerf has settings for: lego is tested on val."""
+    if chosen == cfg.scene.reader and cfg.scene.name != chosen and cfg.scene.name in options("scene"):
+        print(f"scene={cfg.scene.name} has settings made for this scene; scene={chosen} does not take them", flush=True)
+
+
+def _refuse(line: str) -> None:
+    """Ends the command; without a scene with the page that says how one is named."""
+    if line.startswith("scene: must be given"):
+        print(help_page(), end="", flush=True)
+        if {"--cfg", "-c"} & set(sys.argv[1:]):
+            print("\n--cfg job prints the configuration of a command that names a scene: "
+                  "python -m pipeline scene=synthetic/wheel --cfg job")
+            return
+    _complain(line)
+    sys.exit(1)
+
+
+def _version() -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
+    from pipeline.machine import git_commit
+    try:
+        number = version("gaussians-4d")
+    except PackageNotFoundError:  # run from a checkout that is not installed
+        number = "(not installed)"
+    return f"gaussians-4d {number}, commit {git_commit()}"
 
 
 def _complain(line: str) -> None:

@@ -8,19 +8,21 @@ schedule's part, `train`, is in train_config.py.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Optional
+from typing import Any, Optional
 
 from pipeline.ranges import BACKGROUNDS, require
 from pipeline.train_config import TrainConfig
 
 READERS = ("dnerf", "plenoptic", "video", "synthetic")
+COLOR_NAMES = ("auto", "black", "white")  # of scene.background
 
 
 @dataclass
 class SceneConfig:
     """Where a scene comes from and how it is read."""
 
-    name: str = "dnerf"  # names the run folder; may hold a slash
+    # Names the run folder; may hold a slash. scene=dnerf, plenoptic and video take it from the folder of scene.path
+    name: str = "dnerf"
     reader: str = "dnerf"  # dnerf | plenoptic | video | synthetic
     path: Optional[str] = None  # folder of the data; synthetic scenes make their own
     test_split: str = "test"  # dnerf: test | val, which split is held out
@@ -32,7 +34,9 @@ class SceneConfig:
     first_frame: int = 0  # plenoptic, video
     frames: int = 300  # plenoptic, video: at most so many from first_frame on; synthetic/counter: made
     downscale: int = 2  # images are read at 1/downscale of their size
-    background: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    # Composed under transparent pixels: RGB in [0, 1], black or white. auto: where no image has alpha and their borders are
+    # of one colour, that colour; else black
+    background: Any = "auto"
     background_model: str = "none"  # none | sphere | envmap: how what is far outside the cameras is modelled
     cache: str = "results/cache"  # where synthetic scenes, decoded frames and COLMAP's results are kept
     size: int = 200  # synthetic: image width in pixels
@@ -60,8 +64,10 @@ class SceneConfig:
         require(self.validation_every == 0 or self.validation_every >= 2, "scene.validation_every",
                 "at least 2, or 0 (off)", self.validation_every)
         require(1 <= self.downscale <= 16, "scene.downscale", "1 to 16", self.downscale)
-        require(len(self.background) == 3 and all(0 <= c <= 1 for c in self.background),
-                 "scene.background", "three values in [0, 1]", self.background)
+        require(self.background in COLOR_NAMES or _is_color(self.background), "scene.background",
+                 f"{', '.join(COLOR_NAMES)} or three values in [0, 1]", self.background)
+        if not isinstance(self.background, str):
+            self.background = [float(channel) for channel in self.background]
         require(8 <= self.size <= 4096, "scene.size", "8 to 4096", self.size)
         require(self.train_views >= 1, "scene.train_views", "at least 1", self.train_views)
         require(self.test_views >= 1, "scene.test_views", "at least 1", self.test_views)
@@ -158,3 +164,8 @@ class Config:
         if self.background != "auto":
             return self.background
         return self.train.background_model or self.scene.background_model
+
+
+def _is_color(value: Any) -> bool:
+    return (isinstance(value, (list, tuple)) and len(value) == 3
+            and all(isinstance(c, (int, float)) and not isinstance(c, bool) and 0 <= c <= 1 for c in value))

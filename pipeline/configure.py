@@ -3,25 +3,41 @@
 from __future__ import annotations
 
 import difflib
+import os
 import re
+import shlex
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import get_type_hints
 
 from hydra.core.config_store import ConfigStore
-from hydra.errors import OverrideParseException
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 
+from datasets.fault import clear
 from pipeline.config import Config
-from pipeline.where_still import with_differences
+from pipeline.resolve import with_static_differences
 
+PATH_KEYS = ("scene.path", "scene.cache", "out")
 CONFIG_DIR = Path(__file__).resolve().parent.parent / "conf"
 
 
 def register_schema() -> None:
     """Make `schema` of conf/config.yaml known to Hydra. Calling it again changes nothing."""
     ConfigStore.instance().store(name="schema", node=Config)
+    OmegaConf.register_new_resolver("named_after_folder", named_after_folder, replace=True)
+
+
+def named_after_folder(family: str, path: str | None) -> str:
+    """A scene's name, `<family>/<folder>`, so that two scenes of one layout do not share a run folder.
+
+    Names are printed and make paths: dots in front (a hidden folder) and what cannot be printed are left out. Without a
+    path, `family` alone.
+    """
+    folder = clear(os.path.basename(os.path.abspath(os.path.expanduser(path)))).lstrip(".") if path else ""
+    return f"{family}/{folder}" if folder else family
 
 
 def to_config(composed: DictConfig) -> Config:
@@ -31,8 +47,13 @@ def to_config(composed: DictConfig) -> Config:
         if key not in known:  # `+key=value` on the command line gets past Hydra's own check
             raise ValueError(_unknown_key(key))
     cfg = OmegaConf.to_object(composed)
-    with_differences(cfg)  # or they would be found wrong on the first scene where nothing moves
+    with_static_differences(cfg)  # or they would be found wrong on the first scene where nothing moves
     return cfg
+
+
+def config_of_tree(tree: dict) -> Config:
+    """The typed configuration of a run folder's config.yaml. Raises what `to_config` and OmegaConf raise."""
+    return to_config(OmegaConf.merge(OmegaConf.structured(Config), OmegaConf.create(tree)))
 
 
 def known_keys(schema: type = Config, prefix: str = "") -> list[str]:
@@ -54,6 +75,8 @@ def _keys_where_still() -> set[str]:
 
 def one_line(error: BaseException) -> str:
     """What went wrong, for people: Hydra and OmegaConf spread it over several lines and chained exceptions."""
+    if isinstance(error, OSError) and error.filename is not None and error.strerror:
+        return f"{error.filename}: {error.strerror}"
     chain = [error]
     while chain[-1].__cause__ is not None:
         chain.append(chain[-1].__cause__)
@@ -70,20 +93,49 @@ def _explained(text: str) -> str | None:
         return _unknown_key(found[1])
     if found := re.search(r"Could not find '([^']+)'", text):
         group, _, option = found[1].partition("/") if not found[1].startswith("hydra/") else found[1].rpartition("/")
-        hint = "; is its package installed?" if group.startswith("hydra/") else _options(group)
+        hint = "; is its package installed?" if group.startswith("hydra/") else _there_are(group)
         return f"{group}={option}: no such option{hint}"
     if found := re.search(r"You must specify '([^']+)'", text):
-        return f"{found[1]}: must be given" + _options(found[1])
+        return f"{found[1]}: must be given" + _there_are(found[1])
     if found := re.search(r"([^\n]+)\n\s*full_key: (\S+)", text):  # OmegaConf: a wrong type, null where it must not be
         return f"{found[2]}: {found[1]}"
     return None
 
 
 def _joined(error: BaseException) -> str:
-    lines = [line.strip() for line in str(error).splitlines() if not line.startswith("See https://hydra.cc")]
     if isinstance(error, OverrideParseException):
-        lines.insert(0, f"{error.override}: not a key=value that Hydra can read")
+        return f"{error.override}: not a key=value that Hydra can read" + _quoting(error.override)
+    lines = [line.strip() for line in str(error).splitlines() if not line.startswith("See https://hydra.cc")]
     return "; ".join(filter(None, lines)) or type(error).__name__
+
+
+def quote_paths(arguments: list[str]) -> list[str]:
+    """Command line arguments, with paths in quotes where Hydra's grammar would stumble over a character of theirs."""
+    def quoted(argument: str) -> str:
+        key, _, value = argument.partition("=")
+        return _quoted(argument) if key in PATH_KEYS and value and not _can_be_read(argument) else argument
+
+    return [quoted(argument) for argument in arguments]
+
+
+def _quoting(override: str) -> str:
+    """How an override that cannot be read is typed in a shell, if its value is text that quotes make readable."""
+    quoted = _quoted(override)
+    return f"; as text it needs quotes: {shlex.quote(quoted)}" if "=" in override and _can_be_read(quoted) else ""
+
+
+def _quoted(override: str) -> str:
+    key, _, value = override.partition("=")
+    escaped = re.sub(r'(\\*)"', lambda found: found[1] * 2 + '\\"', value)  # Hydra: backslashes count before a quote only
+    return f'{key}="{escaped}"'
+
+
+def _can_be_read(override: str) -> bool:
+    try:
+        OverridesParser.create().parse_override(override)
+    except HydraException:
+        return False
+    return True
 
 
 def _keys_of(container: dict, prefix: str = "") -> Iterator[str]:
@@ -93,11 +145,15 @@ def _keys_of(container: dict, prefix: str = "") -> Iterator[str]:
             yield from _keys_of(value, f"{prefix}{name}.")
 
 
-def _options(group: str) -> str:
+def options(group: str) -> list[str]:
     """What conf/<group> offers, nested ones too (Hydra lists the first level only)."""
     folder = CONFIG_DIR / group
-    options = sorted(str(file.relative_to(folder).with_suffix("")) for file in folder.rglob("*.yaml"))
-    return f"; there are {', '.join(options)}" if options else ""
+    return sorted(str(file.relative_to(folder).with_suffix("")) for file in folder.rglob("*.yaml"))
+
+
+def _there_are(group: str) -> str:
+    found = options(group)
+    return f"; there are {', '.join(found)}" if found else ""
 
 
 def _unknown_key(key: str) -> str:

@@ -28,7 +28,7 @@ from pipeline.metrics import METRICS, MS_SSIM_NOTE, mean, measure, psnr
 from pipeline.model import Model
 from pipeline.perceptual import Perceptual
 from pipeline.render import render_image
-from pipeline.run_folder import replacing
+from datasets.disk import replacing
 from pipeline.video import HeldOutFilms, video
 from pipeline.views import camera_at, spread, target_of
 from rasterizer import Camera, Frame, Request

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import threading
+import urllib.error
 import urllib.request
 from pathlib import Path
 
@@ -120,10 +121,21 @@ def _download(url: str, path: Path, digest: str) -> None:
             torch.hub.download_url_to_file(url, str(path), hash_prefix=digest, progress=False)
             return
         except (OSError, RuntimeError) as error:
-            problem = str(error)
+            problem = _reason(error)
     folder = str(path.parent).replace(str(Path.home()), "~")
     raise LpipsUnavailable(" ".join(f"LPIPS weights {path.name} are neither in {folder} nor to be had from "
-                                    f"{url.split('/')[2]}: {problem}".split()))
+                                    f"{url.split('/')[2]} ({problem}); put the file there, or leave LPIPS out by "
+                                    "evaluate.lpips=false".split()))
+
+
+def _reason(error: BaseException) -> str:
+    """What lies behind an error of urllib, in the operating system's or the server's words."""
+    if isinstance(error, urllib.error.HTTPError):
+        return f"the server answers {error.code} {error.reason}"
+    reason = getattr(error, "reason", None)
+    if isinstance(reason, BaseException):
+        return _reason(reason)
+    return getattr(error, "strerror", None) or str(reason or error)
 
 
 def _unreachable(url: str) -> str | None:
@@ -138,7 +150,7 @@ def _unreachable(url: str) -> str | None:
             urllib.request.urlopen(urllib.request.Request(url, method="HEAD"), timeout=CONNECT_SECONDS).close()
             outcome.append(None)
         except (OSError, ValueError) as error:
-            outcome.append(str(error))
+            outcome.append(_reason(error))
 
     thread = threading.Thread(target=ask, daemon=True)
     thread.start()

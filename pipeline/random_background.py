@@ -11,9 +11,8 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from datasets.composition import Color
 from pipeline.views import Target
-
-Color = tuple[float, float, float]  # RGB in [0, 1]
 
 
 def over_random_background(target: Target, background: Color, generator: np.random.Generator) -> tuple[Target, Color]:

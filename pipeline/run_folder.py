@@ -17,41 +17,16 @@ import json
 import os
 import shutil
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-import yaml
 from omegaconf import OmegaConf
 
-from datasets.fault import DataError, clear, read_json
+from datasets.disk import TEMPORARY, writing, write_text
+from pipeline.run_identity import FILES, Resolve, read_stages, refuse_foreign, refuse_other_run
 
-# Keys that say where and how a run is made, not what it computes: a finished run may be repeated with others.
-FREE_KEYS = ("out", "threads", "resume", "scene.cache", "evaluate", "estimate")
 CURVE_COLUMNS = ("train_seconds", "iteration", "psnr", "ssim", "test_loss", "n_gaussians")
-_OURS = ("config.yaml", "environment.json", "stages.json", "log.jsonl", "sfm.json", "sfm.png", "canonical.json",
-         "init.ply", "checkpoint.safetensors", "error_vs_time.csv", "metrics.json", "per_image.csv", "renders")
-
-
-@contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """A temporary path of the same suffix beside `path`, renamed over it at the end if nothing went wrong."""
-    temporary = path.with_name(f".tmp-{path.name}")
-    try:
-        yield temporary
-        with open(temporary, "rb") as file:
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def write_text(path: Path, text: str) -> None:
-    """Replace `path` by `text`, whole or not at all."""
-    with replacing(path) as temporary:
-        temporary.write_text(text)
 
 
 def write_json(path: Path, value: Any) -> None:
@@ -70,22 +45,25 @@ def write_csv(path: Path, rows: list[dict]) -> None:
 class RunFolder:
     """An open run folder; a context manager that keeps other processes out until it is closed."""
 
-    def __init__(self, path: Path, config: dict, resume: bool = True) -> None:
+    def __init__(self, path: Path, config: dict, resume: bool = True, resolve: Resolve = dict) -> None:
         """Open `path` for the run `config` (resolved, as plain dicts), making the folder if need be.
 
-        resume=False first deletes what an earlier run left there. ValueError if the folder is not a run folder, holds
-        another run, or is in use.
+        resume=False first deletes what an earlier run left there. resolve: fills in what the data decide in the
+        config.yaml of a run from before it was written resolved. ValueError if the folder is not a run folder, holds
+        another run, or is in use; then nothing there has changed.
         """
-        if not (path / "config.yaml").exists() and path.is_dir() and any(_foreign(path)):
-            raise ValueError(f"{path}: expected a run folder or an empty one, found {next(_foreign(path)).name}; "
-                             "give another out=DIR")
-        path.mkdir(parents=True, exist_ok=True)
+        refuse_foreign(path)
+        with writing(path):
+            path.mkdir(parents=True, exist_ok=True)
         self.path = path
         self._lock = _locked(path)
         try:
-            if not resume:
+            if resume:
+                refuse_other_run(path, config, resolve)
+            else:
                 self._clear()
-            self._check_same_run(config)
+            for leftover in path.glob(f"{TEMPORARY}*"):  # of a run that was killed while it wrote
+                leftover.unlink()
         except BaseException:
             self._lock.close()
             raise
@@ -198,51 +176,15 @@ class RunFolder:
         write_json(self.path / "stages.json", {**self._stages(), stage: record})
 
     def _stages(self) -> dict:
-        path = self.path / "stages.json"
-        if not path.exists():
-            return {}
-        stages = read_json(path)
-        if not isinstance(stages, dict) or not all(
-                isinstance(record, dict) and isinstance(record.get("inputs"), str)
-                and isinstance(record.get("values"), dict) for record in stages.values()):
-            raise DataError(path, "a record of each finished stage", "another thing; resume=false starts the run anew")
-        return stages
-
-    def _check_same_run(self, config: dict) -> None:
-        if not self.config.exists() or not self._stages():
-            return  # nothing was made yet: a run that failed over a wrong path may be corrected
-        there, asked = _comparable(read_config(self.config)), _comparable(config)
-        differing = [key for key in {**there, **asked} if there.get(key) != asked.get(key)]
-        if differing:
-            first = differing[0]
-            others = clear(', '.join(differing[1:4])) + (', …' if len(differing) > 4 else '')
-            more = f" (and {others})" if differing[1:] else ""
-            raise ValueError(f"{self.path}: holds another run, with {clear(f'{first}={there.get(first)}')} where "
-                             f"{asked.get(first)} is asked for{more}; give another out=DIR, or resume=false to "
-                             "replace it")
+        return read_stages(self.path)
 
     def _clear(self) -> None:
-        for name in _OURS:
+        for name in FILES:
             path = self.path / name
             if path.is_dir():
                 shutil.rmtree(path)
             else:
                 path.unlink(missing_ok=True)
-
-
-def read_config(path: Path, where: str | None = None) -> dict:
-    """config.yaml as plain dicts. DataError, which names `where` (None: the path), for what is no such file."""
-    try:
-        text = path.read_text(encoding="utf-8")
-        # No run writes aliases (*name), of which a few lines make a tree that fills the memory.
-        if any(isinstance(token, yaml.AliasToken) for token in yaml.scan(text)):
-            raise ValueError("an alias")
-        tree = OmegaConf.to_container(OmegaConf.create(text), resolve=False)
-    except Exception as error:  # yaml and OmegaConf raise unrelated types for unreadable files
-        raise DataError(where or path, "YAML", str(error)) from None
-    if not isinstance(tree, dict):
-        raise DataError(where or path, "keys and values", f"a {type(tree).__name__}")
-    return tree
 
 
 def _iteration_of(value: Any) -> int:
@@ -260,7 +202,7 @@ def now() -> str:
 
 def _append(path: Path, text: str) -> None:
     """Append whole lines, first ending one that a kill left incomplete."""
-    with open(path, "ab+") as file:
+    with writing(path), open(path, "ab+") as file:
         if file.tell() > 0:
             file.seek(-1, os.SEEK_END)
             if file.read(1) != b"\n":
@@ -269,28 +211,11 @@ def _append(path: Path, text: str) -> None:
 
 
 def _locked(path: Path) -> io.TextIOWrapper:
-    lock = open(path / ".lock", "w")
+    with writing(path / ".lock"):
+        lock = open(path / ".lock", "w")
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
         lock.close()
         raise ValueError(f"{path}: expected a free run folder, found another process at work in it") from error
     return lock
-
-
-def _foreign(path: Path) -> Iterator[Path]:
-    """Entries that no run made: an out= that points at somebody's folder must not be written over."""
-    return (entry for entry in sorted(path.iterdir()) if entry.name not in (*_OURS, ".lock"))
-
-
-def _comparable(config: dict, prefix: str = "") -> dict[str, Any]:
-    """Dotted key -> value, without FREE_KEYS."""
-    flat: dict[str, Any] = {}
-    for name, value in config.items():
-        key = f"{prefix}{name}"
-        if key in FREE_KEYS:
-            continue
-        if key == "scene.path" and isinstance(value, str) and "\0" not in value:
-            value = str(Path(value).resolve())
-        flat |= _comparable(value, f"{key}.") if isinstance(value, dict) else {key: value}
-    return flat

@@ -13,12 +13,15 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
+from omegaconf.errors import OmegaConfBaseException
 
 from datasets import Scene
+from datasets.disk import replacing
 from datasets.fault import read_json
 from pipeline import checkpoint as checkpoints
 from pipeline import trial
 from pipeline.config import Config
+from pipeline.configure import config_of_tree
 from pipeline.estimate import estimate_if_large
 from pipeline.evaluate import Evaluation, evaluate, evaluate_and_show, quick_evaluate
 from pipeline.initialise import initialise
@@ -27,9 +30,11 @@ from pipeline.machine import environment, peak_memory_mb, reset_peak_memory, usa
 from pipeline.model import Model
 from pipeline.ply import load_ply, save_ply
 from pipeline.prepare import Prepared, prepare
-from pipeline.run_folder import RunFolder, now, replacing, write_csv, write_json
+from pipeline.random_streams import Stream, stream
+from pipeline.resolve import resolved
+from pipeline.run_folder import RunFolder, now, write_csv, write_json
+from pipeline.run_identity import read_stages, refuse_foreign, refuse_other_run
 from pipeline.train import Progress, TrainResult, train
-from pipeline.where_still import fitted
 from rasterizer import Frame
 
 Say = Callable[[str], None]
@@ -40,14 +45,19 @@ def run(cfg: Config, command: str, say: Say) -> dict:
 
     command: what the user typed, for the record. say: takes a line of text for the user.
     """
-    with RunFolder(Path(cfg.out), asdict(cfg), cfg.resume) as folder:
-        if folder.inputs_of("train") is None and (needs := estimate_if_large(cfg)):
-            for line in needs.lines(cfg):
-                say(line)
-        data = prepare(cfg, say)
-        asked, cfg = cfg, fitted(cfg, data.scene)
-        if asked.train.where_still and cfg.train != replace(asked.train, where_still=None):
-            say("nothing moves: trained with the differences of train.where_still")
+    path = Path(cfg.out)
+    refuse_foreign(path)  # this and what the scene is refused for leaves no folder behind
+    if cfg.resume:
+        refuse_other_run(path, asdict(cfg), ignored=("train", "scene.background"))  # which the scene has a part in
+    if not (cfg.resume and "train" in read_stages(path)) and (needs := estimate_if_large(cfg)):
+        for line in needs.lines(cfg):
+            say(line)
+    data = prepare(cfg, say)
+    asked, cfg = cfg, resolved(cfg, data.scene)
+    if asked.train.where_still and cfg.train != replace(asked.train, where_still=None):
+        say("nothing moves: trained with the differences of train.where_still")
+
+    with RunFolder(path, asdict(cfg), cfg.resume, lambda stored: _resolved_tree(stored, data.scene)) as folder:
         inputs = stage_inputs(cfg, data)
         if folder.inputs_of("init") not in (None, inputs["init"]):
             raise ValueError(f"{folder.path}: holds a run made from other data than {data.scene.source} holds now, or "
@@ -63,6 +73,29 @@ def run(cfg: Config, command: str, say: Say) -> dict:
             folder.finish(stage, inputs[stage], **_WORK[stage](cfg, data, folder, say))
             folder.log({"event": f"finished {stage}"})
         return read_json(folder.metrics)
+
+
+def where_it_stands(path: Path) -> str:
+    """For who interrupted a run: what of it is kept in the folder `path`, in a few words."""
+    try:
+        stages, checkpoint = read_stages(path), path / checkpoints.FILE_NAME
+        if "train" in stages:
+            return "training is finished and kept; the same command goes on after it"
+        if checkpoint.exists():
+            return f"the same command goes on from iteration {checkpoints.saved_iteration(checkpoint)}"
+        if stages:
+            return f"{', '.join(stages)} kept, no iteration of training yet; the same command goes on from there"
+    except (ValueError, OSError):
+        pass
+    return "nothing was saved yet; the same command starts anew"
+
+
+def _resolved_tree(stored: dict, scene: Scene) -> dict:
+    """A run's config.yaml with what the scene decides filled in; as it is where it is not of today's schema."""
+    try:
+        return asdict(resolved(config_of_tree(stored), scene))
+    except (ValueError, OmegaConfBaseException):
+        return stored
 
 
 def stage_inputs(cfg: Config, data: Prepared) -> dict[str, str]:
@@ -122,7 +155,7 @@ def _init(cfg: Config, data: Prepared, folder: RunFolder, say: Say) -> dict:
     """scene and points → init.ply; and in canonical.json how its coordinates come from the files'."""
     if (verdict := _verdict(folder)) and not verdict.kept:
         cfg = trial.without_time_colors(cfg)
-    model = initialise(data.scene, cfg, np.random.default_rng([cfg.seed, 0]), data.cloud)
+    model = initialise(data.scene, cfg, stream(cfg.seed, Stream.INIT), data.cloud)
     with replacing(folder.init_ply) as temporary:
         save_ply(temporary, model)
     if not data.canonical.is_identity:
@@ -168,6 +201,7 @@ def _evaluate(cfg: Config, data: Prepared, folder: RunFolder, say: Say) -> dict:
         "scene": cfg.scene.name, "ablation": cfg.ablation.name, "train": cfg.train.name, "seed": cfg.seed,
         "date": now(), "final": final.metrics,
         "best_on_test": None if best is None else {**best.metrics, "iteration": saved.best["iteration"]},
+        "model": asdict(saved.model.kind),  # of what was trained; a trial may have left out what `ablation` asks for
         "trial": None if verdict is None else {**asdict(verdict), "kept": verdict.kept},
         "note": final.note(), "n_alive_mean": final.n_alive_mean, "n_test_views": len(scene.test), **trained})
     return {"psnr": final.metrics["psnr"]}

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-import numpy as np
 import torch
 
 from datasets.scene import Scene
@@ -30,6 +29,8 @@ from pipeline.losses import psnr
 from pipeline.model import Model
 from pipeline.optimiser import Adam
 from pipeline.priors import DECAY_EVERY, add_prior_gradients, decay_colors
+from pipeline.random_background import over_random_background
+from pipeline.random_streams import Stream, split_stream, stream
 from pipeline.sampling import BatchSampler
 from pipeline.views import TrainingViews
 from rasterizer import Gradients
@@ -112,21 +113,23 @@ def train(model: Model, scene: Scene, cfg: Config, run: RunFolder, evaluate: Eva
             collect = now < cfg.train.densify.stop  # nobody else asks for the statistics
 
             # One batch: gradients and statistics of every view, then one step.
-            targets = [views.at(index, phase.resolution) for index in state.sampler.next_batch()]
+            targets = [(views.at(index, phase.resolution), scene.background) for index in state.sampler.next_batch()]
+            if cfg.train.random_background:
+                colors = stream(cfg.seed, Stream.BACKGROUND, iteration)
+                targets = [over_random_background(*target, colors) for target in targets]
             batch = Batch(model, scene, cfg, kernels, phase, len(targets))
             gradients.zero_(threads)
             if collect:
                 state.statistics.begin()
-            chance = np.random.default_rng([cfg.seed, 2, iteration])
-            for target in targets:
-                view = batch.backward(target, gradients, chance)
+            for target, background in targets:
+                view = batch.backward(target, background, gradients)
                 guard.check_loss(view.loss, iteration, target.name, model)
                 if collect:
                     state.statistics.add_view(view.gradient, target.camera, scene.duration, threads)
             if collect:
                 state.statistics.end(len(targets))
-            guard.check_gradients(gradients, iteration, [t.name for t in targets],
-                                  lambda position: batch.gradients_of(targets[position]), threads)
+            guard.check_gradients(gradients, iteration, [target.name for target, _ in targets],
+                                  lambda position: batch.gradients_of(*targets[position]), threads)
             add_prior_gradients(gradients, model, cfg.train.prior, scene)
             rows = moving_rows(model, phase.sphere, batch.touched)
             state.optimiser.step(gradients, phase.rates, rows, batch.d_environment)
@@ -143,7 +146,7 @@ def train(model: Model, scene: Scene, cfg: Config, run: RunFolder, evaluate: Eva
                          "pruned": done.pruned, "n_gaussians": done.total})
             if leave_out.due(iteration, cfg.train):
                 change = leave_out.missed(model, asked, scene, cfg, phase.resolution,
-                                          np.random.default_rng([cfg.seed, 3, iteration]), threads)
+                                          stream(cfg.seed, Stream.SENSITIVITY, iteration), threads)
                 gone = leave_out.leave_out(state.optimiser, change, cfg.train.densify.leave_out,
                                            len(asked) == len(scene.train))
                 state.statistics, gradients = densify.Statistics(len(model)), Gradients.zeros_like(model.gaussians())
@@ -154,10 +157,10 @@ def train(model: Model, scene: Scene, cfg: Config, run: RunFolder, evaluate: Eva
             # What a person sees, and what is kept.
             if iteration % SHOW_EVERY == 0:
                 quality = psnr(view.image, view.target)
-                display.update(iteration, batch.loss, quality, len(model), batch.alive, watch.seconds)
+                display.update(iteration, batch.loss, quality, batch.n_gaussians, batch.alive, watch.seconds)
                 if iteration % LOG_EVERY == 0:
                     run.log({"event": "train", "iteration": iteration, "train_seconds": watch.seconds,
-                             "loss": batch.loss, "psnr": quality, "n_gaussians": len(model), "n_alive": batch.alive,
+                             "loss": batch.loss, "psnr": quality, "n_gaussians": batch.n_gaussians, "n_alive": batch.alive,
                              "resolution": phase.resolution, "sh_degree": phase.sh_degree,
                              "fourier_order": phase.fourier_order})
             last = _done(iteration, watch.seconds, cfg)
@@ -219,10 +222,10 @@ def _start(model: Model, scene: Scene, cfg: Config, run: RunFolder, begin: int, 
             raise ValueError(f"{path}: expected a checkpoint of {expected}, found {found}")
         model = saved.model
     # One stream each, so that what one draws never shifts the other.
-    sampler = BatchSampler(scene.train, cfg.train.sampler, cfg.train.batch, np.random.default_rng([cfg.seed, 1]))
+    sampler = BatchSampler(scene.train, cfg.train.sampler, cfg.train.batch, stream(cfg.seed, Stream.BATCHES))
     optimiser = Adam(model, thread_count(cfg.threads))
     state = TrainState(model, optimiser, densify.Statistics(len(model)), sampler,
-                       torch.Generator().manual_seed(cfg.seed), iteration=begin)
+                       split_stream(cfg.seed), iteration=begin)
     if saved is None:
         run.truncate_after(begin)
         return state, Stopwatch(spent)

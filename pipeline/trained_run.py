@@ -6,15 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from omegaconf import OmegaConf
-
 from datasets.scene import Scene
 from pipeline.checkpoint import FILE_NAME, load_model
 from pipeline.config import Config
-from pipeline.configure import to_config
+from pipeline.configure import config_of_tree
 from pipeline.model import Model
 from pipeline.prepare import prepare
-from pipeline.where_still import fitted
+from pipeline.resolve import resolved
+from pipeline.run_identity import read_config
 
 
 @dataclass(frozen=True)
@@ -29,6 +28,6 @@ def open_run(folder: Path, say: Callable[[str], None]) -> TrainedRun:
     for name in ("config.yaml", FILE_NAME):
         if not (folder / name).exists():
             raise ValueError(f"{folder}: expected a trained run with {name}, found none")
-    cfg = to_config(OmegaConf.merge(OmegaConf.structured(Config), OmegaConf.load(folder / "config.yaml")))
+    cfg = config_of_tree(read_config(folder / "config.yaml"))
     scene = prepare(cfg, say).scene
-    return TrainedRun(fitted(cfg, scene), scene, load_model(folder / FILE_NAME))
+    return TrainedRun(resolved(cfg, scene), scene, load_model(folder / FILE_NAME))

@@ -23,6 +23,7 @@ from pipeline.evaluate import held_out_psnr
 from pipeline.initialise import initialise
 from pipeline.model import Model, kind_of
 from pipeline.no_record import no_record
+from pipeline.random_streams import Stream, stream
 from pipeline.sfm.photograph import Reconstruction
 from pipeline.train import Progress, train
 
@@ -102,7 +103,7 @@ def _trained_psnr(part: Scene, cfg: Config, cloud: Reconstruction | None, thread
     def look(model: Model, progress: Progress) -> dict:
         return {"psnr": float(held_out_psnr(model, part, cfg, threads).mean())}
 
-    start = initialise(part, cfg, np.random.default_rng([cfg.seed, 0]), cloud)
+    start = initialise(part, cfg, stream(cfg.seed, Stream.INIT), cloud)
     with no_record() as run:
         model = train(start, part, cfg, run, look).model
     return held_out_psnr(model, part, cfg, threads)

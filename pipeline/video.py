@@ -10,7 +10,7 @@ from types import TracebackType
 import numpy as np
 
 from pipeline.film import camera_name
-from pipeline.run_folder import replacing
+from datasets.disk import replacing
 
 # x264's measure of loss, 0 to 51: to the eye there is none. No number is taken from a video.
 QUALITY = 18

@@ -56,6 +56,15 @@ def test_every_scene(scene: str) -> None:
     assert cfg.out == f"results/runs/{scene}/full/paper/seed0"
 
 
+@pytest.mark.parametrize("family", ["dnerf", "plenoptic", "video"])
+@pytest.mark.parametrize("path, folder", [("/data/jug", "jug"), ("jug/", "jug"), ("a/../b c", "b c"), (".hidden", "hidden"),
+                                          ("/data/Küche", "Küche")])
+def test_a_scene_is_named_after_its_folder(family: str, path: str, folder: str) -> None:
+    cfg = config_of(f"scene={family}", f'scene.path="{path}"')
+    assert cfg.scene.name == f"{family}/{folder}" and cfg.out == f"results/runs/{family}/{folder}/full/paper/seed0"
+    assert config_of(f"scene={family}", f'scene.path="{path}"', "scene.name=mine").scene.name == "mine"
+
+
 @pytest.mark.parametrize("train", options("train"))
 def test_every_schedule(train: str) -> None:
     cfg = config_of("scene=dnerf", f"train={train}")
@@ -169,7 +178,9 @@ def test_the_command_line_wins_over_every_file() -> None:
     ("train.resolution_steps=[{until: 2}]", "train.resolution_steps.until: expected in (0, 1], found 2.0"),
     ("train.densify.prune_opacity=1", "train.densify.prune_opacity: expected in (0, 1), found 1.0"),
     ("train.rate.scale=-1", "train.rate.scale: expected >= 0, found -1.0"),
-    ("scene.background=[0, 0]", "scene.background: expected three values in [0, 1], found [0.0, 0.0]"),
+    ("scene.background=[0, 0]", "scene.background: expected auto, black, white or three values in [0, 1], found [0, 0]"),
+    ("scene.background=grey", "scene.background: expected auto, black, white or three values in [0, 1], found 'grey'"),
+    ("scene.background=[0, 0, 2]", "scene.background: expected auto, black, white or three values in [0, 1], found [0, 0"),
     ("scene.init_box=[1, -1]", "scene.init_box: expected [low, high] with low < high, found [1.0, -1.0]"),
     ("ablation.fourier_order=3", "ablation.fourier_order: expected 0 to 2, found 3"),
     ("evaluate.renders=-5", "evaluate.renders: expected >= -1 (-1: all), found -5"),

@@ -15,7 +15,7 @@ from datasets.scene import SceneError
 
 WIDTH, HEIGHT = 64, 48
 FX, FY, CX, CY = 70.0, 72.0, 30.0, 26.0
-LENS = {"k1": -0.2, "k2": 0.05, "p1": 0.01, "p2": -0.005}
+LENS = {"k1": -0.4, "k2": 0.05, "p1": 0.01, "p2": -0.005}
 
 
 def pose(x: float) -> list[list[float]]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import numpy as np
@@ -76,7 +78,7 @@ def empty_cache(tmp_path: Path, monkeypatch) -> Path:
 
 def test_offline_there_is_a_reason_and_no_number(empty_cache: Path, monkeypatch) -> None:
     monkeypatch.setattr(lpips, "_unreachable", lambda url: "no route to host")
-    with pytest.raises(lpips.LpipsUnavailable, match="alexnet-owt-7be5be79.pth .* no route to host"):
+    with pytest.raises(lpips.LpipsUnavailable, match=r"alexnet-owt-7be5be79.pth .* \(no route to host\); put the file there, or .* evaluate.lpips=false"):
         lpips.load("alex")
 
 
@@ -88,3 +90,13 @@ def test_weights_that_are_not_the_published_ones_are_refused(empty_cache: Path) 
     (empty_cache / "vgg16-397923af.pth").write_bytes(b"something else")
     with pytest.raises(lpips.LpipsUnavailable, match="expected SHA-256 397923af…, found "):
         lpips.load("vgg")
+
+
+def test_the_reason_is_the_operating_systems_or_the_servers() -> None:
+    """Of real failures: nothing listens on port 9 of this machine, and a server of our own knows no such page."""
+    assert lpips._unreachable("http://127.0.0.1:9/weights") == "Connection refused"
+    with ThreadingHTTPServer(("127.0.0.1", 0), SimpleHTTPRequestHandler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        reason = lpips._unreachable(f"http://127.0.0.1:{server.server_port}/not/there")
+        server.shutdown()
+    assert reason == "the server answers 404 File not found"

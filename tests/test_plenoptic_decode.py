@@ -218,7 +218,7 @@ def test_the_room_asked_for_is_that_of_the_missing_cameras(folder: Path, monkeyp
 def test_a_disk_that_fills_up_meanwhile_says_the_same(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*arguments: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
-    monkeypatch.setattr(decoding, "write_frames", full)
+    monkeypatch.setattr(np.lib.format, "write_array_header_1_0", full)
     with pytest.raises(SceneError, match="GB free for the decoded frames, found .* GB; scene.cache=DIR"):
         read(folder)
 

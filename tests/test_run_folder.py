@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.run_folder import CURVE_COLUMNS, RunFolder, replacing, write_csv, write_json, write_text
+from datasets.disk import replacing, write_text
+from pipeline.run_folder import CURVE_COLUMNS, RunFolder, write_csv, write_json
 
 CONFIG = {"scene": {"path": None, "cache": "a"}, "train": {"iterations": 60, "batch": 2}, "seed": 0, "threads": 1,
           "out": "x", "resume": True, "evaluate": {"lpips": True}}

@@ -208,8 +208,8 @@ def poison_gradient(monkeypatch, at_call: int, row: int) -> None:
     """From the `at_call`-th view on, that view's backward pass puts a NaN into the mean's gradient."""
     original, names = train_module.Batch.backward, []
 
-    def backward(self, target, gradients, generator=None):
-        view = original(self, target, gradients, generator)
+    def backward(self, target, background, gradients):
+        view = original(self, target, background, gradients)
         names.append(target.name)
         if target.name == names[min(at_call, len(names) - 1)] and len(names) > at_call:
             gradients.mean[row, 1] = float("nan")
@@ -225,6 +225,35 @@ def test_non_finite_gradient_names_iteration_view_and_gaussian(tmp_path, monkeyp
     assert "\n" not in str(error.value)
     saved = checkpoint.load(tmp_path / checkpoint.FILE_NAME)
     assert saved.iteration == 7 and saved.model.first_non_finite() is None, "the last good checkpoint is kept"
+
+
+def test_a_view_that_breaks_over_one_background_is_found(tmp_path, monkeypatch) -> None:
+    """Random backgrounds: the search for the broken view renders each view over the colour it was trained over."""
+    original = train_module.Batch.backward
+
+    def backward(self, target, background, gradients):
+        view = original(self, target, background, gradients)
+        if background[0] > 0.9:
+            gradients.mean[13, 1] = float("nan")
+        return view
+
+    monkeypatch.setattr(train_module.Batch, "backward", backward)
+    scene = tiny_scene()
+    views = tuple(replace(view, coverage=np.uint8(255) * (view.image[..., 0] > 0)) for view in scene.train)
+    with pytest.raises(guard.NonFiniteError, match=r"iteration \d+, view train/r_\d: .* mean of Gaussian 13"):
+        train_tiny(tmp_path, tiny_config(random_background=True), replace(scene, train=views))
+
+
+def test_the_log_counts_the_gaussians_that_were_rendered(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(train_module, "SHOW_EVERY", 1)
+    monkeypatch.setattr(train_module, "LOG_EVERY", 1)
+    train_tiny(tmp_path)
+    rows = TinyRun(tmp_path).rows("log.jsonl")
+    after, total = {row["iteration"]: row["n_gaussians"] for row in rows if row["event"] == "densify"}, 200
+    assert len(set(after.values())) > 1, "densification changes how many there are"
+    for row in (row for row in rows if row["event"] == "train"):
+        assert row["n_alive"] <= row["n_gaussians"] == total
+        total = after.get(row["iteration"], total)
 
 
 def test_non_finite_loss_names_iteration_and_view(tmp_path, monkeypatch) -> None:

@@ -133,5 +133,5 @@ def test_the_near_plane_is_in_the_scenes_unit(unit: float, sees: bool) -> None:
     scene, cfg = replace(tiny_scene(), unit=unit), tiny_config()
     model = initialise(scene, cfg, np.random.default_rng(0))
     batch = Batch(model, scene, cfg, Kernels(0.2, 1), phase(1.0, cfg.train, scene.extent, 3, 2), 1)
-    seen = batch.backward(target_of(scene.train[0], 1.0), Gradients.zeros_like(model.gaussians()))
+    seen = batch.backward(target_of(scene.train[0], 1.0), scene.background, Gradients.zeros_like(model.gaussians()))
     assert (len(seen.gradient.visible) > 0) == sees

@@ -43,7 +43,8 @@ from pipeline.optimiser import Adam  # noqa: E402
 from pipeline.prepare import prepare  # noqa: E402
 from pipeline.report.aggregate import compare, estimate  # noqa: E402
 from pipeline.report.table import measured  # noqa: E402
-from pipeline.run_folder import RunFolder, write_text  # noqa: E402
+from datasets.disk import write_text  # noqa: E402
+from pipeline.run_folder import RunFolder  # noqa: E402
 from rasterizer import Frame, Gradients  # noqa: E402
 
 QUANTILES = (0.5, 0.9)  # of the norms without clipping: what is above is scaled down to it
@@ -134,7 +135,7 @@ def with_rates(cfg: Config, factor: float) -> Config:
 
 def with_noise(scene: Scene) -> Scene:
     """The middle training image black and white at random: the largest contrast that a file can hold."""
-    middle, generator = len(scene.train) // 2, np.random.default_rng(0)
+    middle, generator = len(scene.train) // 2, np.random.default_rng(0)  # the same picture in every run
     view = scene.train[middle]
     noise = np.uint8(255) * generator.integers(0, 2, view.image.shape, dtype=np.uint8)
     return replace(scene, train=(*scene.train[:middle], replace(view, image=noise), *scene.train[middle + 1 :]))
@@ -147,7 +148,7 @@ def outcome_of(case: Case, cfg: Config, scene: Scene, seed: int, threshold: floa
     with tempfile.TemporaryDirectory() as folder, mock.patch.object(training, "Adam", adam):
         cfg = replace(with_rates(cfg, case.faster), seed=seed, out=folder)
         scene = with_noise(scene) if case.noise else scene
-        model = initialise(scene, cfg, np.random.default_rng(seed))
+        model = initialise(scene, cfg, np.random.default_rng(seed))  # as the published study was made, not Stream.INIT
         with RunFolder(Path(folder), dataclasses.asdict(cfg)) as run:
             try:
                 training.train(model, scene, cfg, run,

@@ -8,7 +8,6 @@ left out: a copied data set, or one with a camera dropped, finds its frames.
 
 from __future__ import annotations
 
-import errno
 import fcntl
 import hashlib
 import json
@@ -26,7 +25,8 @@ from typing import Any, Protocol
 import cv2
 import numpy as np
 
-from datasets.frames import TEMPORARY, StoredFrame, read_frames, write_frames
+from datasets.disk import TEMPORARY, DiskFull
+from datasets.frames import StoredFrame, read_frames, write_frames
 from datasets.lens import Undistortion, straighten
 from datasets.plenoptic.display import DecodingDisplay, Say
 from datasets.scene import SceneError
@@ -137,10 +137,8 @@ def _decode_missing(streams: Sequence[Stream], folder: Path, shape: tuple[int, i
                  "downscale": recipe.downscale, "store_version": STORE_VERSION}
         try:
             write_frames(folder, stream.name, shape, images, facts)
-        except OSError as error:
-            if error.errno in (errno.ENOSPC, errno.EDQUOT):
-                raise _no_space(folder, math.prod(shape), shutil.disk_usage(folder).free) from None
-            raise
+        except DiskFull:
+            raise _no_space(folder, math.prod(shape), shutil.disk_usage(folder).free) from None
         display.camera(stream.name)
 
     with ThreadPoolExecutor(max_workers=max(1, threads)) as pool:

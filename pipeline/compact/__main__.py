@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import numpy as np
 from torch import Tensor
 
 from datasets.scene import Scene
@@ -22,6 +21,7 @@ from pipeline.leave_out import missed
 from pipeline.machine import environment
 from pipeline.model import Model
 from pipeline.train import Progress, thread_count
+from pipeline.random_streams import Stream, stream
 from pipeline.trained_run import open_run
 from rasterizer import Frame
 
@@ -124,7 +124,7 @@ def main(arguments: list[str] | None = None) -> int:
     cfg, model = run.cfg, run.model
     threads = thread_count(cfg.threads)
     worth = missed(model, run.scene.train, run.scene, cfg, cfg.train.resolution_scale,
-                   np.random.default_rng([cfg.seed, 3]), threads)
+                   stream(cfg.seed, Stream.SENSITIVITY), threads)
     models = {fraction: smaller(model, worth, run.scene, cfg, fraction, options.retrain)
               for fraction in (1.0, *options.fractions)}
     points = measure(models, run.scene, cfg)

@@ -18,7 +18,7 @@ from typing import Any
 import pandas as pd
 
 from datasets.fault import DataError, clear
-from pipeline.run_folder import read_config
+from pipeline.run_identity import read_config
 
 PROTOCOLS = ("final", "best_on_test")  # the last iteration; the release's pick among the test evaluations
 QUALITY = (
