@@ -144,7 +144,8 @@ class TrainConfig:
     init_box: Optional[list[float]] = None  # canonical units; None: the scene's
     rate: RateConfig = field(default_factory=RateConfig)
     densify: DensifyConfig = field(default_factory=DensifyConfig)
-    where_still: Optional[dict[str, Any]] = None  # keys of `train` that differ where nothing moves (resolve.py)
+    # Keys of `train` that differ where nothing moves (resolve.py); null once they are filled in
+    where_still: Optional[dict[str, Any]] = field(default_factory=dict)
     eval_every: int = 500
     eval_views: int = 30  # at most so many test views, spread evenly, each time; the final evaluation takes all
     checkpoint_every: int = 1000
