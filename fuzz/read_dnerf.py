@@ -18,6 +18,8 @@ from fuzz.target import Changes, Files, Target, valid_or_refused
 
 SIZE = 6
 VIEWS = 2  # a split
+INTRINSICS = {"train": {"camera_angle_x": 0.7},
+              "test": {"w": SIZE, "h": SIZE, "fl_x": 8.0, "fl_y": 8.5, "cx": 3.0, "cy": 2.5, "k1": -0.1, "p1": 0.01}}
 
 
 def blender_pose(x: float) -> list[list[float]]:
@@ -37,7 +39,7 @@ def example() -> Files:
     for number, split in enumerate(("train", "test")):
         frames = [{"file_path": f"./{split}/r_{i}", "time": i / VIEWS, "rotation": 0.1,
                    "transform_matrix": blender_pose(i + 0.5 * number)} for i in range(VIEWS)]
-        files[f"transforms_{split}.json"] = json.dumps({"camera_angle_x": 0.7, "frames": frames}).encode()
+        files[f"transforms_{split}.json"] = json.dumps({**INTRINSICS[split], "frames": frames}).encode()
         files |= {f"{split}/r_{i}.png": png(10 * number + i) for i in range(VIEWS)}
     return files
 
@@ -48,7 +50,7 @@ def changes(files: Files) -> SearchStrategy[Changes]:
 
 def check(folder: Path) -> str:
     with valid_or_refused(folder) as outcome:
-        require_scene(read_dnerf(folder, name="fuzz/dnerf", downscale=2))
+        require_scene(read_dnerf(folder, name="fuzz/dnerf", downscale=2, background=None))
     return outcome[0]
 
 
