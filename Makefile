@@ -1,14 +1,14 @@
 # Everything starts here: `make` lists the targets, and each of them first sets up what it needs.
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help setup build test reproduce bench work-precision scaling stability report sanitize fuzz clean
+.PHONY: help setup build lock test reproduce bench work-precision scaling stability report sanitize fuzz clean
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 RUN := .venv/bin/python -m
 RUNS ?= results/runs
 FUZZ_SECONDS ?= 20
 
-# What make compares to decide whether there is work: packages after pyproject.toml, kernel after its sources.
+# What make compares to decide whether there is work: packages after the lock, kernel after its sources.
 INSTALLED := .venv/.installed
 BUILT := build/.built
 KERNEL_SOURCES := CMakeLists.txt $(wildcard rasterizer/src/*)
@@ -16,9 +16,12 @@ KERNEL_SOURCES := CMakeLists.txt $(wildcard rasterizer/src/*)
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
-setup: $(BUILT) ## make .venv, install what pyproject.toml asks for, build the kernel
+setup: $(BUILT) ## make .venv, install what requirements.lock pins, build the kernel
 
 build: $(BUILT) ## rebuild the kernel if its sources changed
+
+lock: ## renew requirements.lock after a change of pyproject.toml; UPGRADE=--upgrade takes the newest versions
+	@$(PYTHON) tools/lock.py $(UPGRADE)
 
 test: $(BUILT) ## set up, run the whole test suite
 	$(RUN) pytest
@@ -55,7 +58,7 @@ clean: ## remove the built kernel and caches; .venv and results stay
 	rm -rf build rasterizer/*.so .pytest_cache .hypothesis
 	find . -name __pycache__ -not -path './.venv/*' -prune -exec rm -rf {} +
 
-$(INSTALLED): pyproject.toml tools/setup_environment.py tools/torch_source.py
+$(INSTALLED): pyproject.toml requirements.lock tools/setup_environment.py
 	@$(PYTHON) tools/setup_environment.py
 	@touch $@
 

@@ -1,31 +1,29 @@
-"""Makes `.venv` and installs the project's requirements in it: the first half of `make setup`.
+"""Makes `.venv` and installs in it what requirements.lock pins, then torch: the first half of `make setup`.
 
-Only the standard library is used, since nothing else is there yet. The resolver's plan is read before
-anything is installed (`pip install --dry-run`: metadata, not wheels); torch_source.py judges it.
+Only the standard library is used, since nothing else is there yet. torch is not in the lock: one version of it has
+many builds, each with hashes of its own, and which is wanted depends on the machine. Linux wheels on the default
+package index bring gigabytes of CUDA packages that nothing here uses, so on Linux the CPU build is asked for by its
+name, `torch==VERSION+cpu`, which no other build answers to.
 """
 
 from __future__ import annotations
 
-import json
 import os
 import platform
 import shutil
-import ssl
 import subprocess
 import sys
-import urllib.request
 from pathlib import Path
-
-from torch_source import Package, TorchSource, choose_torch_source, has_nvidia_gpu, read_plan
 
 ROOT = Path(__file__).resolve().parent.parent
 VENV = ROOT / ".venv"
+LOCK = ROOT / "requirements.lock"
 MIN_PYTHON = (3, 11)
-# From 25.3 on a dry run leaves wheels where they are; before, it downloads all it plans (pip issue 12603).
-MIN_PIP = (25, 3)
-PIP = "pip>=25.3,<27"
-# fast-deps: where an index offers no metadata files (PEP 658), read a wheel's last kilobytes, not all of it.
-DRY_RUN = ["--dry-run", "--quiet", "--use-feature=fast-deps", "--report", "-"]
+# PyTorch's own index of CPU builds: https://pytorch.org/get-started/locally/, "Compute Platform: CPU".
+CPU_INDEX = "https://download.pytorch.org/whl/cpu"
+# Of all packages in the lock only Hydra's parser has no wheel. It is plain Python.
+LOCKED = ["--require-hashes", "--only-binary", ":all:", "--no-binary", "antlr4-python3-runtime",
+          "--requirement", str(LOCK)]
 COMPILER_TEST = """
 #include <concepts>
 #include <span>
@@ -43,22 +41,11 @@ def main() -> None:
     check_compiler()
     import tomllib  # new in Python 3.11, hence after the check
 
-    needed = requirements(tomllib.loads((ROOT / "pyproject.toml").read_text()))
+    pin = torch_pin(tomllib.loads((ROOT / "pyproject.toml").read_text()))
     python = make_venv()
-    update_pip(python)
-    say("reading the resolver's plan")
-    plan = plan_of(python, *needed)
-    if not plan:
-        say("nothing to install")
-        return
-    source = choose_torch_source(plan, has_nvidia_gpu())
-    if source.index is not None:
-        install_cpu_torch(python, torch_requirement(needed), source, plan)
-        plan = plan_of(python, *needed)
-    elif source.cuda:
-        say(f"this machine has an NVIDIA GPU: {len(source.cuda)} CUDA packages come with torch")
-    say(f"installing {len(plan)} packages")
-    install(python, *needed)
+    say(f"installing what {LOCK.name} pins")
+    install(python, *LOCKED)
+    install_torch(python, pin)
 
 
 # --- what must be there already ---
@@ -94,21 +81,6 @@ def check_compiler() -> None:
 # --- the steps ---
 
 
-def requirements(pyproject: dict) -> list[str]:
-    """What a working copy needs: the project's dependencies, its tests' and its build's."""
-    project = pyproject["project"]
-    tests = project["optional-dependencies"]["dev"]
-    return [*project["dependencies"], *tests, *pyproject["build-system"]["requires"]]
-
-
-def torch_requirement(needed: list[str]) -> str:
-    """The pin of torch among `needed`; unpinned, it could bring CUDA packages any day."""
-    pins = [requirement for requirement in needed if requirement.startswith("torch==")]
-    if len(pins) != 1:
-        raise SetupError(f"pyproject.toml: expected one dependency torch==VERSION, found {pins}")
-    return pins[0]
-
-
 def make_venv() -> Path:
     """The Python of `.venv`, which is made if need be."""
     python = VENV / "bin" / "python"
@@ -127,52 +99,39 @@ def make_venv() -> Path:
     return python
 
 
-def update_pip(python: Path) -> None:
-    """Gives `.venv` a pip whose dry run downloads no wheels."""
-    found = pip(python, "--version").stdout.split()[1]
-    if tuple(int(part) for part in found.split(".")[:2]) < MIN_PIP:
-        done = pip(python, "install", "--quiet", PIP)
-        if done.returncode != 0:
-            raise SetupError(f"pip: expected {dotted(MIN_PIP)} or newer (before, dry runs download wheels),"
-                             f" found {found}, and updating it failed: {last_line(done.stderr)}")
+def torch_pin(pyproject: dict) -> str:
+    """`torch==VERSION` among the project's dependencies."""
+    pins = [needed for needed in pyproject["project"]["dependencies"] if needed.startswith("torch")]
+    if len(pins) != 1 or not pins[0].startswith("torch=="):
+        raise SetupError(f"pyproject.toml: expected one dependency torch==VERSION, found {pins}")
+    return pins[0]
 
 
-def install_cpu_torch(python: Path, torch: str, source: TorchSource, plan: list[Package]) -> None:
-    """Installs torch from `source.index`, after a look at that plan too."""
-    at_stake = f"{torch} would bring {len(source.cuda)} CUDA packages ({source.cuda[0].name}, …)"
-    way_out = (f"put the CPU wheels of {torch} and what it needs in a folder and run"
-               " `PIP_FIND_LINKS=/path/to/folder make setup`")
-    index = ["--index-url", source.index]
+def install_torch(python: Path, pin: str) -> None:
+    """Installs the CPU build: from where this machine's pip looks, else from PyTorch's index. Any build that is there
+    already is left. Without dependencies, which the lock has."""
+    if f"torch=={installed_torch(python).partition('+')[0]}" == pin:
+        return
+    wheel = ["--no-deps", "--only-binary", ":all:"]
+    if platform.system() != "Linux":  # elsewhere the default index has nothing but CPU builds
+        say(f"installing {pin}")
+        return install(python, *wheel, pin)
+    build = f"{pin}+cpu"
+    say(f"installing {build}")
+    if pip(python, "install", "--quiet", "--no-compile", *wheel, build).returncode == 0:
+        return
+    say(f"not where pip is set to look; taking it from {CPU_INDEX}")
     try:
-        cpu_plan = plan_of(python, torch, *index, "--retries", "1", "--timeout", "30")
+        install(python, *wheel, build, "--index-url", CPU_INDEX, "--retries", "1", "--timeout", "30")
     except SetupError as error:
-        raise SetupError(f"{at_stake} to a machine without an NVIDIA GPU, and {source.index} cannot be had"
-                         f" instead ({error}); {way_out}") from None
-    if choose_torch_source(cpu_plan, has_gpu=False).cuda:
-        raise SetupError(f"{at_stake} to a machine without an NVIDIA GPU, and with {source.index} it still"
-                         f" does; {way_out}")
-    saved = download_size([*source.cuda, *only_torch(plan)]) - download_size(only_torch(cpu_plan))
-    size = f"{saved / 1e9:.1f} GB" if saved > 0 else "gigabytes"
-    say(f"no NVIDIA GPU here, and {at_stake}: taking it from {source.index}, {size} less to download")
-    install(python, torch, *index)
+        raise SetupError(f"{build}: neither where pip is set to look nor at {CPU_INDEX} ({error}); put its wheel in a"
+                         " folder and run `PIP_FIND_LINKS=/path/to/folder make setup`") from None
 
 
-def only_torch(plan: list[Package]) -> list[Package]:
-    return [package for package in plan if package.name == "torch"]
-
-
-def download_size(packages: list[Package]) -> float:
-    """Bytes, as the server tells; NaN if it does not."""
-    context = ssl.create_default_context(cafile=os.environ.get("PIP_CERT"))
-    total = 0.0
-    for package in packages:
-        try:
-            request = urllib.request.Request(package.url, method="HEAD")
-            with urllib.request.urlopen(request, timeout=10, context=context) as reply:
-                total += int(reply.headers["Content-Length"])
-        except (OSError, ValueError, TypeError):
-            return float("nan")
-    return total
+def installed_torch(python: Path) -> str:
+    """Its version in `.venv`; empty if it is not there."""
+    question = "import importlib.metadata as m; print(m.version('torch'))"
+    return subprocess.run([str(python), "-c", question], capture_output=True, text=True).stdout.strip()
 
 
 # --- pip, and talk ---
@@ -183,20 +142,12 @@ def pip(python: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True)
 
 
-def plan_of(python: Path, *arguments: str) -> list[Package]:
-    """The resolver's plan for `pip install arguments`. Raises SetupError with pip's own error."""
-    done = pip(python, "install", *DRY_RUN, *arguments)
-    if done.returncode != 0:
-        raise SetupError(f"pip has no plan: {last_line(done.stderr)}")
-    return read_plan(json.loads(done.stdout))
-
-
 def install(python: Path, *arguments: str) -> None:
     """`pip install`, silent unless it fails. Python compiles what it imports, when it first does."""
     done = pip(python, "install", "--quiet", "--no-compile", *arguments)
     if done.returncode != 0:
         print(done.stderr, file=sys.stderr)
-        raise SetupError(f"pip install failed: {last_line(done.stderr)}")
+        raise SetupError(f"pip install failed: {reason(done.stderr)}")
 
 
 def say(text: str) -> None:
@@ -205,6 +156,12 @@ def say(text: str) -> None:
 
 def dotted(version: tuple[int, ...]) -> str:
     return ".".join(map(str, version))
+
+
+def reason(stderr: str) -> str:
+    """One line of what pip wrote: its last error, and whether it got no answer from the package index."""
+    unreachable = "the package index cannot be reached: " if "Retrying (" in stderr else ""
+    return unreachable + last_line(stderr)
 
 
 def last_line(text: str) -> str:
