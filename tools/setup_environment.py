@@ -21,8 +21,9 @@ LOCK = ROOT / "requirements.lock"
 MIN_PYTHON = (3, 11)
 # PyTorch's own index of CPU builds: https://pytorch.org/get-started/locally/, "Compute Platform: CPU".
 CPU_INDEX = "https://download.pytorch.org/whl/cpu"
-# Of all packages in the lock only Hydra's parser has no wheel. It is plain Python.
-LOCKED = ["--require-hashes", "--only-binary", ":all:", "--no-binary", "antlr4-python3-runtime",
+# Nothing is resolved: the lock is complete but for torch, which some of its packages ask for. Of those only Hydra's
+# parser has no wheel; it is plain Python.
+LOCKED = ["--require-hashes", "--no-deps", "--only-binary", ":all:", "--no-binary", "antlr4-python3-runtime",
           "--requirement", str(LOCK)]
 COMPILER_TEST = """
 #include <concepts>
@@ -146,7 +147,7 @@ def install(python: Path, *arguments: str) -> None:
     """`pip install`, silent unless it fails. Python compiles what it imports, when it first does."""
     done = pip(python, "install", "--quiet", "--no-compile", *arguments)
     if done.returncode != 0:
-        print(done.stderr, file=sys.stderr)
+        print(*(line for line in done.stderr.splitlines() if not line.startswith("WARNING")), sep="\n", file=sys.stderr)
         raise SetupError(f"pip install failed: {reason(done.stderr)}")
 
 
