@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import json
 import os
 import sys
@@ -48,6 +49,9 @@ def main() -> None:
         # The kernel is chosen when the package is imported, which has happened by now: start again.
         environment = os.environ | {"RASTERIZER_ISA": options.isa}
         os.execve(sys.executable, [sys.executable, "-m", "rasterizer.bench", *sys.argv[1:]], environment)
+    plot = options.plot or (Path("results/bench/roofline.png") if options.all else None)
+    if plot and importlib.util.find_spec("matplotlib") is None:  # told before minutes of measuring
+        sys.exit("error: --plot and --all draw with matplotlib, which is not installed: pip install matplotlib")
     keep_freed_memory()
     torch.set_num_threads(1)
     threads = options.threads or list(range(1, min(2, default_threads()) + 1))
@@ -69,7 +73,6 @@ def main() -> None:
                 found["workloads"][name] |= beyond_frames(workload, threads, options.repeats, say)
         if options.all:
             found["loss"] = loss(options.repeats, say)
-        plot = options.plot or (Path("results/bench/roofline.png") if options.all else None)
         if plot and 1 in threads:
             from rasterizer.bench.roofline import write_roofline
             write_roofline(plot, rates, measured)
