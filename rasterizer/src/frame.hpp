@@ -27,6 +27,7 @@ struct Frame {
     // of id
     Buffer<Splat> staged;
     Buffer<scalar> depth;  // per place, once more: in the splats it would cost sorting a cache line each
+    Buffer<scalar> depth_low;  // per place, of far Gaussians alone: what `depth` leaves over (far.hpp)
     Buffer<ColorSlope> color_slope;  // per place, if a backward pass will follow
     Buffer<scalar> extras;  // per place kExtraStride floats: depth, flow, statistics, as far as asked for
     std::vector<uint32_t> chunk_count, chunk_first;  // chunk_first: visible Gaussians before the chunk

@@ -11,14 +11,17 @@ namespace splat {
 // - the way moved since μt is wrong by as much of what it would be if the axes were at their worst angle; a
 //   tenth of that counts, for scenes whose unit of time is much longer than that of length would all be
 //   caught; some of the lifetime counts as moved even at μt, where gradients still depend on the speed;
-// - Σtt, and with it p(t), where its axes are kShortInTime of what they would be at that angle.
+// - Σtt, and with it p(t), where its axes are kShortInTime of what they would be at that angle;
+// - the way from the camera is good to 6e-8 of itself, the place on the screen so to 1e-7 of the focal length:
+//   beyond kLongFocal pixels, a strong telephoto lens, to 1e-3 pixels or worse.
 inline constexpr scalar kLongPixels = 1000.f, kMotionShare = 0.1f, kLifetimeShare = 0.3f;
-inline constexpr scalar kShortInTime = 1e-3f;
+inline constexpr scalar kShortInTime = 1e-3f, kLongFocal = 16384.f;
 
 template <Motion motion>
 SPLAT_INLINE Mask rounding_shows(const Slice<motion, Float>& g, const Projection<motion, Float>& p,
                                  const Camera& c) {
-    const Float pixels_per_unit = abs(p.inverse_z) * Float(std::max(c.fx, c.fy));
+    const scalar focal = std::max(c.fx, c.fy);
+    const Float pixels_per_unit = abs(p.inverse_z) * Float(focal);
     Float reach = max(max(g.scale[0], g.scale[1]), g.scale[2]);
     Mask fine = Float(0.f) >= Float(0.f);
     if constexpr (motion == Motion::kFull) {
@@ -34,7 +37,7 @@ SPLAT_INLINE Mask rounding_shows(const Slice<motion, Float>& g, const Projection
     }
     // Asked this way round, so that what has overflowed is not fine.
     fine = fine & (reach * pixels_per_unit <= Float(kLongPixels));
-    return Float(1.f) > select(fine, 1.f, 0.f);
+    return Float(1.f) > select(fine, focal <= kLongFocal ? 1.f : 0.f, 0.f);
 }
 
 // A Gaussian as the camera sees it at its moment.

@@ -6,6 +6,7 @@
 #include <algorithm>
 
 #include "color.hpp"
+#include "far.hpp"
 #include "frame.hpp"
 #include "look.hpp"
 
@@ -60,7 +61,7 @@ inline int cull_in_time(const Parameters& p, uint32_t first, uint32_t last, cons
 
 // The visible Gaussians of a chunk, one array a quantity.
 struct Packed {
-    static constexpr int kFields = 15 + kMaxExtra;
+    static constexpr int kFields = 16 + kMaxExtra;
     enum Field {
         kX,
         kY,
@@ -70,6 +71,7 @@ struct Packed {
         kAlong,
         kLogOpacity,
         kDepth,
+        kDepthLow,  // of far Gaussians alone
         kHalfWidth,
         kHalfHeight,
         kRadius,
@@ -80,6 +82,7 @@ struct Packed {
     alignas(64) scalar value[kFields][kChunk + kLanes];
     uint32_t id[kChunk + kLanes];
     int count = 0;
+    bool far = false;  // some are
 
     Float at(int field, int i) const { return Float::load(&value[field][i]); }
 };
@@ -103,6 +106,8 @@ inline int project_chunk(const Parameters& p, const Camera& c, const CameraOf<do
                          const Settings& s, uint32_t* alive, int alive_count, Packed& out) {
     using See = Seen<Float>;
     out.count = 0;
+    out.far = false;
+    const Float beyond(far_depth(s));
     int in_time = 0;
     for (int l = 0; l < kLanes && alive_count > 0; ++l) alive[alive_count + l] = alive[alive_count - 1];
     for (int i = 0; i < alive_count; i += kLanes) {
@@ -136,6 +141,12 @@ inline int project_chunk(const Parameters& p, const Camera& c, const CameraOf<do
         put(Packed::kAlong, v[See::kInverseAlong] * Float(-0.5f * kLog2E));
         put(Packed::kLogOpacity, log2_opacity);
         put(Packed::kDepth, v[See::kDepth]);
+        if (const unsigned far = bits(v[See::kDepth] > beyond) & keep) [[unlikely]] {
+            const Depths z = far_depths(stored, far, exact, v[See::kDepth]);
+            put(Packed::kDepth, z.high);
+            put(Packed::kDepthLow, z.low);
+            out.far = true;
+        }
         put(Packed::kHalfWidth, half_width);
         put(Packed::kHalfHeight, half_height);
         put(Packed::kRadius, Float(3.f) * sqrt(largest_variance));
@@ -218,6 +229,7 @@ inline void prepare(Frame& f, const Parameters& p) {
     const int chunks = static_cast<int>((p.count + kChunk - 1) / kChunk);
     f.staged.resize(static_cast<size_t>(chunks) * kChunk);
     f.depth.resize(static_cast<size_t>(chunks) * kChunk);
+    f.depth_low.resize(static_cast<size_t>(chunks) * kChunk);
     if (differentiable) f.color_slope.resize(static_cast<size_t>(chunks) * kChunk);
     if (f.settings.extra_channels()) f.extras.resize(static_cast<size_t>(chunks) * kChunk * kExtraStride);
     f.chunk_count.assign(chunks, 0);
@@ -239,6 +251,7 @@ inline void prepare(Frame& f, const Parameters& p) {
                 differentiable ? f.color_slope.data() + first : nullptr,
                 f.extras.data() + static_cast<size_t>(first) * kExtraStride);
             std::copy_n(packed.value[Packed::kDepth], packed.count, &f.depth[first]);
+            if (packed.far) std::copy_n(packed.value[Packed::kDepthLow], packed.count, &f.depth_low[first]);
             f.chunk_count[c] = packed.count;
         }
         end_of_streaming();

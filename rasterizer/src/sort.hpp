@@ -1,4 +1,5 @@
-// Stage 2: the visible Gaussians front to back. Equal depths keep the order of their ids.
+// Stage 2: the visible Gaussians front to back. Equal depths keep the order of their ids, far ones (far.hpp) in
+// double, the others in float32.
 #pragma once
 
 #include <algorithm>
@@ -6,6 +7,7 @@
 #include <utility>
 #include <vector>
 
+#include "far.hpp"
 #include "frame.hpp"
 
 namespace splat {
@@ -32,11 +34,42 @@ inline void counting_pass(const Frame::DepthKey* from, Frame::DepthKey* to, uint
 }
 
 // The bits of a positive float sort as it does; only as many passes as the bits in which the view's depths
-// differ.
+// differ. Returns which of the two buffers holds the result.
+inline int sort_by_bits(Frame& f, Frame::DepthBits nearest, Frame::DepthBits farthest) {
+    const uint32_t n = f.visible;
+    const int threads = f.settings.threads;
+    if (n == 0 || nearest == farthest) return 0;
+#pragma omp parallel for schedule(static) num_threads(threads)
+    for (uint32_t i = 0; i < n; ++i) f.keys[0][i].bits -= nearest;
+    const int key_bits = std::bit_width(farthest - nearest),
+              passes = (key_bits + kMaxDigitBits - 1) / kMaxDigitBits;
+    const int digit_bits = (key_bits + passes - 1) / passes;
+    for (int pass = 0; pass < passes; ++pass)
+        counting_pass(f.keys[pass & 1].data(), f.keys[~pass & 1].data(), n, pass * digit_bits, digit_bits,
+                      threads);
+    return passes & 1;
+}
+
+// Far Gaussians of one float32 depth, by what it leaves over of theirs; equal ones keep the order of their ids.
+// Only ties are looked at: the keys stay four bytes and as quick to sort.
+inline void order_far_ties(const Frame& f, Frame::DepthKey* keys) {
+    using Key = Frame::DepthKey;
+    const scalar beyond = far_depth(f.settings);
+    Key* const end = keys + f.visible;
+    Key* first = std::partition_point(keys, end, [&](const Key& k) { return f.depth[k.place] <= beyond; });
+    while (first != end) {
+        Key* const last = std::find_if(first, end, [&](const Key& k) { return k.bits != first->bits; });
+        std::sort(first, last, [&](const Key& a, const Key& b) {
+            const scalar x = f.depth_low[a.place], y = f.depth_low[b.place];
+            return x < y || (x == y && a.place < b.place);
+        });
+        first = last;
+    }
+}
+
 inline void sort_by_depth(Frame& f) {
     StageTimer timer(f, kStageSort);
-    const uint32_t n = f.visible;
-    for (auto& keys : f.keys) keys.resize(n);
+    for (auto& keys : f.keys) keys.resize(f.visible);
     const int chunks = static_cast<int>(f.chunk_count.size()), threads = f.settings.threads;
     Frame::DepthBits nearest = ~Frame::DepthBits{0}, farthest = 0;
 #pragma omp parallel for schedule(static) num_threads(threads) reduction(min : nearest) \
@@ -49,17 +82,9 @@ inline void sort_by_depth(Frame& f) {
             nearest = std::min(nearest, bits), farthest = std::max(farthest, bits);
         }
     }
-    f.front_to_back = f.keys[0].data();
-    if (n == 0 || nearest == farthest) return;
-#pragma omp parallel for schedule(static) num_threads(threads)
-    for (uint32_t i = 0; i < n; ++i) f.keys[0][i].bits -= nearest;
-    const int key_bits = std::bit_width(farthest - nearest),
-              passes = (key_bits + kMaxDigitBits - 1) / kMaxDigitBits;
-    const int digit_bits = (key_bits + passes - 1) / passes;
-    for (int pass = 0; pass < passes; ++pass)
-        counting_pass(f.keys[pass & 1].data(), f.keys[~pass & 1].data(), n, pass * digit_bits, digit_bits,
-                      threads);
-    f.front_to_back = f.keys[passes & 1].data();
+    Frame::DepthKey* const sorted = f.keys[sort_by_bits(f, nearest, farthest)].data();
+    if (f.visible && std::bit_cast<scalar>(farthest) > far_depth(f.settings)) order_far_ties(f, sorted);
+    f.front_to_back = sorted;
 }
 
 }  // namespace splat
