@@ -1,7 +1,9 @@
 """Where rendering is not continuous: what to leave out when two correct rasterizers are compared.
 
 Rendering has jumps: a Gaussian takes part or not (p(t) = 0.05, the near plane), a contribution is skipped
-or not (α' = 1/255), a pixel ends or not (T = 1e-4), two Gaussians swap in depth. Next to one, two correct
+or not (α' = 1/255), a pixel ends or not (T = 1e-4), two Gaussians swap in depth. How near two depths must be for
+that depends on the distance: up to FAR_NEAR_PLANES near planes the kernel orders by float32 depths, ties by row;
+beyond, by depths in double. Next to a jump, two correct
 programs that round differently differ by a whole contribution, and no finite difference converges. So tests
 drop the few Gaussians (`away_from_jumps`) and mask the few pixels (`smooth_pixels`) that lie next to one,
 and compare all the others tightly.
@@ -19,6 +21,9 @@ from . import reference
 from .arguments import Request
 from .gaussians import Gaussians
 from .reference_blend import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, pixel_centers, squared_distance
+
+FAR_NEAR_PLANES = 32_768  # the kernel's (rasterizer/src/far.hpp)
+SAME_DEPTH, SAME_FAR_DEPTH = 3e-6, 1e-12  # of the distance: below it rounding decides; float32 rounds to 6e-8
 
 
 def rows(gaussians: Gaussians, index: Tensor) -> Gaussians:
@@ -50,11 +55,13 @@ def away_from_jumps(gaussians: Gaussians, request: Request, margin: float = 1e-3
             close |= (slope - reference.FRUSTUM_MARGIN * edge / focal).abs() < margin
     order = torch.argsort(z, stable=True)
     behind, before = order[1:], order[:-1]
-    gap = torch.full_like(z, torch.inf)
-    gap[behind] = (z[behind] - z[before]) / distance[behind].clamp(min=1e-30)
+    far = z[before] > FAR_NEAR_PLANES * request.near * (1 + SAME_DEPTH)
+    apart = torch.full_like(close, True)
+    least = torch.where(far, SAME_FAR_DEPTH, SAME_DEPTH) * distance[behind].clamp(min=1e-30)
+    apart[behind] = z[behind] - z[before] > least
     coincident = torch.zeros_like(close)
     coincident[behind] = (sliced.mean[behind] == sliced.mean[before]).all(dim=1)
-    return rows(gaussians, torch.nonzero(~close & ((gap > 3e-6) | coincident)).squeeze(1))
+    return rows(gaussians, torch.nonzero(~close & (apart | coincident)).squeeze(1))
 
 
 @torch.no_grad()
