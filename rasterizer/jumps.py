@@ -1,12 +1,13 @@
 """Where rendering is not continuous: what to leave out when two correct rasterizers are compared.
 
 Rendering has jumps: a Gaussian takes part or not (p(t) = 0.05, the near plane), a contribution is skipped
-or not (α' = 1/255), a pixel ends or not (T = 1e-4), two Gaussians swap in depth. How near two depths must be for
-that depends on the distance: up to FAR_NEAR_PLANES near planes the kernel orders by float32 depths, ties by row;
-beyond, by depths in double. Next to a jump, two correct
+or not (α' = 1/255), a pixel ends or not (T = 1e-4), two Gaussians swap in depth. Next to one, two correct
 programs that round differently differ by a whole contribution, and no finite difference converges. So tests
 drop the few Gaussians (`away_from_jumps`) and mask the few pixels (`smooth_pixels`) that lie next to one,
 and compare all the others tightly.
+
+Up to FAR_NEAR_PLANES near planes away the kernel orders Gaussians by their depths in float32, equal ones by their
+rows; beyond, by their depths in double, and next to no depth is a jump.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ def away_from_jumps(gaussians: Gaussians, request: Request, margin: float = 1e-3
     channel or the Jacobian at the edge of its clamp, a depth shared with another.
 
     Exactly coincident ones stay: both programs then see equal depths and take the order of the rows. Margins of
-    lengths are relative to the distance from the camera, as rounding is.
+    lengths are relative to the distance from the camera, as rounding is; those of slopes to a field of view below 1.
     """
     sliced = reference.slice_in_time(gaussians, request.time)
     mean_cam = reference.world_to_camera(sliced.mean, request.camera)
@@ -52,7 +53,7 @@ def away_from_jumps(gaussians: Gaussians, request: Request, margin: float = 1e-3
         (mean_cam[:, 1] / z, camera.fy, camera.cy, camera.height),
     ):
         for edge in (-low, size - low):
-            close |= (slope - reference.FRUSTUM_MARGIN * edge / focal).abs() < margin
+            close |= (slope - reference.FRUSTUM_MARGIN * edge / focal).abs() < margin * min(1.0, size / focal)
     order = torch.argsort(z, stable=True)
     behind, before = order[1:], order[:-1]
     far = z[before] > FAR_NEAR_PLANES * request.near * (1 + SAME_DEPTH)

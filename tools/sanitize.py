@@ -13,8 +13,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 BUILD = ROOT / "build" / "sanitize"
-TESTS = ("test_rasterizer.py", "test_rasterizer_rules.py", "test_frame.py", "test_adam.py", "test_loss.py",
-         "test_sweeps.py")
+TESTS = ("test_rasterizer.py", "test_rasterizer_rules.py", "test_depth_order.py", "test_frame.py", "test_adam.py",
+         "test_loss.py", "test_sweeps.py")
 
 
 def main(isas: list[str]) -> int:

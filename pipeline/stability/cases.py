@@ -50,6 +50,8 @@ VALUES: dict[str, tuple[float, ...]] = {
     "near_plane": (-1, -1e-3, 0, 1e-6, 1e-3, 0.1),
     "camera_centre": (0, 1e-6, 1e-3),
     "far": (1e3, 1e5, 1e7),
+    "depth_gap": (1e4, 1e5, 1e6, 1e7),
+    "telephoto": (1e3, 1e4, 1e5, 1e6, 1e8),
     "far_from_the_origin": (1e3, 1e5, 1e7),
     "scaled_scene": (1e-4, 1e4),
     "coincident": (1, 2, 100, 10_000),

@@ -209,6 +209,20 @@ def far(distance: float, seed: int) -> Scene:
     return gaussians, replace(request, near=0.2)
 
 
+@family(1e4, 1e7, "distance from the camera, world units, of Gaussians 0.005 apart in depth; as large as they look")
+def depth_gap(distance: float, seed: int) -> Scene:
+    """Where float32 steps by 1e-3 to 1 in depth. The means are near the origin, and float32 holds them. None moves."""
+    gaussians, request = far(distance, seed)
+    forward = torch.from_numpy(request.camera.world_to_cam[2, :3].copy())
+    place = torch.randperm(COUNT, generator=generator(seed + 1)) - COUNT / 2
+    return with_mean(replace(gaussians, quat_right=None), space=0.005 * place[:, None] * forward), request
+
+
+@family(2e4, 1e8, "focal length, pixels, of a camera so far away that the plain scene fills its image")
+def telephoto(focal: float, seed: int) -> Scene:
+    return plain_gaussians(COUNT, seed), plain_request(camera=camera_at(DISTANCE * focal / 30, focal=focal))
+
+
 @family(1e2, 1e7, "distance of scene and camera from the world's origin; the scene 1e-4 of it wide")
 def far_from_the_origin(distance: float, seed: int) -> Scene:
     scale, target = 1e-4 * distance, distance * np.array([0.6, -0.5, 0.62])

@@ -6,9 +6,8 @@
 
 namespace splat {
 
-// Beyond so many near planes float32 steps by 1/512 of the near plane's distance or more. A scene has its near
-// plane and all that is trained within that, a background sphere of thousands of near planes too; nearer by,
-// Gaussians of one float32 depth are ordered by their ids.
+// Beyond so many near planes float32 steps by 1/512 of the near plane's distance or more. Scenes as trained lie
+// nearer, a background sphere thousands of near planes away too; there what ties in float32 is ordered by ids.
 inline constexpr scalar kFarNearPlanes = 32768.f;
 
 inline scalar far_depth(const Settings& s) { return s.near_plane * kFarNearPlanes; }
