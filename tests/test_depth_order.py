@@ -1,8 +1,8 @@
 """Gaussians so far away that float32 cannot tell their depths apart, against the float64 twin and by properties.
 
 Their means lie near the origin, where float32 holds them; the camera is up to 1e7 units away, where float32 steps by a
-whole unit. In the wrong order images are off by 1e-2 to 0.5 of full scale. In the right one they are off by at most 1e-6
-and gradients by at most 1e-5, as at any distance, so the tolerances are those of `test_rasterizer.py`.
+whole unit. In the wrong order images are off by 1e-2 to 0.5 of full scale. In the right one they are off by at most
+1e-6 and gradients by at most 1e-5, as at any distance, so the tolerances are those of `test_rasterizer.py`.
 """
 
 from __future__ import annotations
@@ -141,7 +141,7 @@ def test_opacities_from_faint_to_opaque(logit: float):
 
 
 def test_near_and_far_ones_in_one_view():
-    """Every other one stands 3 units before a camera that is 2²⁰ units from the origin, where float32 has eighths."""
+    """Every other one stands 3 units before a camera that is 2²⁰ units from the origin, where float32 holds eighths."""
     camera = camera_at(2.0**20, False, focal=40.0)
     gaussians = one_behind_the_other(camera, "static", 5e-3, 1e5, logit=-1.0)
     gaussians.mean[::2, 2] = torch.arange(COUNT // 2) / 8 + 3 - 2.0**20

@@ -1,13 +1,14 @@
-// How far away a Gaussian is, where float32 no longer says which of two lies in front: z in double by the same
-// code, kept as a float and, like the camera's centre, a second float for what the first cannot hold.
+// How far away a Gaussian is, where float32 no longer says which of two lies in front: z in double by the
+// same code, kept as a float and, like the camera's centre, a second float for what the first cannot hold.
 #pragma once
 
 #include "look.hpp"
 
 namespace splat {
 
-// Beyond so many near planes float32 steps by 1/512 of the near plane's distance or more. Scenes as trained lie
-// nearer, a background sphere thousands of near planes away too; there what ties in float32 is ordered by ids.
+// Beyond so many near planes float32 steps by 1/512 of the near plane's distance or more. Scenes as trained
+// lie nearer, a background sphere thousands of near planes away too; there what ties in float32 is ordered by
+// ids.
 inline constexpr scalar kFarNearPlanes = 32768.f;
 
 inline scalar far_depth(const Settings& s) { return s.near_plane * kFarNearPlanes; }

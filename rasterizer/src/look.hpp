@@ -12,8 +12,9 @@ namespace splat {
 //   tenth of that counts, for scenes whose unit of time is much longer than that of length would all be
 //   caught; some of the lifetime counts as moved even at μt, where gradients still depend on the speed;
 // - Σtt, and with it p(t), where its axes are kShortInTime of what they would be at that angle;
-// - the way from the camera is good to 6e-8 of itself, the place on the screen so to 1e-7 of the focal length:
-//   at kLongFocal pixels, a strong telephoto lens, images are 4e-4 wrong and gradients 2e-3 of the largest.
+// - the way from the camera is good to 6e-8 of itself, the place on the screen so to 1e-7 of the focal
+//   length: at kLongFocal pixels, a strong telephoto lens, images are 4e-4 wrong and gradients 2e-3 of the
+//   largest.
 inline constexpr scalar kLongPixels = 1000.f, kMotionShare = 0.1f, kLifetimeShare = 0.3f;
 inline constexpr scalar kShortInTime = 1e-3f, kLongFocal = 16384.f;
 

@@ -1,5 +1,5 @@
-// Stage 2: the visible Gaussians front to back. Equal depths keep the order of their ids, far ones (far.hpp) in
-// double, the others in float32.
+// Stage 2: the visible Gaussians front to back, by float32 depths, far ones (far.hpp) by double ones. Equal
+// depths keep the order of their ids.
 #pragma once
 
 #include <algorithm>
@@ -50,8 +50,8 @@ inline int sort_by_bits(Frame& f, Frame::DepthBits nearest, Frame::DepthBits far
     return passes & 1;
 }
 
-// Far Gaussians of one float32 depth, by what it leaves over of theirs; equal ones keep the order of their ids.
-// Only ties are looked at: the keys stay four bytes and as quick to sort.
+// Far Gaussians of one float32 depth are ordered by what it leaves over of theirs. Only ties are looked at:
+// the radix keys stay four bytes.
 inline void order_far_ties(const Frame& f, Frame::DepthKey* keys) {
     using Key = Frame::DepthKey;
     const scalar beyond = far_depth(f.settings);
