@@ -3,12 +3,60 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
 import os
+import runpy
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 from pipeline.configure import CONFIG_DIR
+
+LONGEST_S = 120  # of a command
+# Each command is a process of its own, forked from one that has imported what takes seconds. It has run no parallel
+# region, after which a fork hangs.
+FORKING = multiprocessing.get_context("forkserver")
+FORKING.set_forkserver_preload(["pipeline.cli", "pipeline.stages", "datasets.plenoptic", "pipeline.compact.draw",
+                                "pipeline.generalisation.draw"])
+
+
+class Command:
+    """A command at work. Standard output and error go to files, which can be read meanwhile."""
+
+    def __init__(self, folder: Path, module: str, arguments: tuple[str, ...]) -> None:
+        self._streams = tempfile.TemporaryDirectory(prefix="command-")
+        self._out, self._err = (Path(self._streams.name) / name for name in ("out", "err"))
+        self._process = FORKING.Process(target=_run, args=(folder, module, arguments, self._out, self._err))
+        self._process.start()
+
+    def said(self) -> str:
+        """Standard output so far."""
+        return self._out.read_text() if self._out.exists() else ""
+
+    def is_running(self) -> bool:
+        return self._process.exitcode is None
+
+    def kill(self) -> None:
+        """SIGKILL."""
+        self._process.kill()
+        self._process.join()
+
+    def wait(self) -> tuple[int, str, str]:
+        """(exit status, standard output, standard error)."""
+        self._process.join(LONGEST_S)
+        if self.is_running():
+            self.kill()
+        return self._process.exitcode, self.said(), self._err.read_text()
+
+
+def _run(folder: Path, module: str, arguments: tuple[str, ...], out: Path, err: Path) -> None:
+    """`python -m module arguments`, in the forked process."""
+    os.chdir(folder)
+    for stream, path in ((1, out), (2, err)):
+        os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT), stream)
+    sys.argv = [module, *arguments]
+    runpy.run_module(module, run_name="__main__", alter_sys=True)
 
 
 class Shell:
@@ -16,17 +64,22 @@ class Shell:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._environment = {**os.environ, "PYTHONPATH": str(CONFIG_DIR.parent), "OMP_NUM_THREADS": "1"}
 
-    def start(self, *arguments: str, module: str = "pipeline") -> subprocess.Popen:
-        return subprocess.Popen([sys.executable, "-m", module, *arguments], cwd=self.folder, text=True,
-                                stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=self._environment)
+    def start(self, *arguments: str, module: str = "pipeline") -> Command:
+        return Command(self.folder, module, arguments)
 
     def __call__(self, *arguments: str, status: int = 0, module: str = "pipeline") -> tuple[str, str]:
-        process = self.start(*arguments, module=module)
-        out, err = process.communicate(timeout=120)
-        assert process.returncode == status, err
+        found, out, err = self.start(*arguments, module=module).wait()
+        assert found == status, err
         return out, err
+
+    def fresh(self, *arguments: str) -> tuple[str, str]:
+        """In a Python that has imported nothing, as from a terminal: seconds more."""
+        done = subprocess.run([sys.executable, "-m", "pipeline", *arguments], cwd=self.folder, text=True,
+                              capture_output=True, timeout=LONGEST_S,
+                              env={**os.environ, "PYTHONPATH": str(CONFIG_DIR.parent)})
+        assert done.returncode == 0, done.stderr
+        return done.stdout, done.stderr
 
 
 def result(folder: Path) -> dict:

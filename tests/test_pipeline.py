@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import signal
 import time
 from pathlib import Path
 
@@ -25,7 +24,7 @@ def shell(tmp_path_factory) -> Shell:
 @pytest.fixture(scope="module")
 def finished(shell: Shell) -> Path:
     """The folder of a run that ended well."""
-    out, err = shell(*TINY)
+    out, err = shell.fresh(*TINY)
     assert err == "" and "PSNR" in out and "python -m pipeline.report results/runs" in out
     return shell.folder / "results/runs/synthetic/wheel/full/smoke/seed0"
 
@@ -144,13 +143,11 @@ def test_other_data_in_the_same_folder_is_refused(finished: Path, shell: Shell) 
 
 def test_killed_and_started_again_it_ends_the_same(finished: Path, shell: Shell) -> None:
     folder = shell.folder / "killed"
-    process = shell.start(*TINY, "out=killed")
-    deadline = time.monotonic() + 60
-    while not (folder / "checkpoint.safetensors").exists() and process.poll() is None:
-        assert time.monotonic() < deadline
+    command = shell.start(*TINY, "out=killed")
+    while not (folder / "checkpoint.safetensors").exists():
+        assert command.is_running(), command.wait()
         time.sleep(0.01)
-    process.send_signal(signal.SIGKILL)
-    process.communicate()
+    command.kill()
     shell(*TINY, "out=killed")
     assert result(folder) == result(finished)
     curves = [[(row["iteration"], row["psnr"]) for row in read_csv(run / "error_vs_time.csv")]
@@ -166,7 +163,7 @@ def test_a_sweep_goes_on_after_a_run_that_fails(shell: Shell) -> None:
 
 
 def test_a_sweep_side_by_side(shell: Shell) -> None:
-    shell("-m", *TINY, "launcher=joblib", "hydra.launcher.n_jobs=2", "seed=1,2", "train.iterations=20")
+    shell.fresh("-m", *TINY, "launcher=joblib", "hydra.launcher.n_jobs=2", "seed=1,2", "train.iterations=20")
     runs = [shell.folder / f"results/runs/synthetic/wheel/full/smoke/seed{seed}" for seed in (1, 2)]
     first, second = (json.loads((run / "metrics.json").read_text()) for run in runs)
     assert first["final"]["psnr"] != second["final"]["psnr"]
