@@ -1,12 +1,16 @@
 # Everything starts here: `make` lists the targets, and each of them first sets up what it needs.
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help setup build lock test reproduce bench work-precision scaling stability report sanitize fuzz clean
+.PHONY: help setup build lock test test-data reproduce bench work-precision scaling stability report sanitize fuzz clean
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 RUN := .venv/bin/python -m
 RUNS ?= results/runs
 FUZZ_SECONDS ?= 20
+
+# How long a target took since make began, what it set up on the way included.
+STARTED := $(shell date +%s)
+took = s=$$(( $$(date +%s) - $(STARTED) )); echo "make $@: $(1) in $$(( s / 60 )) min $$(( s % 60 )) s, set-up included"
 
 # What make compares to decide whether there is work: packages after the lock, kernel after its sources.
 INSTALLED := .venv/.installed
@@ -24,12 +28,19 @@ lock: ## renew requirements.lock after a change of pyproject.toml; UPGRADE=--upg
 	@$(PYTHON) tools/lock.py $(UPGRADE)
 
 test: $(BUILT) ## set up, run the whole test suite
-	$(RUN) pytest
+	$(RUN) pytest -n auto --dist loadscope --no-loadscope-reorder
+	@$(call took,passed)
+
+test-data: $(BUILT) ## the tests that need real data: DATA_DIR=/path holds dnerf/lego and photographs
+	$(RUN) pytest -m data tests/real_data
+	@$(call took,passed)
 
 reproduce: $(BUILT) ## set up, train the synthetic suite and its ablations, write tables, plots, report
 	$(RUN) pipeline experiment=synthetic_suite
 	$(RUN) pipeline experiment=synthetic_ablation
 	$(RUN) pipeline.report $(RUNS)
+	@echo "make reproduce: the report is $(dir $(RUNS))report/report.html"
+	@$(call took,done)
 
 bench: $(BUILT) ## time kernel, loss, optimiser and readable twin in one run; a roofline plot in results/bench
 	$(RUN) rasterizer.bench W1 W2h W2 --all

@@ -164,17 +164,6 @@ def test_without_any_time_the_scene_is_static(tmp_path: Path) -> None:
     assert scene.is_static and {view.time for view in scene.train + scene.test} == {0.0}
 
 
-def test_the_real_lego() -> None:
-    lego = Path(__file__).parents[2] / "shared" / "data" / "dnerf_lego"
-    if not lego.is_dir():
-        pytest.skip("the D-NeRF lego scene is not beside this checkout")
-    scene = read_dnerf(lego, name="dnerf/lego", test_split="val")
-    assert (len(scene.train), len(scene.test)) == (50, 11)
-    assert scene.train[0].image.shape == (400, 400, 3)
-    assert scene.train[0].camera.fx == pytest.approx(1111.11 / 2, rel=1e-4)  # the benchmark's known focal length
-    assert 4.4 < scene.extent < 5.6  # 1.1 × about 4.03, their centre lying above the origin
-
-
 # --- the background of images without alpha ------------------------------------------------------------------------
 
 def opaque_disc(root: Path, border: int, inside: int = 60) -> Path:

@@ -1,0 +1,59 @@
+"""Structure from motion on real photographs of one thing, taken with a lens whose calibration is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from pipeline.config import InitConfig
+from pipeline.sfm.__main__ import SUFFIXES, main, read_photographs
+from pipeline.sfm.photograph import Photograph, Reconstruction
+from pipeline.sfm.run import reconstruct
+
+pytestmark = pytest.mark.data
+
+WIDTH = 472  # pixels, about: a second a photograph
+CFG = InitConfig(max_features=1500)
+
+
+@pytest.fixture(scope="module")
+def downscale(photograph_folder: Path) -> int:
+    first = next(path for path in sorted(photograph_folder.iterdir()) if path.suffix.lower() in SUFFIXES)
+    with Image.open(first) as image:
+        return max(1, round(image.width / WIDTH))
+
+
+@pytest.fixture(scope="module")
+def photographs(photograph_folder: Path, downscale: int) -> list[Photograph]:
+    """All of the folder; the third is held out."""
+    return [replace(p, held_out=i == 2) for i, p in enumerate(read_photographs(photograph_folder, downscale))]
+
+
+@pytest.fixture(scope="module")
+def found(photographs: list[Photograph], photograph_folder: Path) -> Reconstruction:
+    return reconstruct(photographs, CFG, 1.0, photograph_folder)
+
+
+def test_all_find_their_places_and_the_lens_is_the_calibrated_one(found, photographs, focal: float, downscale: int
+                                                                  ) -> None:
+    assert set(found.lenses) == {p.name for p in photographs} and found.photographs == len(photographs) - 1
+    assert found.errors.mean() < 0.8 and len(found.points) > 500
+    for lens in found.lenses.values():  # it was never told; a calibration by other photographs agrees to some per cent
+        assert lens.camera.fx == pytest.approx(focal / downscale, rel=0.03)
+
+
+def test_the_held_out_one_stands_between_its_neighbours(found: Reconstruction, photographs: list[Photograph]) -> None:
+    """Photographs are taken walking along: the third from between the second's place and the fourth's."""
+    second, third, fourth = (found.lenses[photographs[i].name].camera.position for i in (1, 2, 3))
+    along = fourth - second
+    assert 0.2 < (third - second) @ along / (along @ along) < 0.8
+    assert np.linalg.norm(np.cross(third - second, along)) / (along @ along) < 0.4
+
+
+def test_the_command_places_every_photograph(photograph_folder: Path, photographs, downscale: int, capsys) -> None:
+    assert main([str(photograph_folder), "--downscale", str(downscale), "--max-features", "1000"]) == 0
+    assert f"{len(photographs)} of {len(photographs)} photographs" in capsys.readouterr().out
