@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from datasets.canonical import canonical_of
+from datasets.plenoptic import open_plenoptic
 from datasets.synthetic import build_scene
 from pipeline.config import Config, InitConfig, SceneConfig
-from pipeline.prepare import Prepared, near_depth, prepare
+from pipeline.prepare import Prepared, near_depth, prepare, training_photographs
 from rasterizer import Camera
 
 
@@ -34,6 +35,15 @@ def test_points_come_from_whole_frames_whatever_size_is_trained_at(folder: Path)
     assert all(lens.camera.width == 160 for lens in data.cloud.lenses.values())
     assert set(data.cloud.lenses) == {"cam01", "cam02", "cam03", "cam04"}  # cam00 is held out
     assert (data.sfm_folder / "sfm.png").is_file()
+
+
+def test_structure_from_motion_gets_the_first_frames_of_the_training_cameras(folder: Path) -> None:
+    posed = open_plenoptic(folder, name="counter", downscale=1, cache=folder.parent / "cache")
+    photographs = training_photographs(posed)
+    assert [p.name for p in photographs] == ["cam01", "cam02", "cam03", "cam04"]  # cam00 is held out
+    for photograph in photographs:
+        np.testing.assert_array_equal(photograph.image, posed.first_images()[photograph.name])
+        assert photograph.camera is posed.cameras[photograph.name]
 
 
 def test_random_points_need_none_of_it(folder: Path) -> None:
