@@ -131,7 +131,6 @@ def test_launchers(launcher: str) -> None:
 
 
 def test_a_launcher_whose_package_is_missing() -> None:
-    pytest.importorskip("hydra_plugins")
     try:
         import hydra_plugins.hydra_submitit_launcher  # noqa: F401
         config_of("scene=dnerf", "launcher=slurm")
