@@ -6,6 +6,7 @@ import json
 import multiprocessing
 import os
 import runpy
+import signal
 import subprocess
 import sys
 import tempfile
@@ -36,6 +37,10 @@ class Command:
 
     def is_running(self) -> bool:
         return self._process.exitcode is None
+
+    def interrupt(self) -> None:
+        """SIGINT, as Ctrl-C sends."""
+        os.kill(self._process.pid, signal.SIGINT)
 
     def kill(self) -> None:
         """SIGKILL."""

@@ -4,9 +4,11 @@ interruptions. Commands are run as a user would."""
 from __future__ import annotations
 
 import json
+import os
 import re
 import shlex
-import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -158,15 +160,13 @@ def test_the_configuration_is_written_resolved_and_older_ones_still_open(shell: 
 
 def interrupted(shell: Shell, *arguments: str, after: str) -> str:
     """Standard error of a command that gets a Ctrl-C once it has printed a line that begins with `after`."""
-    process = shell.start(*arguments)
-    deadline = time.monotonic() + 120
-    for line in process.stdout:
-        assert time.monotonic() < deadline
-        if line.startswith(after):
-            break
-    process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=60)
-    assert process.returncode == 130 and err.count("\n") == 1, err
+    command = shell.start(*arguments)
+    while not any(line.startswith(after) for line in command.said().splitlines()):
+        assert command.is_running(), command.wait()
+        time.sleep(0.01)
+    command.interrupt()
+    status, _, err = command.wait()
+    assert status == 130 and err.count("\n") == 1, err
     return err
 
 
@@ -180,7 +180,9 @@ def test_an_interruption_says_what_is_kept(shell: Shell) -> None:
 
 
 def test_closed_output_is_no_traceback(shell: Shell) -> None:
-    process = shell.start(*TINY, "train.iterations=100", "out=closed")
+    process = subprocess.Popen([sys.executable, "-m", "pipeline", *TINY, "train.iterations=100", "out=closed"],
+                               cwd=shell.folder, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+                               env={**os.environ, "PYTHONPATH": str(CONFIG_DIR.parent)})
     process.stdout.readline()
     process.stdout.close()
     err = process.stderr.read()
