@@ -116,17 +116,17 @@ def install_torch(python: Path, pin: str) -> None:
     wheel = ["--no-deps", "--only-binary", ":all:"]
     if platform.system() != "Linux":  # elsewhere the default index has nothing but CPU builds
         say(f"installing {pin}")
-        return install(python, *wheel, pin)
+        install(python, *wheel, pin)
+        return
     build = f"{pin}+cpu"
     say(f"installing {build}")
-    if pip(python, "install", "--quiet", "--no-compile", *wheel, build).returncode == 0:
+    if pip_install(python, *wheel, build).returncode == 0:
         return
     say(f"not where pip is set to look; taking it from {CPU_INDEX}")
-    try:
-        install(python, *wheel, build, "--index-url", CPU_INDEX, "--retries", "1", "--timeout", "30")
-    except SetupError as error:
-        raise SetupError(f"{build}: neither where pip is set to look nor at {CPU_INDEX} ({error}); put its wheel in a"
-                         " folder and run `PIP_FIND_LINKS=/path/to/folder make setup`") from None
+    done = pip_install(python, *wheel, build, "--index-url", CPU_INDEX, "--retries", "1", "--timeout", "30")
+    if done.returncode != 0:
+        raise SetupError(f"{build}: neither where pip is set to look nor at {CPU_INDEX} ({reason(done.stderr)}); put"
+                         " its wheel in a folder and run `PIP_FIND_LINKS=/path/to/folder make setup`")
 
 
 def installed_torch(python: Path) -> str:
@@ -138,14 +138,15 @@ def installed_torch(python: Path) -> str:
 # --- pip, and talk ---
 
 
-def pip(python: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [str(python), "-m", "pip", "--disable-pip-version-check", *arguments]
-    return subprocess.run(command, capture_output=True, text=True)
+def pip_install(python: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Without compiling: Python compiles what it imports, when it first does."""
+    command = [str(python), "-m", "pip", "--disable-pip-version-check", "install", "--quiet", "--no-compile"]
+    return subprocess.run([*command, *arguments], capture_output=True, text=True)
 
 
 def install(python: Path, *arguments: str) -> None:
-    """`pip install`, silent unless it fails. Python compiles what it imports, when it first does."""
-    done = pip(python, "install", "--quiet", "--no-compile", *arguments)
+    """`pip install`, silent unless it fails."""
+    done = pip_install(python, *arguments)
     if done.returncode != 0:
         print(*(line for line in done.stderr.splitlines() if not line.startswith("WARNING")), sep="\n", file=sys.stderr)
         raise SetupError(f"pip install failed: {reason(done.stderr)}")
