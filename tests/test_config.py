@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import subprocess
 import sys
@@ -17,6 +18,7 @@ from pipeline.config import Config
 from pipeline.configure import CONFIG_DIR, known_keys, one_line, register_schema, to_config
 
 ROOT = CONFIG_DIR.parent
+register_schema()
 
 
 def options(group: str) -> list[str]:
@@ -24,15 +26,15 @@ def options(group: str) -> list[str]:
     return sorted(str(file.relative_to(folder).with_suffix("")) for file in folder.rglob("*.yaml"))
 
 
+@functools.cache
 def config_of(*overrides: str) -> Config:
-    register_schema()
     with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
         return to_config(compose("config", overrides=list(overrides)))
 
 
+@functools.cache
 def run_of(*overrides: str) -> Config:
     """A run of a sweep: its file may ask Hydra what was chosen."""
-    register_schema()
     with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
         composed = compose("config", overrides=list(overrides), return_hydra_config=True)
     HydraConfig.instance().set_config(composed)
@@ -86,7 +88,6 @@ def test_every_scene_of_the_release(scene: str) -> None:
 
 @pytest.mark.parametrize("experiment", options("experiment"))
 def test_every_experiment_and_every_run_of_it(experiment: str) -> None:
-    register_schema()
     with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
         hydra = compose("config", overrides=[f"experiment={experiment}", "scene=dnerf"], return_hydra_config=True).hydra
         assert hydra.mode.name == "MULTIRUN"
