@@ -10,6 +10,7 @@ import pytest
 
 from datasets.disk import replacing, write_text
 from pipeline.run_folder import CURVE_COLUMNS, RunFolder, write_csv, write_json
+from shell import FORKING
 
 CONFIG = {"scene": {"path": None, "cache": "a"}, "train": {"iterations": 60, "batch": 2}, "seed": 0, "threads": 1,
           "out": "x", "resume": True, "evaluate": {"lpips": True}}
@@ -132,10 +133,9 @@ def _open(path: Path, answer: multiprocessing.Queue) -> None:
 
 
 def test_two_processes_do_not_share_one(tmp_path: Path) -> None:
-    context = multiprocessing.get_context("spawn")
-    answer = context.Queue()
+    answer = FORKING.Queue()
     with RunFolder(tmp_path / "run", CONFIG):
-        process = context.Process(target=_open, args=(tmp_path / "run", answer))
+        process = FORKING.Process(target=_open, args=(tmp_path / "run", answer))
         process.start()
         assert "found another process at work in it" in answer.get(timeout=60)
         process.join()

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import signal
-import subprocess
-import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +20,8 @@ from pipeline.initialise import initialise
 from pipeline.model import Model
 from pipeline.train import train
 from pipeline.views import TrainingViews, area_weights, target_of
-from tiny import TinyRun, fake_evaluate, tiny_config, tiny_scene, train_tiny
+from shell import FORKING
+from tiny import TinyRun, fake_evaluate, tiny_config, tiny_scene, train_alone, train_tiny
 
 
 def assert_same_state(a: Path, b: Path) -> None:
@@ -132,17 +130,15 @@ def test_resuming_after_a_stop_at_any_iteration(uninterrupted: Path, tmp_path, s
 def test_kill_9_at_a_random_moment(tmp_path, background: str) -> None:
     """The real thing: another process is sent SIGKILL, then this one goes on from what it left."""
     iterations, delay = 300, float(np.random.default_rng().uniform(0, 0.5))
-    command = [sys.executable, str(Path(__file__).with_name("tiny.py")), str(tmp_path / "killed"), str(iterations),
-               background]
-    environment = dict(os.environ, OMP_NUM_THREADS="1", PYTHONPATH=os.pathsep.join(p for p in sys.path if p))
     file = tmp_path / "killed" / checkpoint.FILE_NAME
-    process = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
-    while process.poll() is None and not file.exists():
+    process = FORKING.Process(target=train_alone, args=(tmp_path / "killed", iterations, background))
+    process.start()
+    while process.is_alive() and not file.exists():
         time.sleep(0.002)
     time.sleep(delay)
     process.kill()
-    _, errors = process.communicate()
-    assert process.returncode in (-signal.SIGKILL, 0), errors.decode()
+    process.join()
+    assert process.exitcode in (-signal.SIGKILL, 0)
     train_tiny(tmp_path / "killed", tiny_config(iterations, background))
     train_tiny(tmp_path / "whole", tiny_config(iterations, background))
     assert_same_state(tmp_path / "whole", tmp_path / "killed")

@@ -1,12 +1,12 @@
-"""A scene and a run folder so small that training takes seconds; a program too: `tiny.py OUT ITERATIONS BACKGROUND`."""
+"""A scene and a run folder so small that training takes seconds."""
 
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
+import torch
 
 from datasets.scene import Scene, View, camera_extent
 from pipeline.config import AblationConfig, Config, InitConfig, SceneConfig
@@ -88,7 +88,7 @@ def train_tiny(path: Path, cfg: Config | None = None, scene: Scene | None = None
     return train(model, scene, cfg, TinyRun(path), fake_evaluate)
 
 
-if __name__ == "__main__":
-    import torch
+def train_alone(path: Path, iterations: int, background: str) -> None:
+    """What a process of its own does."""
     torch.set_num_threads(1)
-    train_tiny(Path(sys.argv[1]), tiny_config(int(sys.argv[2]), sys.argv[3]))
+    train_tiny(path, tiny_config(iterations, background))
