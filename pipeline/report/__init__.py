@@ -12,5 +12,5 @@ Data flows one way, a module a step:
     plots, strips                  -> curves (SVG) and render | truth | difference images (WebP)
     export, page                   -> Markdown, CSV, LaTeX; one self-contained HTML page
 
-The report reads run folders only. It never imports torch, trains nothing and edits nothing that a run wrote.
+The report reads run folders only. It trains nothing and edits nothing that a run wrote.
 """

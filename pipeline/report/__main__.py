@@ -1,29 +1,35 @@
 """`python -m pipeline.report RUNS_DIR [--out DIR]`: tables (md, csv, tex), plots, strips, one page.
 
 Exit status 1 with one line when there is nothing to report. A run that can't be read does not stop the
-others: it is named on standard error and in the report, and the exit status stays 0.
+others: it is named on standard error and in the report, and the exit status stays 0. Files are written before
+anything is printed.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import dataclass
 from pathlib import Path
+
+from pipeline.closed_pipe import quiet_on_closed_pipe
 
 from .collect import collect
 from .comparisons import comparisons
-from .export import markdown, write_all
-from .page import CurvePlot, render_page
+from .content import Content, CurvePlot, report_markdown, terminal_text
+from .export import files_of
+from .out_folder import replace_report
+from .page import render_page
 from .plots import DARK, plot
 from .run_tables import run_tables
 from .strips import make_strips
-from .structure import Structure, structure_from_motion
-from .study import STUDY
-from .summary import summarise, summary_markdown
+from .structure import structure_from_motion
+from .summary import summarise
 from .tables import paper_tables
 from .variants import name_variants
 
 
+@quiet_on_closed_pipe()
 def main(arguments: list[str] | None = None) -> int:
     """The command; returns the exit status."""
     parser = argparse.ArgumentParser(
@@ -36,17 +42,31 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--psnr", nargs="*", type=float, default=[], metavar="DB",
                         help="levels of the table of training seconds to a PSNR (default: by scene)")
     options = parser.parse_args(arguments)
+    out = options.out or options.runs_dir.resolve().parent / "report"
     try:
-        out = options.out or options.runs_dir.resolve().parent / "report"
-        write_report(options.runs_dir, out, tuple(options.no_pictures), tuple(options.psnr))
+        report = make_report(options.runs_dir, tuple(options.no_pictures), tuple(options.psnr))
+        replace_report(out, report.files)
     except (ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
+    for line in report.warnings:
+        print(f"warning: {line}", file=sys.stderr)
+    print(report.terminal)
+    print(f"Page: {out / 'report.html'}   tables: {out / 'tables'}   plots: {out / 'plots'}")
     return 0
 
 
-def write_report(runs_dir: Path, out: Path, no_pictures: tuple[str, ...] = (), levels: tuple[float, ...] = ()) -> None:
-    """Reads `runs_dir`, writes everything under `out`, prints the summary and the tables that compare.
+@dataclass(frozen=True)
+class Report:
+    """All of it, not yet written."""
+
+    files: dict[str, bytes]  # path below the report's folder -> content
+    warnings: tuple[str, ...]  # runs left out, and parts of runs
+    terminal: str  # the summary and the tables that compare
+
+
+def make_report(runs_dir: Path, no_pictures: tuple[str, ...] = (), levels: tuple[float, ...] = ()) -> Report:
+    """The report of the runs under `runs_dir`; FileNotFoundError, one line, if there is none.
 
     no_pictures: scenes or families of scenes without strips and without a picture of their points. levels: dB, of the
     table of seconds to a PSNR.
@@ -55,73 +75,18 @@ def write_report(runs_dir: Path, out: Path, no_pictures: tuple[str, ...] = (), l
     strips, strip_warnings = make_strips(collection.runs, no_pictures)
     structure, structure_warnings = structure_from_motion(collection.runs, no_pictures)
     summary = summarise(collection, strip_warnings + structure_warnings)
-    for line in (*summary.left_out, *summary.warnings):
-        print(f"warning: {line}", file=sys.stderr)
-
-    of_paper, ours = paper_tables(collection.runs), run_tables(collection, levels)
-    plots = [
+    content = Content(summary, paper_tables(collection), run_tables(collection, levels), structure, strips, [
         CurvePlot(compared.title, compared.slug, plot(collection, compared), plot(collection, compared, DARK))
         for compared in comparisons(collection)
-    ]
-
-    _clear(out)
-    of_points = [structure.table] if structure else []
-    for table in (*of_paper, *ours, *of_points):
-        write_all(table, out / "tables")
-    pictures = (*strips, *(structure.pictures if structure else ()))
-    for name, content in [
-        (f"plots/{of_curves.slug}.svg", of_curves.light.encode()) for of_curves in plots
-    ] + [(f"strips/{picture.filename}", picture.webp) for picture in pictures]:
-        (out / name).parent.mkdir(parents=True, exist_ok=True)
-        (out / name).write_bytes(content)
-    verdicts, *others = ours
-    curves = "\n".join(f"![{p.title}](plots/{p.slug}.svg)\n" for p in plots)
-    (out / "report.md").write_text(
-        "\n".join(
-            [
-                "# Benchmark report\n",
-                summary_markdown(summary),
-                "## Training curves\n",
-                curves,
-                *_structure_markdown(structure),
-                "## Tables\n",
-                *(markdown(table) for table in (verdicts, *of_paper, *others)),
-            ]
-        ),
-        encoding="utf-8",
-    )
-    page = render_page(summary, of_paper, ours, plots, strips, structure)
-    (out / "report.html").write_text(page, encoding="utf-8")
-
-    print(summary_markdown(summary))
-    shown = [table for table in others if table.slug.startswith(("scenes_", STUDY)) or table.slug == "batches"]
-    for table in (verdicts, *of_paper, *shown, *of_points):
-        print(markdown(table))
-    print(f"Page: {out / 'report.html'}   tables: {out / 'tables'}   plots: {out / 'plots'}")
-
-
-def _structure_markdown(structure: Structure | None) -> list[str]:
-    """A section of report.md; nothing where no run started from structure from motion."""
-    if structure is None:
-        return []
-    pictures = [f"![points and cameras of {p.scene}](strips/{p.filename})\n" for p in structure.pictures]
-    return ["## Structure from motion\n", markdown(structure.table), *pictures]
-
-
-def _clear(out: Path) -> None:
-    """Removes what an earlier report wrote here, so that no picture of a deleted run stays behind."""
-    if not (out / "report.html").is_file():
-        return  # not ours: touch nothing
-    for pattern in (
-        "tables/*.md",
-        "tables/*.csv",
-        "tables/*.tex",
-        "plots/*.svg",
-        "strips/*.webp",
-        "report.*",
-    ):
-        for path in out.glob(pattern):
-            path.unlink()
+    ])
+    files: dict[str, bytes] = {}
+    for table in content.tables:
+        files |= {f"tables/{name}": written for name, written in files_of(table).items()}
+    files |= {f"plots/{of_curves.slug}.svg": of_curves.light.encode() for of_curves in content.plots}
+    files |= {f"strips/{picture.filename}": picture.webp
+              for picture in (*strips, *(structure.pictures if structure else ()))}
+    files |= {"report.md": report_markdown(content).encode(), "report.html": render_page(content).encode()}
+    return Report(files, (*summary.left_out, *summary.warnings), terminal_text(content))
 
 
 if __name__ == "__main__":

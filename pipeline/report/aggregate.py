@@ -9,6 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from .models import reference
+
 MIN_SEEDS = 3  # fewer give no usable standard error
 STANDARD_ERRORS = 2.0  # an ablation is worse when it is so many standard errors below `full`
 FORMULA = (
@@ -102,8 +104,10 @@ def compare(full: Estimate, ablation: Estimate) -> Verdict:
 
 
 def verdict(runs: pd.DataFrame, scene: str, ablation: str, train: str, metric: str) -> Verdict | None:
-    """`ablation` against `full`; None unless both have runs with this metric."""
-    full = over_seeds(runs, scene, "full", train, metric)
+    """A model against the one that it is compared with (models.reference); None unless both have runs with this metric."""
+    if (whole := reference(ablation)) is None:
+        return None
+    full = over_seeds(runs, scene, whole, train, metric)
     other = over_seeds(runs, scene, ablation, train, metric)
     return compare(full, other) if full and other else None
 

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from .collect import LARGEST_NUMBER
+
 
 def band(curves: pd.DataFrame, x: str, y: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(x, mean, std) over runs where every run has values; each run is interpolated linearly.
@@ -35,14 +37,22 @@ def end_of_coarse(curves: pd.DataFrame, settings: Mapping[str, Mapping[str, Any]
 
 
 def _end_of_coarse(curve: pd.DataFrame, settings: Mapping[str, Any], x: str) -> float:
-    until = max((step["until"] for step in settings.get("train.resolution_steps") or []), default=0.0)
-    if not until:
+    steps = settings.get("train.resolution_steps")
+    untils = [_positive(step.get("until")) for step in steps if isinstance(step, dict)] if isinstance(steps, list) else []
+    until, iterations = max(untils, default=0.0), _positive(settings.get("train.iterations"))
+    if not until or not iterations:
         return 0.0
     curve = curve.sort_values("iteration")
-    done = curve["iteration"] / settings["train.iterations"]
-    if (budget := settings.get("train.time_budget_s")) is not None:
+    done = curve["iteration"] / iterations
+    if budget := _positive(settings.get("train.time_budget_s")):
         done = np.maximum(done, curve["train_seconds"] / budget)
     return float(np.interp(until, [0.0, *done], [0.0, *curve[x]]))
+
+
+def _positive(value: Any) -> float:
+    """0 for what is no such number: config.yaml is a file that anybody may have edited."""
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return float(value) if is_number and 0 < value < LARGEST_NUMBER else 0.0
 
 
 def split_at(xs: np.ndarray, ys: np.ndarray, at: float) -> tuple[tuple[np.ndarray, np.ndarray], ...]:

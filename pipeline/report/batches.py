@@ -16,8 +16,8 @@ import pandas as pd
 from . import scenes
 from .aggregate import Estimate, compare, estimate
 from .collect import Collection
-from .our_rows import FLICKER_HEADER, FLICKER_NOTE
-from .table import Cell, Column, Row, Table, measured, number, text
+from .our_rows import FLICKER_HEADER, FLICKER_NOTE, left_out_notes
+from .table import NOTHING, Cell, Column, Row, Table, measured, number, text, uncertainty
 from .variants import schedule_settings
 
 KEYS = {"train.sampler": str, "train.batch": int}  # and what a setting must be to be compared
@@ -65,21 +65,21 @@ def batches(collection: Collection) -> Table | None:
         return None
     columns = (
         Column("scene", "Scene", False),
-        Column("ablation", "Ablation", False),
-        Column("train", "Schedule", False),
+        Column("ablation", "Model", False, fold=True),
+        Column("train", "Schedule", False, fold=True),
         Column("sampler", "Sampler", False),
         Column("batch", "Batch"),
-        Column("seeds", "Seeds"),
-        Column("iterations", "Iterations"),
-        Column("train_seconds", "Train s"),
-        Column("final_psnr", "PSNR ↑ final"),
-        Column("best_psnr", "PSNR ↑ best on test"),
-        Column("final_flicker", FLICKER_HEADER),
-        Column("more_flicker", "this − paper's batches, flicker"),
-        Column("two_se", "2 SE"),
-        Column("verdict", "vs paper's batches", False),
+        Column("seeds", "Seeds", fold=True),
+        Column("iterations", "Iterations", fold=True, group="quality"),
+        Column("train_seconds", "Train s", group="quality"),
+        Column("final_psnr", "PSNR ↑ final", group="quality"),
+        Column("best_psnr", "PSNR ↑ best on test", group="quality"),
+        Column("final_flicker", FLICKER_HEADER, group="flicker"),
+        Column("more_flicker", "this − paper's batches, flicker", group="flicker"),
+        Column("two_se", "2 SE", group="flicker"),
+        Column("verdict", "vs paper's batches", False, group="flicker"),
     )
-    notes = (SAMPLER_NOTE, FLICKER_NOTE, VERDICT_NOTE)
+    notes = (SAMPLER_NOTE, FLICKER_NOTE, VERDICT_NOTE, *left_out_notes(row.cells["ablation"].text for row in rows))
     return Table("batches", "Batches and flicker", columns, tuple(rows), notes=notes)
 
 
@@ -99,8 +99,7 @@ def _rest(settings: dict[str, Any]) -> str:
 def _verdict_cells(runs: pd.DataFrame, group: pd.DataFrame | None, of_paper: tuple[str, int] | None
                    ) -> dict[str, Cell]:
     """`runs` against those of the group that were made as the paper's; group None: they are those."""
-    dash = text("·")
-    nothing = {"more_flicker": dash, "two_se": dash, "verdict": dash}
+    nothing = dict.fromkeys(("more_flicker", "two_se", "verdict"), NOTHING)
     if group is None or of_paper is None:
         return nothing
     same = (group["sampler"] == of_paper[0]) & (group["batch"] == of_paper[1])
@@ -108,7 +107,7 @@ def _verdict_cells(runs: pd.DataFrame, group: pd.DataFrame | None, of_paper: tup
     if theirs is None or ours is None:
         return nothing
     found = compare(theirs, ours)
-    return {"more_flicker": number(found.difference), "two_se": number(2 * found.standard_error),
+    return {"more_flicker": number(found.difference), "two_se": uncertainty(2 * found.standard_error),
             "verdict": text(found.word)}
 
 

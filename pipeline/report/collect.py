@@ -46,6 +46,7 @@ REQUIRED = ("final.psnr", "final.ssim", "iterations", "train_seconds", "n_gaussi
 CURVE_COLUMNS = ("train_seconds", "iteration", "psnr", "n_gaussians")
 CURVE_MORE = ("ssim", "test_loss")  # a curve without them is drawn without them
 ENVIRONMENT = ("machine", "date", "git_commit", "command")  # these stand beside the numbers
+MOTIONS = ("static", "separable", "full")  # rasterizer.gaussians.Motion
 LARGEST_NUMBER = 1e15  # of a measurement; its square is a number too
 LARGEST_SEED = 2**63 - 1  # of pandas
 LONGEST_NOTE = 4000  # characters, of a command too
@@ -66,7 +67,9 @@ class Collection:
               date, git_commit, command, *_note, and the metrics as `final.psnr`, `best_on_test.psnr`,
               `n_gaussians` … (floats; NaN: not measured), `trial.gain` and `trial.standard_error` (dB; NaN:
               no trial), `trial.kept`. `*.dssim_ms` = (1 - MS-SSIM) / 2 is the paper's
-              DSSIM; `*.flicker_levels` is flicker in levels of 255
+              DSSIM; `*.flicker_levels` is flicker in levels of 255. `model.motion` (one of MOTIONS; "": not said),
+              `model.fourier_order`, `model.sh_degree` (floats; NaN: not said): the model that was trained. As collect
+              returns them, ablation and train are the names the run gives itself; name_variants makes them true
     curves:   one row an evaluation: run, scene, ablation, train, seed, train_seconds (s), iteration,
               psnr (dB), n_gaussians, and ssim, test_loss (NaN: not measured)
     settings: run -> its resolved config, flattened to `train.densify.every` style keys
@@ -167,9 +170,23 @@ def read_metrics(path: Path) -> dict[str, Any]:
     for key in ("gain", "standard_error"):
         row[f"trial.{key}"] = _number(trial.get(key), f"trial.{key}")
     row["trial.kept"] = trial.get("kept") is True
+    row |= _model(data.get("model"), left_out=trial.get("kept") is False)
     for key in ("lpips_note", "ms_ssim_note"):  # why a number is missing
         row[key] = _note(data["final"].get(key))
     return row
+
+
+def _model(said: Any, left_out: bool) -> dict[str, Any]:
+    """The trained model; of a run that does not say it, no more is known than that its trial left 4DSH out."""
+    if said is None:
+        return {"model.motion": "", "model.fourier_order": 0.0 if left_out else math.nan, "model.sh_degree": math.nan}
+    if not isinstance(said, dict):
+        raise BrokenRun(f"metrics.json: model: expected an object, found {said!r}")
+    if said.get("motion") not in MOTIONS:
+        raise BrokenRun(f"metrics.json: model.motion: expected {', '.join(MOTIONS)}, found {said.get('motion')!r}")
+    return {"model.motion": said["motion"]} | {
+        f"model.{key}": _number(said.get(key), f"model.{key}") for key in ("fourier_order", "sh_degree")
+    }
 
 
 def read_curve(path: Path) -> pd.DataFrame:

@@ -12,9 +12,10 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-from . import scenes
+from . import models, scenes
 from .collect import Collection
-from .variants import parts_of, schedule_settings, with_parts
+from .names import parts_of, with_parts
+from .variants import schedule_settings
 
 # What varies, by the keys that say so. All other keys of schedule and start together make "schedule".
 _FACTORS = {
@@ -62,10 +63,13 @@ _Group = tuple[str, list[_Variant]]  # what varies ("" for a line on its own), a
 
 
 def comparisons(collection: Collection) -> list[Comparison]:
-    """All figures, scene by scene, schedules first. Each line that has a curve is in one of them at least."""
+    """All figures, scene by scene, schedules first. Each line that has a curve, of two evaluations at least, is in one of
+    them."""
+    curves = collection.curves
+    curves = curves[curves.groupby("run")["iteration"].transform("size") > 1]
     found = []
-    for scene in scenes.in_order(collection.curves["scene"]):
-        of_scene = collection.curves[collection.curves["scene"] == scene].drop_duplicates(["ablation", "train"])
+    for scene in scenes.in_order(curves["scene"]):
+        of_scene = curves[curves["scene"] == scene].drop_duplicates(["ablation", "train"])
         variants = [_variant(row, collection.settings[row["run"]]) for row in of_scene.to_dict("records")]
         groups = _groups(variants)
         titles = [_title(scene, factor, group) for factor, group in groups]
@@ -79,21 +83,23 @@ def comparisons(collection: Collection) -> list[Comparison]:
 
 def _groups(variants: list[_Variant]) -> list[_Group]:
     groups: list[_Group] = []
+    # What selection leaves out of a model is a schedule's doing: schedules are compared by what they were asked for.
     for i, factor in enumerate(_FACTORS):
-        alike = _classes(variants, lambda v: (v.ablation, v.scene, v.schedule, v.factors[:i] + v.factors[i + 1 :]))
+        alike = _classes(variants, lambda v: (models.asked(v.ablation), v.scene, v.schedule,
+                                              v.factors[:i] + v.factors[i + 1 :]))
         groups += [(factor, group) for group in alike if len({v.factors[i] for v in group}) > 1]
     alike = _classes(variants, lambda v: (v.train, v.scene, v.schedule, v.factors))
     groups += [("ablation", group) for group in alike if len({v.ablation for v in group}) > 1]
 
     times_drawn = {v: sum(v in group for _, group in groups) for v in variants}
     schedules: list[_Group] = []
-    for alike in _classes(variants, lambda v: (v.ablation, v.scene)):
-        # One line a schedule: what its variants are variants of. And whatever no other figure has.
-        usual = {_representative(same, times_drawn) for same in _classes(alike, lambda v: v.schedule)}
-        shown = [v for v in alike if not times_drawn[v] or (v.ablation == "full" and v in usual)]
-        if len(shown) > 1:
+    for alike in _classes(variants, lambda v: (models.asked(v.ablation), v.scene)):
+        # One line a schedule and model: what its variants are variants of. And whatever no other figure has.
+        usual = {_representative(same, times_drawn) for same in _classes(alike, lambda v: (v.schedule, v.ablation))}
+        shown = [v for v in alike if not times_drawn[v] or (models.asked(v.ablation) == "full" and v in usual)]
+        if len({v.train for v in shown}) > 1:
             schedules.append(("schedule", shown))
-        elif shown and not times_drawn[shown[0]]:
+        elif any(not times_drawn[v] for v in shown):
             schedules.append(("", shown))
     return schedules + groups
 
@@ -104,7 +110,9 @@ def _representative(variants: list[_Variant], times_drawn: dict[_Variant, int]) 
 
 
 def _title(scene: str, factor: str, group: list[_Variant]) -> str:
-    trains, ablations = {v.train for v in group}, {v.ablation for v in group}
+    trains, ablations = {v.train for v in group}, {models.asked(v.ablation) for v in group}
+    if all(models.is_left_out(v.ablation) for v in group):
+        ablations = {v.ablation for v in group}
     shared = [*(trains if len(trains) == 1 else _shared_parts(group)),
               *(ablations - {"full"} if len(ablations) == 1 else ())]
     return f"{scene}: {', '.join(filter(None, (factor, *shared)))}"
@@ -121,8 +129,9 @@ def _lines(factor: str, group: list[_Variant]) -> tuple[Line, ...]:
         of_name = {v.ablation: v for v in group}
         return tuple(Line(name, of_name[name].train, name) for name in scenes.ablations_in_order(of_name))
     told = _shared_parts(group) if len(group) > 1 else []
-    ordered = sorted(group, key=lambda v: (len(v.train), v.train))
-    return tuple(Line(v.ablation, v.train, _without(told, v.train)) for v in ordered)
+    ordered = sorted(group, key=lambda v: (len(v.train), v.train, v.ablation))
+    return tuple(Line(v.ablation, v.train, _without(told, v.train) + (models.LEFT_OUT if models.is_left_out(v.ablation)
+                                                                      else "")) for v in ordered)
 
 
 def _without(parts: list[str], train: str) -> str:

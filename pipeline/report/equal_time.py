@@ -12,14 +12,16 @@ import pandas as pd
 from . import scenes
 from .aggregate import estimate, over_seeds
 from .collect import Collection
+from .models import asked
+from .our_rows import left_out_notes
 from .table import Cell, Column, Row, Table, measured, number, text
 
 
 def equal_time(collection: Collection) -> Table | None:
-    """A row a schedule, where a scene and ablation has at least two with curves; None if there is no such scene."""
+    """A row a schedule and model, where a scene and ablation has at least two schedules with curves; None if there is no such scene."""
     columns = (
         Column("scene", "Scene", False),
-        Column("ablation", "Ablation", False),
+        Column("ablation", "Model", False, fold=True),
         Column("train", "Schedule", False),
         Column("iterations", "Iterations"),
         Column("train_seconds", "Train s"),
@@ -29,17 +31,17 @@ def equal_time(collection: Collection) -> Table | None:
     )
     runs, curves, rows = collection.runs, collection.curves, []
     for scene in scenes.in_order(curves["scene"]):
-        for ablation in scenes.ablations_in_order(curves.loc[curves["scene"] == scene, "ablation"]):
-            compared = curves[(curves["scene"] == scene) & (curves["ablation"] == ablation)]
-            names = sorted(compared["train"].unique())
-            if len(names) < 2:
+        of_scene = curves[curves["scene"] == scene]
+        for wanted in scenes.ablations_in_order(of_scene["ablation"].map(asked)):
+            # What selection leaves out is a schedule's doing: schedules are compared by what they were asked for.
+            compared = of_scene[of_scene["ablation"].map(asked) == wanted]
+            if compared["train"].nunique() < 2:
                 continue
             shared = float(compared.groupby("run")["train_seconds"].max().min())
-            for name in names:
-                def over(metric: str, decimals: int, name: str = name) -> Cell:
+            for (name, ablation), mine in compared.groupby(["train", "ablation"], sort=True):
+                def over(metric: str, decimals: int, name: str = name, ablation: str = ablation) -> Cell:
                     return measured(over_seeds(runs, scene, ablation, name, metric), decimals)
 
-                mine = compared[compared["train"] == name]
                 at_shared = estimate(psnr_at(run, shared) for _, run in mine.groupby("run"))
                 rows.append(Row({
                     "scene": text(scene), "ablation": text(ablation), "train": text(name),
@@ -49,7 +51,8 @@ def equal_time(collection: Collection) -> Table | None:
     if not rows:
         return None
     note = "Shared s: when the quickest of the scene's runs had ended; PSNR there is read off the curves, linearly."
-    return Table("equal_time", "Schedules at equal time", columns, tuple(rows), notes=(("", note),))
+    notes = (("", note), *left_out_notes(row.cells["ablation"].text for row in rows))
+    return Table("equal_time", "Schedules at equal time", columns, tuple(rows), notes=notes)
 
 
 def psnr_at(curve: pd.DataFrame, seconds: float) -> float:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import csv
 import io
-from pathlib import Path
 
+from .layout import laid_out
 from .table import Column, Table
 
 _LATEX = {
@@ -40,47 +40,34 @@ _LATEX = {
 }
 
 
-def write_all(table: Table, folder: Path) -> list[Path]:
-    """`folder`/<slug>.md, .csv and .tex."""
-    folder.mkdir(parents=True, exist_ok=True)
-    written = []
-    for suffix, content in (("md", markdown(table)), ("csv", comma_separated(table)), ("tex", latex(table))):
-        path = folder / f"{table.slug}.{suffix}"
-        path.write_text(content, encoding="utf-8")
-        written.append(path)
-    return written
+def files_of(table: Table) -> dict[str, bytes]:
+    """<slug>.md, .csv and .tex -> content."""
+    written = {"md": markdown(table), "csv": comma_separated(table), "tex": latex(table)}
+    return {f"{table.slug}.{suffix}": content.encode("utf-8") for suffix, content in written.items()}
 
 
 def markdown(table: Table) -> str:
-    """Title, caption, padded pipe table, footnotes."""
-    body = [
-        [_shown(table, row, column).replace("|", r"\|") for column in table.columns] for row in table.rows
-    ]
-    head = [column.header for column in table.columns]
+    """Title, caption, padded pipe tables (one a part of the layout), footnotes."""
+    layout = laid_out(table)
+    shown = layout.table
+    parts = [f"### {shown.title}", ""] + ([shown.caption, ""] if shown.caption else [])
+    for columns in layout.parts:
+        parts += [*_grid(shown, columns), ""]
+    parts += [f"- {mark + ' ' if mark else ''}{note}" for mark, note in shown.footnotes]
+    return "\n".join(parts).rstrip() + "\n"
+
+
+def _grid(table: Table, columns: tuple[Column, ...]) -> list[str]:
+    body = [[_shown(table, row, column).replace("|", r"\|") for column in columns] for row in table.rows]
+    head = [column.header for column in columns]
     widths = [max(3, *(len(line[i]) for line in [head, *body])) for i in range(len(head))]
 
     def line(cells: list[str]) -> str:
-        return (
-            "| "
-            + " | ".join(
-                c.rjust(w) if column.number else c.ljust(w)
-                for c, w, column in zip(cells, widths, table.columns)
-            )
-            + " |"
-        )
+        padded = (c.rjust(w) if column.number else c.ljust(w) for c, w, column in zip(cells, widths, columns))
+        return f"| {' | '.join(padded)} |"
 
-    rule = (
-        "|"
-        + "|".join(
-            "-" * (w + 1) + ":" if column.number else ":" + "-" * (w + 1)
-            for w, column in zip(widths, table.columns)
-        )
-        + "|"
-    )
-    parts = [f"### {table.title}", ""] + ([table.caption, ""] if table.caption else [])
-    parts += [line(head), rule, *(line(cells) for cells in body), ""]
-    parts += [f"- {mark + ' ' if mark else ''}{note}" for mark, note in table.footnotes]
-    return "\n".join(parts).rstrip() + "\n"
+    rule = "|".join("-" * (w + 1) + ":" if column.number else ":" + "-" * (w + 1) for w, column in zip(widths, columns))
+    return [line(head), f"|{rule}|", *(line(cells) for cells in body)]
 
 
 def comma_separated(table: Table) -> str:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import pandas as pd
 
 from .aggregate import over_scenes, over_seeds, trains
 from .collect import PROTOCOLS
+from .models import LEFT_OUT_NOTE, is_left_out
 from .table import NO_RUN, Cell, Row, measured, text
 
 PROTOCOL_NAME = {"final": "final", "best_on_test": "best on test"}
@@ -24,9 +25,7 @@ FLICKER_NOTE = (
 
 
 def our_rows(our_trains: list[str], cells_of: Callable[[str, str], dict[str, Cell]]) -> list[Row]:
-    """A `final` and a `best on test` row for each schedule; without any run the same two, empty."""
-    if not our_trains:
-        return [Row({"method": text(f"Ours, {PROTOCOL_NAME[p]}")}) for p in PROTOCOLS]
+    """A `final` and a `best on test` row for each schedule."""
     return [
         Row({"method": text(f"Ours, {train}, {PROTOCOL_NAME[p]}"), **cells_of(train, p)})
         for train in our_trains
@@ -62,11 +61,17 @@ def scene_cell(
     return NO_RUN if mine.empty else measured(over_seeds(runs, scene, ablation, train, metric), decimals)
 
 
-def gap_notes(runs: pd.DataFrame) -> list[tuple[str, str]]:
-    """Why LPIPS or MS-SSIM is missing, as the runs say."""
+def left_out_notes(labels: Iterable[str]) -> list[tuple[str, str]]:
+    """What "4DSH left out" means, if a model is called so."""
+    return [LEFT_OUT_NOTE] if any(is_left_out(label) for label in labels) else []
+
+
+def gap_notes(runs: pd.DataFrame, metrics: tuple[str, ...] = ("LPIPS", "MS-SSIM")) -> list[tuple[str, str]]:
+    """Why LPIPS or MS-SSIM is missing, as the runs say. metrics: which of both a table has."""
+    columns = {"LPIPS": "lpips_note", "MS-SSIM": "ms_ssim_note"}
     return [
-        ("", f"{name}: {note}")
-        for name, column in (("LPIPS", "lpips_note"), ("MS-SSIM", "ms_ssim_note"))
-        for note in sorted(set(runs[column]))
+        ("", note if note.startswith(name) else f"{name}: {note}")
+        for name in metrics
+        for note in sorted(set(runs[columns[name]]))
         if note
     ]

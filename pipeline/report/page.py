@@ -3,41 +3,23 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import re
 from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup, escape
 
-from .strips import DIFFERENCE_GAIN, Strip
-from .structure import Structure
-from .study import STUDY
-from .summary import Summary
-from .table import Table
+from .content import Content
+from .layout import laid_out
+from .strips import DIFFERENCE_GAIN
 
-
-@dataclass(frozen=True)
-class CurvePlot:
-    """One figure in both themes, as SVG text."""
-
-    title: str
-    slug: str  # names its file
-    light: str
-    dark: str
+# What is shown at once; the rest is there to be unfolded.
+_FEW_STRIPS = 8  # up to so many all are shown, else of each scene and schedule those of the full model
+_CARDS, _GROUPS, _PLOTS, _ROWS = 16, 6, 6, 24
 
 
-COMPARISONS = ("equal_time", "time_to_psnr", "batches")  # slugs of tables that set schedules side by side
-
-
-def render_page(
-    summary: Summary,
-    paper_tables: Sequence[Table],
-    our_tables: Sequence[Table],
-    plots: Sequence[CurvePlot],
-    strips: Sequence[Strip],
-    structure: Structure | None = None,
-) -> str:
-    """HTML text. Text is escaped by the template engine; images become data URIs. Without `structure` no section."""
+def render_page(content: Content) -> str:
+    """HTML text. Text is escaped by the template engine; images become data URIs. No section is empty."""
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent),
         autoescape=True,
@@ -45,30 +27,44 @@ def render_page(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["svg_uri"] = lambda svg: _data_uri("image/svg+xml", svg.encode())
-    environment.filters["webp_uri"] = lambda webp: _data_uri("image/webp", webp)
-    own = {table.slug: table for table in our_tables}
+    environment.filters |= {
+        "svg_uri": lambda svg: _data_uri("image/svg+xml", svg.encode()),
+        "webp_uri": lambda webp: _data_uri("image/webp", webp),
+        "breakable": breakable,
+    }
     return environment.get_template("page.html").render(
-        summary=summary,
-        paper_tables=paper_tables,
-        verdicts=own["ablation_verdicts"],
-        scene_tables=[t for t in our_tables if t.slug.startswith("scenes_")],
-        comparisons=[own[slug] for slug in COMPARISONS if slug in own]
-        + [table for slug, table in own.items() if slug.startswith(STUDY)],
-        structure=structure,
-        raw_tables=[own["all_runs"], own["provenance"]],
-        plots=plots,
-        strips=_by_group(strips),
+        content=content,
+        summary=content.summary,
+        laid_out=laid_out,
+        all_strips=len(content.strips) <= _FEW_STRIPS,
+        shown_cards=_CARDS,
+        shown_groups=_GROUPS,
+        shown_plots=_PLOTS,
+        shown_rows=_ROWS,
         difference_gain=DIFFERENCE_GAIN,
+        sections=_sections(content),
     )
 
 
-def _by_group(strips: Sequence[Strip]) -> Mapping[tuple[str, str], list[Strip]]:
-    """(scene, schedule) -> its strips, order kept."""
-    groups: dict[tuple[str, str], list[Strip]] = {}
-    for strip in strips:
-        groups.setdefault((strip.scene, strip.train), []).append(strip)
-    return groups
+def _sections(content: Content) -> dict[str, str]:
+    """id -> title of the sections that hold something, in reading order."""
+    found = {
+        "summary": ("Summary", True),
+        "strips": ("Pictures", content.strips),
+        "curves": ("Training curves", content.plots),
+        "ablations": ("Ablations", content.ablations),
+        "paper": ("The paper’s tables, ours beside", content.paper),
+        "scenes": ("Scene by scene", content.scenes),
+        "comparisons": ("Schedules and batches", content.comparisons),
+        "sfm": ("Structure from motion", content.structure),
+        "raw": ("Raw numbers", content.raw),
+    }
+    return {key: title for key, (title, there) in found.items() if there}
+
+
+def breakable(text: str) -> Markup:
+    """Text that may be broken where names are put together: after / _ = and commas."""
+    return Markup(re.sub(r"(?<=[/_=,])", Markup("<wbr>"), escape(text)))
 
 
 def _data_uri(mime: str, content: bytes) -> str:

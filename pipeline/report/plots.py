@@ -7,6 +7,7 @@ they do.
 from __future__ import annotations
 
 import io
+import math
 from dataclasses import dataclass
 
 import matplotlib
@@ -20,6 +21,7 @@ from . import paper, scenes
 from .bands import band, end_of_coarse, split_at
 from .collect import Collection
 from .comparisons import Comparison, Line
+from .models import ablation_of
 
 _LOG_RATIO = 4  # a schedule so many times longer than another squeezes it to a wall: logarithmic axis then
 
@@ -37,8 +39,8 @@ class Theme:
 LIGHT = Theme("light", "#1d2430", "#d9dde3", ("#0072b2", "#d55e00", "#009e73", "#b5519b", "#7a7f87"))
 DARK = Theme("dark", "#e4e7ec", "#3a414d", ("#5ab6f0", "#f2955c", "#3ccb9e", "#e39bcf", "#a6abb3"))
 
-_COLUMNS = (("train_seconds", "training time, s (evaluation left out)"), ("iteration", "iteration"))
-_ROWS = (
+_ROWS = (("train_seconds", "training time, s (evaluation left out)"), ("iteration", "iteration"))
+_COLUMNS = (
     ("psnr", "PSNR, dB, test views"),
     ("ssim", "SSIM, test views"),
     ("test_loss", "loss, test views"),
@@ -52,43 +54,47 @@ _COARSE = (
     "Dashed: trained at a coarse resolution but evaluated at the full one, where such a model reads low; "
     "compare lines where they are solid."
 )
-_HEIGHT, _ROW_HEIGHT = 1.5, 2.35  # inches: what stands above and below the panels, a row of them
+_ABOVE, _LEGEND_ROW, _ROW_HEIGHT, _BELOW = 0.42, 0.21, 2.1, 0.85  # inches
+_LEGEND_COLUMNS = 4
 
 
 def plot(collection: Collection, comparison: Comparison, theme: Theme = LIGHT) -> str:
-    """SVG text: a row a quantity, those that no run has left out; a line each of the comparison's."""
+    """SVG text: a column a quantity, those that no run has left out; above against seconds, below against iterations."""
     curves = collection.curves[collection.curves["scene"] == comparison.scene]
     runs_of = {line: curves[(curves["ablation"] == line.ablation) & (curves["train"] == line.train)]
                for line in comparison.lines}
     shown = pd.concat(runs_of.values())
-    rows = [(y, label) for y, label in _ROWS if shown[y].notna().any()]
+    columns = [(y, label) for y, label in _COLUMNS if shown[y].notna().any()]
+    colours = _colours(comparison.lines, theme.ablations)
     # Text as text: as outlines it would be half of the page.
     with matplotlib.rc_context({"svg.hashsalt": comparison.slug, "svg.fonttype": "none",
                                 "font.family": ["DejaVu Sans", "sans-serif"], "font.size": 9.5}):
-        height = _HEIGHT + _ROW_HEIGHT * len(rows)
+        entries = len(runs_of) + (comparison.scene in scenes.PLENOPTIC)  # the paper's line
+        above = _ABOVE + _LEGEND_ROW * math.ceil(entries / _LEGEND_COLUMNS)
+        height = above + _ROW_HEIGHT * len(_ROWS) + _BELOW
         figure = Figure(figsize=(12.6, height))
         FigureCanvasSVG(figure)
         # Margins by hand: the layout solver's last digits differ from run to run, and with them the SVG.
-        margins = {"left": 0.045, "right": 0.985, "bottom": 0.85 / height, "top": 1 - 0.8 / height,
-                   "wspace": 0.1, "hspace": 0.22}
-        axes = figure.subplots(len(rows), 2, sharex="col", squeeze=False, gridspec_kw=margins)
+        margins = {"left": 0.035, "right": 0.985, "bottom": _BELOW / height, "top": 1 - above / height,
+                   "wspace": 0.17, "hspace": 0.34}
+        axes = figure.subplots(len(_ROWS), len(columns), sharey="col", sharex="row", squeeze=False, gridspec_kw=margins)
         any_coarse = False
-        for column, (x, x_label) in enumerate(_COLUMNS):
+        for row, (x, x_label) in enumerate(_ROWS):
             coarse = {line: end_of_coarse(runs, collection.settings, x) for line, runs in runs_of.items()}
             any_coarse |= any(coarse.values())
-            for axis, (y, label) in zip(axes[:, column], rows):
-                for i, (line, runs) in enumerate(runs_of.items()):
+            for axis, (y, label) in zip(axes[row], columns):
+                for line, runs in runs_of.items():
                     if runs[y].notna().all():
-                        _draw(axis, runs, x, y, theme.ablations[_colour_index(line, i)], line.label, coarse[line])
+                        _draw(axis, runs, x, y, colours[line], line.label, coarse[line])
                 ends = shown.groupby("run")[x].max()
-                _finish(axis, label, theme, log=ends.max() > _LOG_RATIO * ends.min())
-            axes[-1, column].set_xlabel(x_label, color=theme.ink)
+                _finish(axis, label if row == 0 else "", theme, log=ends.max() > _LOG_RATIO * ends.min())
+            axes[row, 0].set_xlabel(x_label, color=theme.ink, loc="left")
         _paper_line(axes[0, 0], comparison.scene, theme)
         handles, labels = axes[0, 0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.037, 1.0), ncols=4, frameon=False,
-                      labelcolor=theme.ink)
+        figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.027, 1.0), ncols=_LEGEND_COLUMNS,
+                      frameon=False, labelcolor=theme.ink)
         caption = f"{_CAPTION}\n{_COARSE}" if any_coarse else _CAPTION
-        figure.text(0.045, 0.06 / height, caption, color=theme.ink, fontsize=8.5, va="bottom", linespacing=1.4)
+        figure.text(0.035, 0.06 / height, caption, color=theme.ink, fontsize=8.5, va="bottom", linespacing=1.4)
         buffer = io.StringIO()
         figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
     return buffer.getvalue()
@@ -116,7 +122,7 @@ def _finish(axis: Axes, title: str, theme: Theme, log: bool) -> None:
         axis.xaxis.set_major_locator(LogLocator(10, subs=(1, 2, 5)))
         axis.xaxis.set_minor_locator(NullLocator())
     else:
-        axis.xaxis.set_major_locator(MaxNLocator(6))
+        axis.xaxis.set_major_locator(MaxNLocator(5))
     for one in (axis.xaxis, axis.yaxis):
         one.set_major_formatter(
             FuncFormatter(_in_thousands if one.get_view_interval()[1] >= 5000 else _plain)
@@ -136,12 +142,19 @@ def _paper_line(axis: Axes, scene: str, theme: Theme) -> None:
         )
 
 
-def _colour_index(line: Line, place: int) -> int:
-    """An ablation has the same colour in every figure; other lines by their place."""
+def _colours(lines: tuple[Line, ...], colours: tuple[str, ...]) -> dict[Line, str]:
+    """An ablation has the same colour in every figure, as long as it is there once; other lines by their place."""
     known = ("full", "no_4drot", "no_4dsh", "no_time_split")
-    if line.label == line.ablation:
-        return known.index(line.ablation) if line.ablation in known else len(known)
-    return place % (len(known) + 1)
+    found: dict[Line, str] = {}
+    for place, line in enumerate(lines):
+        ablation = ablation_of(line.ablation)
+        if line.label != line.ablation:
+            found[line] = colours[place % len(colours)]
+        elif ablation in known and colours[known.index(ablation)] not in found.values():
+            found[line] = colours[known.index(ablation)]
+        else:
+            found[line] = colours[-1]
+    return found
 
 
 def _plain(value: float, _: object) -> str:

@@ -1,4 +1,4 @@
-"""Our own tables: ablation verdicts, comparisons (their own modules), every run, where each number comes from."""
+"""Our own tables: verdicts, scenes and comparisons (their own modules), every run, where each number comes from."""
 
 from __future__ import annotations
 
@@ -7,93 +7,28 @@ from typing import Any
 
 import pandas as pd
 
-from . import scenes
-from .aggregate import FORMULA, Verdict, select, trains, verdict
 from .batches import batches
-from .collect import PROTOCOLS, Collection
+from .collect import Collection
 from .equal_time import equal_time
-from .our_rows import PROTOCOL_NOTE, gap_notes
+from .our_rows import gap_notes, left_out_notes
 from .scene_tables import scene_tables
 from .study import studies
-from .table import Cell, Column, Row, Table, measured, number, text
+from .table import Cell, Column, Row, Table, number, text
 from .time_to_psnr import time_to_psnr
+from .verdicts import verdicts
 
 TRIAL_NOTE = (
-    "Trial of 4DSH: what colours that change with time gave held-out training views in a short training; a model "
-    "whose trial left them out holds none, whatever its ablation. Train s: the trial's too."
+    "Trial of 4DSH: what time-varying colour gave held-out training views in a short training. Train s: the trial's too."
 )
 
 
 def run_tables(collection: Collection, levels: tuple[float, ...] = ()) -> list[Table]:
-    """All, in reading order; comparisons that there are no runs for are left out. levels: dB, see time_to_psnr."""
+    """All, in reading order; those that there are no runs for are left out. levels: dB, see time_to_psnr."""
     runs = collection.runs
     compared = equal_time(collection), time_to_psnr(collection, levels), batches(collection)
-    there = [table for table in compared if table is not None]
-    return [verdicts(runs), *scene_tables(runs), *there, *studies(collection), all_runs(runs), provenance(runs)]
-
-
-def verdicts(runs: pd.DataFrame) -> Table:
-    """Is each ablation worse than `full` on the scene made for it?"""
-    columns = (
-        Column("ablation", "Ablation", False),
-        Column("scene", "Made for it", False),
-        Column("train", "Schedule", False),
-        Column("protocol", "Model", False),
-        Column("full_psnr", "full, PSNR"),
-        Column("ablation_psnr", "ablation, PSNR"),
-        Column("difference", "full − ablation"),
-        Column("two_se", "2 SE"),
-        Column("verdict", "Verdict", False),
-    )
-    rows = []
-    for made in scenes.MADE_FOR:
-        head = {"ablation": text(made.ablation), "scene": text(made.scene)}
-        our_trains = trains(runs, [made.scene])
-        for train in our_trains:
-            for protocol in PROTOCOLS:
-                rows.append(
-                    Row(
-                        head
-                        | {"train": text(train), "protocol": text(protocol.replace("_", " "))}
-                        | _verdict_cells(runs, made, train, f"{protocol}.psnr")
-                    )
-                )
-        if not our_trains:
-            rows.append(Row(head | {"verdict": text("no run")}))
-    reasons = tuple(("", f"{made.scene} for {made.ablation}: {made.reason}.") for made in scenes.MADE_FOR)
-    return Table(
-        "ablation_verdicts",
-        "Does each part earn its place? Ablations on the scenes made for them",
-        columns,
-        tuple(rows),
-        caption=FORMULA,
-        notes=reasons + (PROTOCOL_NOTE,),
-    )
-
-
-def _verdict_cells(runs: pd.DataFrame, made: scenes.MadeFor, train: str, metric: str) -> dict[str, Cell]:
-    found = verdict(runs, made.scene, made.ablation, train, metric)
-    if found is None:
-        lacking = [name for name in ("full", made.ablation) if select(runs, made.scene, name, train).empty]
-        return {"verdict": text(f"no run of {' and '.join(lacking)}" if lacking else "not measured")}
-    return {
-        "full_psnr": measured(found.full),
-        "ablation_psnr": measured(found.ablation),
-        "difference": number(found.difference),
-        "two_se": number(2 * found.standard_error),
-        "verdict": text(_sentence(found)),
-    }
-
-
-def _sentence(found: Verdict) -> str:
-    """The verdict's word and, where it is not the hoped-for one, that."""
-    if found.word == "too few seeds":
-        return f"too few seeds ({min(found.full.n, found.ablation.n)} of 3)"
-    return {
-        "worse": "worse, as it should be",
-        "better": "NOT worse: better",
-        "no difference shown": "NOT shown to be worse",
-    }[found.word]
+    found = [verdicts(runs), *scene_tables(collection), *compared, *studies(collection), all_runs(runs),
+             provenance(runs)]
+    return [table for table in found if table is not None]
 
 
 def all_runs(runs: pd.DataFrame) -> Table:
@@ -101,26 +36,27 @@ def all_runs(runs: pd.DataFrame) -> Table:
     filmed, tried = runs["final.flicker"].notna().any(), runs["trial.gain"].notna().any()
     columns = (
         Column("run", "Run", False),
-        Column("final_psnr", "PSNR final"),
-        Column("best_psnr", "PSNR best on test"),
-        Column("best_iteration", "at iteration"),
-        Column("final_ssim", "SSIM"),
-        Column("final_ms_ssim", "MS-SSIM"),
-        Column("final_dssim1", "DSSIM1"),
-        Column("final_dssim2", "DSSIM2"),
-        Column("final_lpips_alex", "LPIPS-Alex"),
-        Column("final_lpips_vgg", "LPIPS-VGG"),
-        *([Column("final_flicker", "Flicker, levels of 255")] if filmed else []),
-        Column("fps_raster", "FPS raster"),
-        Column("fps_render", "FPS render"),
-        Column("iterations", "Iterations"),
-        Column("train_seconds", "Train s"),
-        Column("n_gaussians", "Gaussians"),
-        Column("n_alive", "alive/frame"),
-        Column("model_mb", "Model MB"),
-        Column("model_with_optimiser_mb", "+ optimiser MB"),
-        Column("peak_rss_mb", "Peak RSS MB"),
-        *([Column("trial", "Trial of 4DSH, dB", False)] if tried else []),
+        Column("model", "Model", False, fold=True),
+        Column("final_psnr", "PSNR final", group="quality"),
+        Column("best_psnr", "PSNR best on test", group="quality"),
+        Column("best_iteration", "at iteration", group="quality"),
+        Column("final_ssim", "SSIM", group="quality"),
+        Column("final_ms_ssim", "MS-SSIM", group="quality"),
+        Column("final_dssim1", "DSSIM1", group="quality"),
+        Column("final_dssim2", "DSSIM2", group="quality"),
+        Column("final_lpips_alex", "LPIPS-Alex", group="quality"),
+        Column("final_lpips_vgg", "LPIPS-VGG", group="quality"),
+        *([Column("final_flicker", "Flicker, levels of 255", group="quality")] if filmed else []),
+        Column("fps_raster", "FPS raster", group="cost"),
+        Column("fps_render", "FPS render", group="cost"),
+        Column("iterations", "Iterations", fold=True, group="cost"),
+        Column("train_seconds", "Train s", group="cost"),
+        Column("n_gaussians", "Gaussians", group="cost"),
+        Column("n_alive", "alive/frame", group="cost"),
+        Column("model_mb", "Model MB", group="cost"),
+        Column("model_with_optimiser_mb", "+ optimiser MB", group="cost"),
+        Column("peak_rss_mb", "Peak RSS MB", group="cost"),
+        *([Column("trial", "Trial of 4DSH, dB", False, group="cost")] if tried else []),
     )
     source = {
         "final_psnr": ("final.psnr", 2),
@@ -147,6 +83,7 @@ def all_runs(runs: pd.DataFrame) -> Table:
         Row(
             {
                 "run": text(row["run"]),
+                "model": text(row["ablation"]),
                 **{key: number(row[metric], decimals) for key, (metric, decimals) in source.items()},
                 "trial": _trial(row),
             }
@@ -165,6 +102,7 @@ def all_runs(runs: pd.DataFrame) -> Table:
                 "FPS raster: blending alone; FPS render: with slicing, sorting. Train s: without evaluation.",
             ),
             *([("", TRIAL_NOTE)] if tried else []),
+            *left_out_notes(runs["ablation"]),
         ),
     )
 
@@ -180,7 +118,7 @@ def _trial(run: dict[str, Any]) -> Cell:
 def provenance(runs: pd.DataFrame) -> Table:
     """Machine, date, commit and command of every run."""
     columns = tuple(
-        Column(key, header, False)
+        Column(key, header, False, fold=key in ("machine", "date", "git_commit"))
         for key, header in (
             ("run", "Run"),
             ("machine", "Machine"),

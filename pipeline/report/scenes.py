@@ -6,6 +6,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from types import MappingProxyType
 
+from . import models
+
 # The paper's order of columns (its per-scene table).
 PLENOPTIC = tuple(
     f"plenoptic/{name}"
@@ -27,6 +29,8 @@ DNERF = tuple(
 
 # Table 3 ablates on these two.
 TABLE3 = ("plenoptic/flame_salmon", "plenoptic/cut_roasted_beef")
+
+FAMILIES = ("synthetic", "dnerf", "plenoptic", "dnerf_own", "plenoptic_own", "video_own", "other")  # in reading order
 
 ABLATIONS = ("no_4drot", "no_4dsh", "no_time_split", "full")  # the paper's order of rows
 
@@ -61,12 +65,18 @@ MADE_FOR_SCENE = MappingProxyType({(m.scene, m.ablation): m for m in MADE_FOR})
 
 
 def family(scene: str) -> str:
-    """`plenoptic`, `dnerf` or `synthetic` for the scenes of the paper's tables and ours, else `other`."""
+    """Which table of scenes a scene stands in: one of FAMILIES.
+
+    `dnerf` and `plenoptic` are the paper's scenes alone, `dnerf_own` and so on are others of that layout.
+    """
     if scene in PLENOPTIC:
         return "plenoptic"
     if scene in DNERF:
         return "dnerf"
-    return "synthetic" if scene.startswith("synthetic/") else "other"
+    kind = scene.split("/")[0]
+    if kind == "synthetic":
+        return "synthetic"
+    return f"{kind}_own" if f"{kind}_own" in FAMILIES else "other"
 
 
 def in_order(names: Iterable[str]) -> list[str]:
@@ -77,10 +87,14 @@ def in_order(names: Iterable[str]) -> list[str]:
 
 
 def ablations_in_order(names: Iterable[str]) -> list[str]:
-    """Ablations without repeats: `full` first, the paper's, then any other."""
+    """Models without repeats: `full` and what was made of it first, the paper's ablations, then any other."""
     first = ("full", *ABLATIONS[:3])
-    unique = set(names)
-    return [name for name in first if name in unique] + sorted(unique - set(first))
+
+    def place(name: str) -> tuple[int, str]:
+        ablation = models.ablation_of(name)
+        return first.index(ablation) if ablation in first else len(first), name
+
+    return sorted(set(names), key=place)
 
 
 def short(scene: str) -> str:

@@ -1,7 +1,7 @@
 """Render | truth | difference strips from the images a run left in renders/.
 
-For each scene and schedule: the median and the worst view of `full`, then the same median view of each
-ablation, so that the eye compares like with like. The median is shown because it is what the number stands
+For each scene and schedule: the median and the worst view of `full` (of the first model, where it has no run), then the
+same median view of each other model, so that the eye compares like with like. The median is shown because it is what the number stands
 for, the worst because a mean hides it.
 """
 
@@ -35,8 +35,14 @@ class Strip:
     seed: int
     view: str
     why: str  # median | worst | shown: how the view was picked
+    of: str  # the model whose median or worst view it is
     psnr: float | None  # of this view, dB
     webp: bytes
+
+    @property
+    def said(self) -> str:
+        """How the view was picked, in words."""
+        return self.why if self.of == self.ablation else f"{self.why} of {self.of}"
 
     @property
     def filename(self) -> str:
@@ -67,19 +73,20 @@ def make_strips(runs: pd.DataFrame, no_pictures: tuple[str, ...] = ()) -> tuple[
             chosen: list[
                 tuple[str, str]
             ] = []  # (why, view): fixed by the first run, so all show the same view
-            for name in scenes.ablations_in_order(group["ablation"]):
+            names = scenes.ablations_in_order(group["ablation"])
+            for name in names:
                 row = group[group["ablation"] == name].sort_values("seed").iloc[0]
                 folder = Path(row["folder"])
                 psnr_of = _psnr_by_view(folder / "per_image.csv")
                 chosen = chosen or choose_views(folder / "renders", psnr_of)
-                for why, view in chosen if name == "full" else chosen[:1]:
+                for why, view in chosen if name == names[0] else chosen[:1]:
                     try:
                         webp = compose([folder / "renders" / f"{view}_{part}.png" for part in PARTS])
                     except Exception as error:  # PIL raises many types for broken files
                         warnings.append(f"{row['run']}: no strip of {clear(view)}: {clear(error)}")
                         continue
                     strips.append(
-                        Strip(scene, name, train, int(row["seed"]), view, why, psnr_of.get(view), webp)
+                        Strip(scene, name, train, int(row["seed"]), view, why, names[0], psnr_of.get(view), webp)
                     )
     return strips, warnings
 

@@ -15,8 +15,9 @@ import pandas as pd
 from . import scenes
 from .aggregate import compare, estimate
 from .collect import Collection
+from .models import asked, is_left_out
+from .names import parts_of, with_parts
 from .table import NO_RUN, Cell, Column, Row, Table, text
-from .variants import parts_of, with_parts
 
 STUDY = "study_"  # how the slugs of its tables begin
 MIN_VARIANTS = 2  # one alone is what other tables compare
@@ -33,13 +34,14 @@ NOTE = (
 def studies(collection: Collection) -> list[Table]:
     """A table for each schedule and ablation of which at least MIN_VARIANTS variants were run."""
     runs, tables = _told_apart(collection.runs), []
-    for (schedule, ablation), group in runs.groupby(["schedule", "ablation"], sort=True):
+    # What selection leaves out is a schedule's doing: changes are compared by what they were asked for.
+    for (schedule, ablation), group in runs.groupby(["schedule", runs["ablation"].map(asked)], sort=True):
         usual, changed = group[group["change"] == ""], group[group["change"] != ""]
         names = [scene for scene in scenes.in_order(changed["scene"]) if (usual["scene"] == scene).any()]
         rows = [row for change, runs_of in changed.groupby("change", sort=True)
                 if (row := _row(change, runs_of, usual, names)) is not None]
         if len(rows) >= MIN_VARIANTS:
-            tables.append(_table(schedule, ablation, names, rows))
+            tables.append(_table(schedule, ablation, names, rows, _selected_notes(group)))
     return tables
 
 
@@ -53,14 +55,22 @@ def _told_apart(runs: pd.DataFrame) -> pd.DataFrame:
     return runs.assign(**{key: [row[i] for row in rows] for i, key in enumerate(("scene", "schedule", "change"))})
 
 
-def _table(schedule: str, ablation: str, names: list[str], rows: list[Row]) -> Table:
-    columns = (Column("change", "Change", False), *(Column(scene, scene) for scene in names),
-               Column("mean", "mean, dB"), Column("ssim", "mean, SSIM"),
-               *(Column(key, header) for key, header in _RATIOS.items()))
+def _selected_notes(runs: pd.DataFrame) -> list[tuple[str, str]]:
+    """Of which changes on which scenes selection left 4DSH out of the models."""
+    found = runs[runs["ablation"].map(is_left_out)].groupby("change", sort=True)["scene"]
+    said = [f"{change or 'the schedule as it is'} ({', '.join(scenes.in_order(names))})" for change, names in found]
+    return [("", f"Selection by validation left 4DSH, time-varying colour, out of models of: {'; '.join(said)}.")
+            ] if said else []
+
+
+def _table(schedule: str, ablation: str, names: list[str], rows: list[Row], notes: list[tuple[str, str]]) -> Table:
+    columns = (Column("change", "Change", False), *(Column(scene, scene, group="scenes") for scene in names),
+               Column("mean", "mean, dB", group="means"), Column("ssim", "mean, SSIM", group="means"),
+               *(Column(key, header, group="means") for key, header in _RATIOS.items()))
     of = schedule if ablation == "full" else f"{schedule}, {ablation}"
     best_first = sorted(rows, key=lambda row: -row.cells["mean"].value)
     return Table(f"{STUDY}{of.replace(', ', '_')}", f"What changes of {of} are worth", columns, tuple(best_first),
-                 notes=(NOTE,))
+                 notes=(NOTE, *notes))
 
 
 def _row(change: str, runs: pd.DataFrame, usual: pd.DataFrame, names: list[str]) -> Row | None:

@@ -8,21 +8,33 @@ from dataclasses import dataclass
 import pandas as pd
 
 from . import scenes
-from .aggregate import over_seeds, select, trains, verdict
+from .aggregate import Verdict, over_seeds, trains, verdict
 from .collect import Collection
+from .measured_on import on_papers_views
+from .models import asked, reference
+from .our_rows import left_out_notes
 from .table import measured
+from .verdicts import made_for_labels
+
+_COMMIT = 10  # characters of a commit's hash; the whole of it stands beside each run
 
 
 @dataclass(frozen=True)
 class Headline:
-    """`full` on one scene under one schedule; texts are ready to print, mean ± std over seeds."""
+    """A model of one scene under one schedule; texts are ready to print, mean ± std over seeds."""
 
     scene: str
     train: str
+    model: str  # `full`, `full, 4DSH left out`; another only where the scene has no such run
     psnr: str  # final, dB
     best: str  # best on test, dB
     seconds: str  # training time
     seeds: int
+
+    @property
+    def name(self) -> str:
+        """Schedule and, unless that is full, model."""
+        return self.train if self.model == "full" else f"{self.train}, {self.model}"
 
 
 @dataclass(frozen=True)
@@ -42,7 +54,7 @@ class Summary:
     runs: int
     headlines: tuple[Headline, ...]
     holdings: tuple[Holding, ...]
-    missing: tuple[str, ...]  # what the paper's tables still lack
+    remarks: tuple[str, ...]  # of how many scenes the paper's tables have a mean, what a model's name means
     left_out: tuple[str, ...]
     warnings: tuple[str, ...]
     machines: tuple[str, ...]
@@ -54,19 +66,16 @@ def summarise(collection: Collection, strip_warnings: Sequence[str] = ()) -> Sum
     """Reads nothing but the collection."""
     runs = collection.runs
     dates = sorted(d[:10] for d in runs["date"] if d != "unknown")
+    headlines = tuple(h for scene in scenes.in_order(runs["scene"]) for h in _headlines(runs, scene))
     return Summary(
         runs=len(runs),
-        headlines=tuple(
-            _headline(runs, scene, train)
-            for scene in scenes.in_order(runs["scene"])
-            for train in trains(runs, [scene], "full")
-        ),
+        headlines=headlines,
         holdings=tuple(h for made in scenes.MADE_FOR for h in _holdings(runs, made)),
-        missing=_missing(runs),
+        remarks=(*_remarks(on_papers_views(collection)), *(text for _, text in left_out_notes(h.model for h in headlines))),
         left_out=collection.left_out,
         warnings=(*collection.warnings, *strip_warnings),
         machines=tuple(sorted(set(runs["machine"]))),
-        commits=tuple(sorted(set(runs["git_commit"]))),
+        commits=tuple(sorted({commit[:_COMMIT] for commit in runs["git_commit"]})),
         dates=" to ".join(dict.fromkeys((dates[0], dates[-1]))) if dates else "unknown",
     )
 
@@ -74,69 +83,69 @@ def summarise(collection: Collection, strip_warnings: Sequence[str] = ()) -> Sum
 def summary_markdown(summary: Summary) -> str:
     """The first screen of report.md."""
     lines = [
-        f"{summary.runs} runs; dates: {summary.dates}; machine: {'; '.join(summary.machines)}; "
+        f"{summary.runs} run{'s' if summary.runs != 1 else ''}; dates: {summary.dates}; machine: {'; '.join(summary.machines)}; "
         f"commit: {', '.join(summary.commits)}.",
         "",
     ]
     lines += [
-        f"- **{h.scene}**, {h.train}: {h.psnr} dB final, {h.best} dB best on test, {h.seconds} s training, "
+        f"- **{h.scene}**, {h.name}: {h.psnr} dB final, {h.best} dB best on test, {h.seconds} s training, "
         f"{h.seeds} seed{'s' if h.seeds != 1 else ''}"
         for h in summary.headlines
     ]
     lines += [f"- {h.ablation} on {h.scene}: {h.sentence}" for h in summary.holdings]
-    lines += [f"- {line}" for line in (*summary.missing, *summary.left_out, *summary.warnings)]
+    lines += [f"- {line}" for line in (*summary.remarks, *summary.left_out, *summary.warnings)]
     return "\n".join(lines) + "\n"
 
 
-def _headline(runs: pd.DataFrame, scene: str, train: str) -> Headline:
-    return Headline(
-        scene,
-        train,
-        measured(over_seeds(runs, scene, "full", train, "final.psnr")).text,
-        measured(over_seeds(runs, scene, "full", train, "best_on_test.psnr")).text,
-        measured(over_seeds(runs, scene, "full", train, "train_seconds"), 0).text,
-        len(select(runs, scene, "full", train)),
-    )
+def _headlines(runs: pd.DataFrame, scene: str) -> list[Headline]:
+    """A line each of the scene's schedules and models that were to be full; of all its models if none was."""
+    mine = runs[runs["scene"] == scene]
+    whole = mine[mine["ablation"].map(asked) == "full"]
+    return [
+        Headline(
+            scene,
+            train,
+            model,
+            measured(over_seeds(runs, scene, model, train, "final.psnr")).text,
+            measured(over_seeds(runs, scene, model, train, "best_on_test.psnr")).text,
+            measured(over_seeds(runs, scene, model, train, "train_seconds"), 0).text,
+            len(seeds),
+        )
+        for (train, model), seeds in (mine if whole.empty else whole).groupby(["train", "ablation"], sort=True)
+    ]
 
 
 def _holdings(runs: pd.DataFrame, made: scenes.MadeFor) -> list[Holding]:
-    found = []
-    for train in trains(runs, [made.scene]):
-        result = verdict(runs, made.scene, made.ablation, train, "final.psnr")
-        if result is None:
-            continue
-        by = f"full − ablation = {result.difference:.2f} dB"
-        if result.word == "too few seeds":
-            state, sentence = "open", f"{by}; too few seeds for a verdict ({train})"
-        else:
-            state = "good" if result.word == "worse" else "bad"
-            rule = f"2 SE = {2 * result.standard_error:.2f} dB"
-            sentence = {
-                "worse": f"worse than full: {by}, {rule} ({train})",
-                "better": f"NOT worse than full but better: {by}, {rule} ({train})",
-                "no difference shown": f"NOT shown to be worse than full: {by}, {rule} ({train})",
-            }[result.word]
-        found.append(Holding(made.ablation, made.scene, sentence, state))
-    return found or [Holding(made.ablation, made.scene, "no runs to compare", "open")]
+    """What there is to compare."""
+    return [
+        _holding(result, made.scene, label, train)
+        for train in trains(runs, [made.scene])
+        for label in made_for_labels(runs, made, train)
+        if (result := verdict(runs, made.scene, label, train, "final.psnr")) is not None
+    ]
 
 
-def _missing(runs: pd.DataFrame) -> tuple[str, ...]:
+def _holding(result: Verdict, scene: str, label: str, train: str) -> Holding:
+    whole, by = reference(label), f"full − ablation = {result.difference:.2f} dB"
+    if result.word == "too few seeds":
+        return Holding(label, scene, f"{by}; too few seeds for a verdict ({train})", "open")
+    rule = f"2 SE = {2 * result.standard_error:.2f} dB"
+    sentence = {
+        "worse": f"worse than {whole}: {by}, {rule} ({train})",
+        "better": f"NOT worse than {whole} but better: {by}, {rule} ({train})",
+        "no difference shown": f"NOT shown to be worse than {whole}: {by}, {rule} ({train})",
+    }[result.word]
+    return Holding(label, scene, sentence, "good" if result.word == "worse" else "bad")
+
+
+def _remarks(runs: pd.DataFrame) -> list[str]:
+    """Of how many of their scenes the paper's tables that have a run have one."""
     lines = []
     for title, wanted in (
         ("Table 1 (Plenoptic Video)", scenes.PLENOPTIC),
         ("Table 2 (D-NeRF)", scenes.DNERF),
     ):
-        have = runs[runs["scene"].isin(wanted) & (runs["ablation"] == "full")]["scene"].nunique()
-        if have < len(wanted):
-            lines.append(
-                f"{title}: {f'{have} of {len(wanted)} scenes have' if have else 'no scene has'} a run of "
-                f"full; {'the mean is over those' if have else 'our cells are empty'}."
-            )
-    have = runs[runs["scene"].isin(scenes.TABLE3)]
-    if not all(
-        ((have["scene"] == s) & (have["ablation"] == a)).any()
-        for s in scenes.TABLE3
-        for a in scenes.ABLATIONS
-    ):
-        lines.append("Table 3 (ablations on Plenoptic Video): cells without a run are empty.")
-    return tuple(lines)
+        have = runs[runs["scene"].isin(wanted) & (runs["ablation"].map(asked) == "full")]["scene"].nunique()
+        if 0 < have < len(wanted):
+            lines.append(f"{title}: {have} of {len(wanted)} scenes have a run of full; the mean is over those.")
+    return lines

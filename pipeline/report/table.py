@@ -14,11 +14,17 @@ SEEDS_NOTE = "±: standard deviation over seeds (n − 1); no ±: one seed."
 
 @dataclass(frozen=True)
 class Column:
-    """`key` heads the CSV (its std goes to `key_std`), `header` the rest; numbers are right-aligned."""
+    """`key` heads the CSV (its std goes to `key_std`), `header` the rest; numbers are right-aligned.
+
+    CSV and LaTeX have all columns. How layout.py makes the table fit a page, the others say.
+    """
 
     key: str
     header: str
     number: bool = True
+    fold: bool = False  # goes into the caption where all rows say the same
+    group: str = ""  # columns of a group stay together when the table is split; "": repeated in each part
+    ours_only: bool = False  # shown only where one of our rows has a number
 
 
 @dataclass(frozen=True)
@@ -33,6 +39,7 @@ class Cell:
 NO_RUN = Cell("")
 NOT_REPORTED = Cell("–")  # the paper gives no number
 NOT_MEASURED = Cell("n/a")  # there is a run, the number was not measured
+NOTHING = Cell("·")  # there is nothing to compare
 
 
 @dataclass(frozen=True)
@@ -89,6 +96,11 @@ def text(value: str) -> Cell:
 def number(value: float, decimals: int = 2) -> Cell:
     """A number of ours; NaN is one that was not measured."""
     return NOT_MEASURED if value != value else Cell(f"{value:,.{decimals}f}", float(value))
+
+
+def uncertainty(value: float) -> Cell:
+    """An error of a difference of ours; NaN: one seed has none."""
+    return NOTHING if value != value else number(value)
 
 
 def measured(estimate: Estimate | None, decimals: int = 2) -> Cell:

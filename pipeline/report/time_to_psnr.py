@@ -13,20 +13,21 @@ import pandas as pd
 from . import scenes
 from .aggregate import estimate
 from .collect import Collection
+from .our_rows import left_out_notes
 from .table import Cell, Column, Row, Table, measured, text
 
 LEVELS_BELOW = (4, 2, 1, 0)  # dB below the best curve's highest whole dB of a scene: the levels by default
 
 
 def time_to_psnr(collection: Collection, levels: tuple[float, ...] = ()) -> Table | None:
-    """A row for each scene, ablation, schedule and level, in dB; None without a curve.
+    """A row for each scene, model, schedule and level, in dB; None where there is nothing to compare.
 
-    levels: the same for all scenes; none: for each scene those of LEVELS_BELOW.
+    levels: the same for all scenes; none: for each scene with two models or schedules at least, those of LEVELS_BELOW.
     """
     columns = (
         Column("scene", "Scene", False),
-        Column("ablation", "Ablation", False),
-        Column("train", "Schedule", False),
+        Column("ablation", "Model", False, fold=True),
+        Column("train", "Schedule", False, fold=True),
         Column("level", "PSNR reached"),
         Column("seconds", "Train s"),
         Column("reached", "Seeds that reached it"),
@@ -34,6 +35,8 @@ def time_to_psnr(collection: Collection, levels: tuple[float, ...] = ()) -> Tabl
     curves, rows = collection.curves, []
     for scene in scenes.in_order(curves["scene"]):
         of_scene = curves[curves["scene"] == scene]
+        if not levels and len(of_scene.drop_duplicates(["ablation", "train"])) < 2:
+            continue
         for level in levels or levels_of(of_scene):
             for ablation in scenes.ablations_in_order(of_scene["ablation"]):
                 of_ablation = of_scene[of_scene["ablation"] == ablation]
@@ -45,7 +48,8 @@ def time_to_psnr(collection: Collection, levels: tuple[float, ...] = ()) -> Tabl
         return None
     note = ("Train s: mean over the seeds that reached the PSNR; evaluations are some hundred iterations apart. While "
             "a model is trained at a coarse resolution it reads low: evaluations are of the full one.")
-    return Table("time_to_psnr", "Training seconds to a given PSNR", columns, tuple(rows), notes=(("", note),))
+    return Table("time_to_psnr", "Training seconds to a given PSNR", columns, tuple(rows),
+                 notes=(("", note), *left_out_notes(row.cells["ablation"].text for row in rows)))
 
 
 def levels_of(curves: pd.DataFrame) -> tuple[float, ...]:

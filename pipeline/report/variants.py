@@ -5,21 +5,26 @@
 schedule passes for another and no part of a scene for the whole. Settings can differ
 without the command saying so (an edited file), so inside a scene all runs with one `train` name (and one `ablation`
 name) are compared key by key too; those that differ from the usual ones get the differing keys in their name.
+
+The name of an ablation becomes that of the model that was trained (models.py): its settings are compared with those
+that conf/ablation gives the name.
 """
 
 from __future__ import annotations
 
 import json
-import re
 import shlex
 from collections import Counter
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import PurePath
 from typing import Any
 
 import pandas as pd
 
+from . import models
 from .collect import Collection
+from .names import with_parts
 
 # Keys that may differ between runs of one experiment: the seed, where things lie, how many threads (images
 # and gradients do not depend on it), how often a checkpoint is written and what is written besides the
@@ -37,16 +42,18 @@ _FREE = (
     "hydra",
 )
 _TYPED = ("train.", "scene.", "init.", "background=")  # what a command changes, of these, goes into the name
+VALIDATION = "scene.validation_every"
 _SHOWN = 3  # differing keys spelled out in a name
 
 
 def name_variants(collection: Collection) -> Collection:
     """The same runs under names equal only where the settings are; repeated runs are left out, and named."""
     runs, settings = collection.runs, collection.settings
-    runs = runs.assign(train=[_as_typed(name, command) for name, command in zip(runs["train"], runs["command"])])
+    runs = runs.assign(train=[_as_typed(name, command, settings[run])
+                              for name, command, run in zip(runs["train"], runs["command"], runs["run"])])
     runs = runs.assign(
         train=_distinct_names(runs, "train", {run: schedule_settings(settings[run]) for run in runs["run"]}),
-        ablation=_distinct_names(runs, "ablation", {run: _of_ablation(settings[run]) for run in runs["run"]}),
+        ablation=_model_names(runs, settings),
     )
 
     key = ["scene", "ablation", "train", "seed"]
@@ -66,38 +73,49 @@ def name_variants(collection: Collection) -> Collection:
     )
 
 
-def _as_typed(name: str, command: str) -> str:
-    """`name`, plus the settings of schedule, scene and start that the run's command line changed."""
+def _as_typed(name: str, command: str, settings: dict[str, Any]) -> str:
+    """`name`, plus the settings of schedule, scene and start that the run's command line changed.
+
+    And that it was not measured on test views but on training views held out for validation, whoever changed that.
+    """
     try:
         words = shlex.split(command)
     except ValueError:
         words = []  # not a command line
     free = (*_FREE, "scene.path", "scene.name")  # of the folder, schedule_settings compares the name
     changed = [w.removeprefix("train.") for w in words if w.startswith(_TYPED) and w.split("=")[0] not in free]
+    if measured_on_validation(settings) and not any(part.startswith(f"{VALIDATION}=") for part in changed):
+        changed.append(f"{VALIDATION}={settings[VALIDATION]}")
     return with_parts(name, changed)
 
 
-def with_parts(name: str, parts: list[str]) -> str:
-    """`fast`, [`batch=4`] -> `fast (batch=4)`; what stands in brackets already stays there."""
-    name, before = parts_of(name)
-    return f"{name} ({', '.join(before + parts)})" if before + parts else name
+def measured_on_validation(settings: dict[str, Any]) -> bool:
+    """Do training views stand in for the run's test views, to choose settings by?"""
+    return settings.get(VALIDATION) not in (None, 0)
 
 
-def parts_of(name: str) -> tuple[str, list[str]]:
-    """What with_parts put together; a value may hold commas."""
-    name, bracket, inside = name.partition(" (")
-    return name, re.split(r", (?=[\w.]+=|\d+ more)", inside.removesuffix(")")) if bracket else []
-
-
-def _distinct_names(runs: pd.DataFrame, column: str, settings: dict[str, dict[str, Any]]) -> pd.Series:
-    """`column`, plus the differing keys where a run's settings are not the usual ones of its name."""
+def _distinct_names(runs: pd.DataFrame, column: str, settings: dict[str, dict[str, Any]],
+                    known: Callable[[str], Mapping[str, Any] | None] = lambda name: None) -> pd.Series:
+    """`column`, plus the differing keys where a run's settings are not the usual ones of its name: those that `known`
+    gives it, else those of the scene's other runs."""
     names: dict[str, str] = {}
     for (_, name), group in runs.groupby(["scene", column], sort=False)["run"]:
-        usual = _usual([settings[run] for run in group if settings[run]])
+        given, usual = known(name), _usual([settings[run] for run in group if settings[run]])
         for run in group:
-            differing = _difference(settings[run], usual) if settings[run] else []
-            names[run] = with_parts(name, differing)
+            own = settings[run]
+            expected = usual if given is None else {key: given.get(key) for key in own}
+            names[run] = with_parts(name, _difference(own, expected) if own else [])
     return runs["run"].map(names)
+
+
+def _model_names(runs: pd.DataFrame, settings: dict[str, dict[str, Any]]) -> pd.Series:
+    """The names of the trained models; an ablation that conf/ablation does not have is compared with the usual settings
+    of its name."""
+    found = {row["run"]: models.trained(row["ablation"], settings[row["run"]], row) for row in runs.to_dict("records")}
+    selected = [f"{name}{models.LEFT_OUT}" if found[run].left_out else name
+                for run, name in zip(runs["run"], runs["ablation"])]
+    return _distinct_names(runs.assign(ablation=selected), "ablation", {run: kind.settings for run, kind in found.items()},
+                           lambda name: models.settings_of(models.asked(name)))
 
 
 def _usual(settings: list[dict[str, Any]]) -> dict[str, Any]:
@@ -125,15 +143,11 @@ def schedule_settings(settings: dict[str, Any]) -> dict[str, Any]:
     return kept
 
 
-def _of_ablation(settings: dict[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in settings.items() if key.startswith("ablation.")}
-
-
 def _difference(settings: dict[str, Any], usual: dict[str, Any]) -> list[str]:
     """`iterations=600` for each key whose value is not the usual one; the first three, then how many more."""
     keys = _differing(settings, usual)
     shown = [
-        f"{key.removeprefix('train.').removeprefix('ablation.')}={settings.get(key)}" for key in keys[:_SHOWN]
+        f"{key.removeprefix('train.')}={settings.get(key)}" for key in keys[:_SHOWN]
     ]
     return shown + ([f"{len(keys) - _SHOWN} more"] if len(keys) > _SHOWN else [])
 
