@@ -46,13 +46,15 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         report = make_report(options.runs_dir, tuple(options.no_pictures), tuple(options.psnr))
         replace_report(out, report.files)
+        for line in report.warnings:
+            print(f"warning: {line}", file=sys.stderr)
+        print(report.terminal)
+        print(f"Page: {out / 'report.html'}   tables: {out / 'tables'}   plots: {out / 'plots'}", flush=True)
+    except BrokenPipeError:
+        raise
     except (ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
-    for line in report.warnings:
-        print(f"warning: {line}", file=sys.stderr)
-    print(report.terminal)
-    print(f"Page: {out / 'report.html'}   tables: {out / 'tables'}   plots: {out / 'plots'}")
     return 0
 
 

@@ -104,7 +104,7 @@ def compare(full: Estimate, ablation: Estimate) -> Verdict:
 
 
 def verdict(runs: pd.DataFrame, scene: str, ablation: str, train: str, metric: str) -> Verdict | None:
-    """A model against the one that it is compared with (models.reference); None unless both have runs with this metric."""
+    """A model against the one it is compared with (models.reference); None unless both have runs with this metric."""
     if (whole := reference(ablation)) is None:
         return None
     full = over_seeds(runs, scene, whole, train, metric)

@@ -38,7 +38,8 @@ def end_of_coarse(curves: pd.DataFrame, settings: Mapping[str, Mapping[str, Any]
 
 def _end_of_coarse(curve: pd.DataFrame, settings: Mapping[str, Any], x: str) -> float:
     steps = settings.get("train.resolution_steps")
-    untils = [_positive(step.get("until")) for step in steps if isinstance(step, dict)] if isinstance(steps, list) else []
+    steps = [step for step in steps if isinstance(step, dict)] if isinstance(steps, list) else []
+    untils = [_positive(step.get("until")) for step in steps]
     until, iterations = max(untils, default=0.0), _positive(settings.get("train.iterations"))
     if not until or not iterations:
         return 0.0

@@ -49,6 +49,8 @@ ENVIRONMENT = ("machine", "date", "git_commit", "command")  # these stand beside
 MOTIONS = ("static", "separable", "full")  # rasterizer.gaussians.Motion
 LARGEST_NUMBER = 1e15  # of a measurement; its square is a number too
 LARGEST_SEED = 2**63 - 1  # of pandas
+_MAKE_ONE = "give the folder runs were written to, or make one: python -m pipeline scene=synthetic/wheel train=fast"
+_FINISH_IT = "an interrupted run goes on when its command is given again"
 LONGEST_NOTE = 4000  # characters, of a command too
 
 
@@ -86,9 +88,8 @@ class Collection:
 def collect(runs_dir: Path) -> Collection:
     """Reads every run folder under `runs_dir`; FileNotFoundError if there is none that can be read."""
     if not runs_dir.is_dir():
-        raise FileNotFoundError(
-            f"{runs_dir}: expected a folder of runs, found {'a file' if runs_dir.exists() else 'nothing'}"
-        )
+        found = "a file" if runs_dir.exists() else "nothing"
+        raise FileNotFoundError(f"{runs_dir}: expected a folder of runs, found {found}; {_MAKE_ONE}")
     rows, curves, settings = [], [], {}
     left_out, warnings = [], []
     for folder in run_folders(runs_dir):
@@ -116,10 +117,9 @@ def collect(runs_dir: Path) -> Collection:
                 curve.assign(run=run, **{key: row[key] for key in ("scene", "ablation", "train", "seed")})
             )
     if not rows:
-        reason = f"; {len(left_out)} left out, the first: {left_out[0]}" if left_out else ""
-        raise FileNotFoundError(
-            f"{runs_dir}: expected at least one finished run (metrics.json), found none{reason}"
-        )
+        raise FileNotFoundError(f"{runs_dir}: expected at least one finished run (metrics.json), found "
+                                + (f"{len(left_out)} that cannot be used; the first: {left_out[0]}; {_FINISH_IT}"
+                                   if left_out else f"none; {_MAKE_ONE}"))
     return Collection(
         runs=pd.DataFrame(rows),
         curves=pd.concat(curves, ignore_index=True)

@@ -18,7 +18,7 @@ from .table import Cell, Column, Row, Table, measured, number, text
 
 
 def equal_time(collection: Collection) -> Table | None:
-    """A row a schedule and model, where a scene and ablation has at least two schedules with curves; None if there is no such scene."""
+    """A row a schedule and model, where a scene and ablation has at least two schedules with curves; else None."""
     columns = (
         Column("scene", "Scene", False),
         Column("ablation", "Model", False, fold=True),

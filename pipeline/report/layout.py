@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from .table import NO_RUN, NOT_MEASURED, NOT_REPORTED, NOTHING, Column, Table
 
 # Characters across: what a page 1200 pixels wide holds in a wide font, with what parts two columns.
-WIDTH = 125
+WIDTH = 140
 _BETWEEN = 3
 _LONGEST_WORDS = 28  # longer ones are wrapped
 _SAY_NOTHING = (NO_RUN, NOT_MEASURED, NOT_REPORTED, NOTHING)

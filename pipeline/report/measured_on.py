@@ -21,7 +21,8 @@ def other_views(scene: str, settings: Mapping[str, Any]) -> str | None:
     if measured_on_validation(settings):
         return "measured on training views held out for validation, not on test views."
     if scene in _ON_VAL and settings.get("scene.test_split") == "test":
-        return "tested on `test`, whose images do not match their times; the paper tests on `val` (scene.test_split=val)."
+        return ("tested on `test`, whose images do not match their times; the paper tests on `val` "
+                "(scene.test_split=val).")
     return None
 
 
@@ -35,4 +36,5 @@ def measured_elsewhere(collection: Collection) -> list[tuple[str, str]]:
 def on_papers_views(collection: Collection) -> pd.DataFrame:
     """The runs that may stand in the paper's tables."""
     runs = collection.runs
-    return runs[[other_views(scene, collection.settings[run]) is None for scene, run in zip(runs["scene"], runs["run"])]]
+    return runs.loc[[other_views(row["scene"], collection.settings[row["run"]]) is None
+                     for row in runs.to_dict("records")]]

@@ -12,7 +12,8 @@ from pathlib import Path
 
 LIST = "report_files.txt"
 _LIST_MARK = "# Written by python -m pipeline.report, which removes these files when it writes the next report here."
-_REPORT_MARKS = {"report.md": "# Benchmark report", "report.html": "<title>4D Gaussian Splatting: benchmark report</title>"}
+_REPORT_MARKS = {"report.md": "# Benchmark report",
+                 "report.html": "<title>4D Gaussian Splatting: benchmark report</title>"}
 _NAMES = ("tables/*.md", "tables/*.csv", "tables/*.tex", "plots/*.svg", "strips/*.webp", *_REPORT_MARKS)
 
 

@@ -59,7 +59,7 @@ _LEGEND_COLUMNS = 4
 
 
 def plot(collection: Collection, comparison: Comparison, theme: Theme = LIGHT) -> str:
-    """SVG text: a column a quantity, those that no run has left out; above against seconds, below against iterations."""
+    """SVG text: a column a quantity, those that no run has left out; against seconds, and below against iterations."""
     curves = collection.curves[collection.curves["scene"] == comparison.scene]
     runs_of = {line: curves[(curves["ablation"] == line.ablation) & (curves["train"] == line.train)]
                for line in comparison.lines}

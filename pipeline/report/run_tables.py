@@ -18,7 +18,8 @@ from .time_to_psnr import time_to_psnr
 from .verdicts import verdicts
 
 TRIAL_NOTE = (
-    "Trial of 4DSH: what time-varying colour gave held-out training views in a short training. Train s: the trial's too."
+    "Trial of 4DSH: what time-varying colour gave held-out training views in a short training. Train s: the trial's "
+    "too."
 )
 
 
@@ -104,6 +105,7 @@ def all_runs(runs: pd.DataFrame) -> Table:
             *([("", TRIAL_NOTE)] if tried else []),
             *left_out_notes(runs["ablation"]),
         ),
+        over_seeds=False,
     )
 
 

@@ -1,8 +1,8 @@
 """Render | truth | difference strips from the images a run left in renders/.
 
 For each scene and schedule: the median and the worst view of `full` (of the first model, where it has no run), then the
-same median view of each other model, so that the eye compares like with like. The median is shown because it is what the number stands
-for, the worst because a mean hides it.
+same median view of each other model, so that the eye compares like with like. The median is shown because it is what
+the number stands for, the worst because a mean hides it.
 """
 
 from __future__ import annotations

@@ -57,10 +57,10 @@ def _told_apart(runs: pd.DataFrame) -> pd.DataFrame:
 
 def _selected_notes(runs: pd.DataFrame) -> list[tuple[str, str]]:
     """Of which changes on which scenes selection left 4DSH out of the models."""
-    found = runs[runs["ablation"].map(is_left_out)].groupby("change", sort=True)["scene"]
+    found = runs[runs["ablation"].map(is_left_out).astype(bool)].groupby("change", sort=True)["scene"]
     said = [f"{change or 'the schedule as it is'} ({', '.join(scenes.in_order(names))})" for change, names in found]
-    return [("", f"Selection by validation left 4DSH, time-varying colour, out of models of: {'; '.join(said)}.")
-            ] if said else []
+    note = f"Selection by validation left 4DSH, time-varying colour, out of models of: {'; '.join(said)}."
+    return [("", note)] if said else []
 
 
 def _table(schedule: str, ablation: str, names: list[str], rows: list[Row], notes: list[tuple[str, str]]) -> Table:

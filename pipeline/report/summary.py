@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -71,20 +72,26 @@ def summarise(collection: Collection, strip_warnings: Sequence[str] = ()) -> Sum
         runs=len(runs),
         headlines=headlines,
         holdings=tuple(h for made in scenes.MADE_FOR for h in _holdings(runs, made)),
-        remarks=(*_remarks(on_papers_views(collection)), *(text for _, text in left_out_notes(h.model for h in headlines))),
+        remarks=(*_remarks(on_papers_views(collection)),
+                 *(text for _, text in left_out_notes(h.model for h in headlines))),
         left_out=collection.left_out,
         warnings=(*collection.warnings, *strip_warnings),
         machines=tuple(sorted(set(runs["machine"]))),
-        commits=tuple(sorted({commit[:_COMMIT] for commit in runs["git_commit"]})),
+        commits=tuple(sorted({_shortened(commit) for commit in runs["git_commit"]})),
         dates=" to ".join(dict.fromkeys((dates[0], dates[-1]))) if dates else "unknown",
     )
+
+
+def _shortened(commit: str) -> str:
+    """A hash to its first characters; what follows it (-dirty) stays."""
+    return re.sub(rf"^([0-9a-f]{{{_COMMIT}}})[0-9a-f]*", r"\1", commit)
 
 
 def summary_markdown(summary: Summary) -> str:
     """The first screen of report.md."""
     lines = [
-        f"{summary.runs} run{'s' if summary.runs != 1 else ''}; dates: {summary.dates}; machine: {'; '.join(summary.machines)}; "
-        f"commit: {', '.join(summary.commits)}.",
+        f"{summary.runs} run{'s' if summary.runs != 1 else ''}; dates: {summary.dates}; "
+        f"machine: {'; '.join(summary.machines)}; commit: {', '.join(summary.commits)}.",
         "",
     ]
     lines += [

@@ -37,7 +37,7 @@ def paper_tables(collection: Collection) -> list[Table]:
         (ablation(runs), scenes.TABLE3),
     )
     return [
-        replace(table, notes=table.notes + tuple(("", f"Not in this table: {said}") for s, said in elsewhere if s in of))
+        replace(table, notes=(*table.notes, *(("", f"Not in this table: {said}") for s, said in elsewhere if s in of)))
         for table, of in found
         if any(row.kind == "ours" for row in table.rows)
     ]
@@ -46,7 +46,7 @@ def paper_tables(collection: Collection) -> list[Table]:
 def _as_asked(runs: pd.DataFrame) -> pd.DataFrame:
     """Runs under the names of the models that they asked for: a mean of the paper's tables is over a schedule's runs,
     also where that selects by validation. `selected`: did it leave 4DSH out?"""
-    return runs.assign(ablation=runs["ablation"].map(asked), selected=runs["ablation"].map(is_left_out))
+    return runs.assign(ablation=runs["ablation"].map(asked), selected=runs["ablation"].map(is_left_out).astype(bool))
 
 
 def _selected_notes(runs: pd.DataFrame, of: tuple[str, ...]) -> list[tuple[str, str]]:
@@ -56,8 +56,8 @@ def _selected_notes(runs: pd.DataFrame, of: tuple[str, ...]) -> list[tuple[str, 
     for train, group in mine[mine["selected"]].groupby("train"):
         names = [f"{scenes.short(scene)} ({count} of {len(select(mine, scene, 'full', train))} runs)"
                  for scene, count in group["scene"].value_counts(sort=False).items()]
-        found.append(("", f"Ours, {train}: selection by validation left 4DSH, time-varying colour, out of the models of "
-                          f"{', '.join(names)}."))
+        found.append(("", f"Ours, {train}: selection by validation left 4DSH, time-varying colour, out of the models "
+                          f"of {', '.join(names)}."))
     return found
 
 

@@ -114,7 +114,8 @@ def _model_names(runs: pd.DataFrame, settings: dict[str, dict[str, Any]]) -> pd.
     found = {row["run"]: models.trained(row["ablation"], settings[row["run"]], row) for row in runs.to_dict("records")}
     selected = [f"{name}{models.LEFT_OUT}" if found[run].left_out else name
                 for run, name in zip(runs["run"], runs["ablation"])]
-    return _distinct_names(runs.assign(ablation=selected), "ablation", {run: kind.settings for run, kind in found.items()},
+    settings = {run: kind.settings for run, kind in found.items()}
+    return _distinct_names(runs.assign(ablation=selected), "ablation", settings,
                            lambda name: models.settings_of(models.asked(name)))
 
 
