@@ -20,11 +20,13 @@ def write_run(
     iterations: int = 1000,
     images: int = 0,
     settings: str = "",
+    ablation_settings: str = "",
+    scene_settings: str = "",
     **changes,
 ) -> Path:
     """One run folder; `changes` replace keys of metrics.json (dotted keys reach inside).
 
-    settings: lines of YAML for `train` in config.yaml, indented by two.
+    settings: lines of YAML for `train` in config.yaml, indented by two; the other two for `ablation` and `scene`.
     """
     folder = root / (out or f"{scene}/{ablation}/{train}/seed{seed}")
     (folder / "renders").mkdir(parents=True)
@@ -63,8 +65,8 @@ def write_run(
         part[last] = value
     (folder / "metrics.json").write_text(json.dumps(metrics))
     (folder / "config.yaml").write_text(
-        f"seed: {seed}\nthreads: 2\nscene:\n  name: {scene}\n  path: null\nablation:\n  name: {ablation}\n"
-        f"train:\n  name: {train}\n  iterations: {iterations}\n{settings}"
+        f"seed: {seed}\nthreads: 2\nscene:\n  name: {scene}\n  path: null\n{scene_settings}"
+        f"ablation:\n  name: {ablation}\n{ablation_settings}train:\n  name: {train}\n  iterations: {iterations}\n{settings}"
     )
     rows = ["train_seconds,iteration,psnr,ssim,test_loss,n_gaussians"]
     rows += [

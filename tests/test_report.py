@@ -23,9 +23,9 @@ from pipeline.report.aggregate import compare, estimate, over_scenes
 from pipeline.report.bands import band
 from pipeline.report.collect import collect
 from pipeline.report.export import comma_separated, escape, latex, markdown
-from pipeline.report.run_tables import verdicts
 from pipeline.report.table import Cell, Column, Row, Table
 from pipeline.report.tables import dnerf, paper_tables
+from pipeline.report.verdicts import verdicts
 
 
 def read_csv(path: Path) -> list[dict[str, str]]:
@@ -130,12 +130,22 @@ def test_paper_table_2_row_for_row():
 # --- tables -----------------------------------------------------
 
 
-def test_cells_without_a_run_are_empty_and_said_so(tmp_path):
+def test_a_table_of_the_papers_without_a_run_of_ours_is_left_out(tmp_path):
     write_run(tmp_path, "synthetic/still")
-    for table in paper_tables(collect(tmp_path).runs):
-        ours = [row for row in table.rows if row.kind == "ours"]
-        assert ours and all(cell.value is None for row in ours for cell in row.cells.values())
-        assert ("", "Empty cell: no run.") in table.footnotes
+    write_run(tmp_path, "dnerf/mine")
+    assert paper_tables(collect(tmp_path)) == []
+    write_run(tmp_path, "dnerf/lego")
+    assert [table.slug for table in paper_tables(collect(tmp_path))] == ["table2_dnerf"]
+
+
+def test_a_scene_without_a_run_of_ours_is_no_column_of_the_page_but_one_of_the_csv(tmp_path):
+    write_run(tmp_path, "plenoptic/flame_steak", psnr=33.0)
+    table = next(t for t in paper_tables(collect(tmp_path)) if t.slug == "table1_per_scene")
+    shown = [line for line in markdown(table).splitlines() if line.startswith("|")]
+    assert shown[0].split() == ["|", "Method", "|", "flame_steak", "|"]
+    assert any("4DGS (this paper)" in line and "34.03" in line for line in shown)
+    assert any("Ours, fast, final" in line and "33.00" in line for line in shown)
+    assert comma_separated(table).splitlines()[0].startswith("kind,method,coffee_martini,cook_spinach,")
 
 
 def test_table_2_says_over_how_many_scenes_its_mean_is(tmp_path):
@@ -157,7 +167,16 @@ def test_verdict_table_names_what_does_not_hold(tmp_path):
         write_run(tmp_path, "synthetic/lamp", "full", seed=seed, psnr=30 + 0.1 * seed)
         write_run(tmp_path, "synthetic/lamp", "no_4dsh", seed=seed, psnr=30 + 0.1 * seed)
     words = [row.cells["verdict"].text for row in verdicts(collect(tmp_path).runs).rows]
-    assert words == ["worse, as it should be"] * 2 + ["NOT shown to be worse"] * 2 + ["no run"]
+    assert words == ["worse, as it should be"] * 2 + ["NOT shown to be worse"] * 2
+
+
+def test_an_ablation_that_was_never_run_has_no_verdict_and_one_without_full_says_so(tmp_path):
+    write_run(tmp_path, "synthetic/wheel", "full")
+    assert verdicts(collect(tmp_path).runs) is None
+    write_run(tmp_path, "synthetic/lamp", "no_4dsh")
+    table = verdicts(collect(tmp_path).runs)
+    assert [row.cells["verdict"].text for row in table.rows] == ["no run of full"] * 2
+    assert not any("wheel" in note for _, note in table.footnotes)
 
 
 def test_latex_escapes_every_special_character():

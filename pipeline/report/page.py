@@ -63,8 +63,8 @@ def _sections(content: Content) -> dict[str, str]:
 
 
 def breakable(text: str) -> Markup:
-    """Text that may be broken where names are put together: after / _ = and commas."""
-    return Markup(re.sub(r"(?<=[/_=,])", Markup("<wbr>"), escape(text)))
+    """Text that may be broken where names are put together: after / _ and =."""
+    return Markup(re.sub(r"(?<=[/_=])", Markup("<wbr>"), escape(text)))
 
 
 def _data_uri(mime: str, content: bytes) -> str:
