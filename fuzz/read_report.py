@@ -12,12 +12,15 @@ from fuzz.edit_json import edit_json
 from fuzz.edits import changed_files, edit_text
 from fuzz.read_dnerf import png
 from fuzz.target import REFUSED, VALID, Changes, Files, Target, check_line, require, valid_or_refused
+from pipeline.report.bands import end_of_coarse
 from pipeline.report.collect import COST, PROTOCOLS, QUALITY, REQUIRED, collect
-from pipeline.report.export import markdown
+from pipeline.report.comparisons import comparisons
+from pipeline.report.content import Content, report_markdown, terminal_text
+from pipeline.report.page import render_page
 from pipeline.report.run_tables import run_tables
 from pipeline.report.strips import make_strips
 from pipeline.report.structure import structure_from_motion
-from pipeline.report.summary import summarise, summary_markdown
+from pipeline.report.summary import summarise
 from pipeline.report.tables import paper_tables
 from pipeline.report.variants import name_variants
 
@@ -30,7 +33,9 @@ def example() -> Files:
         ablation = run.split("/")[2]
         quality = {**dict.fromkeys(QUALITY, 0.5), "psnr": 25.0 + seed, "lpips_alex": None, "lpips_note": "no weights"}
         metrics = {"final": quality, "best_on_test": {**quality, "iteration": 800}, **dict.fromkeys(COST, 10.0),
-                   "scene": "synthetic/counter", "ablation": ablation, "train": "fast", "seed": seed}
+                   "scene": "dnerf/lego", "ablation": ablation, "train": "fast", "seed": seed,
+                   "trial": {"gain": 0.1, "standard_error": 0.2, "kept": False},
+                   "model": {"motion": "full", "fourier_order": seed, "sh_degree": 3}}
         environment = {"machine": "2 cores", "date": "2025-01-01T10:00:00Z", "git_commit": "abc1234",
                        "command": f"python -m pipeline scene=synthetic/counter seed={seed} train.batch={seed + 1}"}
         sfm = {"points": 12, "mean_error_px": 0.6, "mean_track_length": 3.5, "cameras": 2, "registered": 2,
@@ -38,8 +43,9 @@ def example() -> Files:
         files |= {f"{run}/{name}": content.encode() for name, content in (
             ("metrics.json", json.dumps(metrics)), ("environment.json", json.dumps(environment)),
             ("sfm.json", json.dumps(sfm)),
-            ("config.yaml", f"seed: {seed}\nscene:\n  name: counter\n  path: a/b\nablation:\n  name: {ablation}\n"
-                            f"train:\n  name: fast\n  sampler: pairs\n  batch: {seed + 1}\n  fourier_at:\n  - 4\n"),
+            ("config.yaml", f"seed: {seed}\nscene:\n  name: dnerf/lego\n  path: a/b\n  validation_every: 0\n  test_split: val\nablation:\n  name: {ablation}\n  fourier_order: 1\n"
+                            f"train:\n  name: fast\n  sampler: pairs\n  batch: {seed + 1}\n  iterations: 800\n"
+                            "  resolution_steps:\n  - until: 0.5\n    scale: 0.5\n"),
             ("error_vs_time.csv", "train_seconds,iteration,psnr,ssim,test_loss,n_gaussians\n"
                                   "1.5,400,20.0,0.8,0.1,300\n3.0,800,25.0,0.9,,400\n"),
             ("per_image.csv", "model,view,psnr\nfinal,test/r_0,25.0\n"))}
@@ -74,9 +80,12 @@ def check(folder: Path) -> str:
         structure, structure_warnings = structure_from_motion(named.runs)
         for line in (*strip_warnings, *structure_warnings):
             check_line(line, "", "")
-        tables = [*paper_tables(named.runs)[:1], *run_tables(named, ())]
-        text = "\n".join([summary_markdown(summarise(named, [])), *(markdown(table) for table in tables)])
-        text.encode("utf-8")
+        for x in ("train_seconds", "iteration"):
+            require(bool(np.isfinite(end_of_coarse(named.curves, named.settings, x))), "an end of the coarse part")
+        comparisons(named)
+        content = Content(summarise(named, []), paper_tables(named), run_tables(named, ()), structure, strips, [])
+        for text in (report_markdown(content), terminal_text(content), render_page(content)):
+            text.encode("utf-8")
     return VALID
 
 

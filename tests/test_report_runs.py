@@ -79,19 +79,22 @@ def test_a_curve_line_cut_short_by_a_kill_is_dropped(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "make",
+    "make, advice",
     [
-        lambda p: None,
-        lambda p: p.mkdir(),
-        lambda p: p.write_text("x"),
-        lambda p: (p / "a").mkdir(parents=True) or (p / "a/config.yaml").write_text(""),
+        (lambda p: None, "make one: python -m pipeline scene=synthetic/wheel train=fast"),
+        (lambda p: p.mkdir(), "make one: python -m pipeline scene=synthetic/wheel train=fast"),
+        (lambda p: p.write_text("x"), "make one: python -m pipeline scene=synthetic/wheel train=fast"),
+        (
+            lambda p: (p / "a").mkdir(parents=True) or (p / "a/config.yaml").write_text(""),
+            "an interrupted run goes on when its command is given again",
+        ),
     ],
 )
-def test_nothing_to_report_is_one_line_and_a_failure(tmp_path, capsys, make):
+def test_nothing_to_report_is_one_line_that_says_what_to_do_and_a_failure(tmp_path, capsys, make, advice):
     make(tmp_path / "runs")
     assert main([str(tmp_path / "runs")]) == 1
     said = capsys.readouterr().err
-    assert said.startswith(f"error: {tmp_path / 'runs'}: expected") and said.count("\n") == 1
+    assert said.startswith(f"error: {tmp_path / 'runs'}: expected") and said.count("\n") == 1 and advice in said
     assert not (tmp_path / "report").exists()
 
 

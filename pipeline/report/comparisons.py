@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from . import models, scenes
 from .collect import Collection
-from .names import parts_of, with_parts
+from .names import file_name, parts_of, with_parts
 from .variants import schedule_settings
 
 # What varies, by the keys that say so. All other keys of schedule and start together make "schedule".
@@ -47,7 +47,7 @@ class Comparison:
     @property
     def slug(self) -> str:
         """The title as a file's name."""
-        return re.sub(r"[^\w.-]+", "_", self.title.replace(": ", "__")).strip("_")
+        return file_name(re.sub(r"[^\w.-]+", "_", self.title.replace(": ", "__")).strip("_"))
 
 
 @dataclass(frozen=True)

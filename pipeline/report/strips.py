@@ -17,6 +17,7 @@ from PIL import Image
 from datasets.fault import clear
 
 from . import scenes
+from .names import file_name
 
 PARTS = ("render", "truth", "difference")
 _MAX_SIDE = 512  # a wider view is shrunk: the page must stay mailable
@@ -93,7 +94,7 @@ def make_strips(runs: pd.DataFrame, no_pictures: tuple[str, ...] = ()) -> tuple[
 
 def webp_name(*words: str) -> str:
     """A file's name of the words, safe in any file system."""
-    return "".join(c if c.isalnum() or c in "-_." else "_" for c in "__".join(words)) + ".webp"
+    return file_name("".join(c if c.isalnum() or c in "-_." else "_" for c in "__".join(words))) + ".webp"
 
 
 def kept_back(scene: str, no_pictures: tuple[str, ...]) -> bool:

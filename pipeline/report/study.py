@@ -8,6 +8,7 @@ with `fast (scene.downscale=4)`. Only scenes and seeds that both have are compar
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 import pandas as pd
@@ -16,7 +17,7 @@ from . import scenes
 from .aggregate import compare, estimate
 from .collect import Collection
 from .models import asked, is_left_out
-from .names import parts_of, with_parts
+from .names import file_name, parts_of, with_parts
 from .table import NO_RUN, Cell, Column, Row, Table, text
 
 STUDY = "study_"  # how the slugs of its tables begin
@@ -69,8 +70,8 @@ def _table(schedule: str, ablation: str, names: list[str], rows: list[Row], note
                *(Column(key, header, group="means") for key, header in _RATIOS.items()))
     of = schedule if ablation == "full" else f"{schedule}, {ablation}"
     best_first = sorted(rows, key=lambda row: -row.cells["mean"].value)
-    return Table(f"{STUDY}{of.replace(', ', '_')}", f"What changes of {of} are worth", columns, tuple(best_first),
-                 notes=(NOTE, *notes))
+    slug = file_name(STUDY + re.sub(r"[^\w.-]+", "_", of))
+    return Table(slug, f"What changes of {of} are worth", columns, tuple(best_first), notes=(NOTE, *notes))
 
 
 def _row(change: str, runs: pd.DataFrame, usual: pd.DataFrame, names: list[str]) -> Row | None:
