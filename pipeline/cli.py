@@ -19,6 +19,7 @@ from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
 from rich.table import Table
 
+from pipeline.closed_pipe import quiet_on_closed_pipe
 from pipeline.config import Config
 from pipeline.configure import CONFIG_DIR, one_line, options, quote_paths, register_schema, to_config
 from pipeline.help_page import help_page
@@ -39,11 +40,9 @@ class RunFailed(Exception):
 
 def main() -> None:
     """Entry point of `python -m pipeline`."""
-    if {"--help", "-h"} & set(sys.argv[1:]):
-        print(help_page(), end="")
-        return
-    if "--version" in sys.argv[1:]:
-        print(_version())
+    if {"--help", "-h", "--version"} & set(sys.argv[1:]):
+        with quiet_on_closed_pipe():
+            print(_version() if "--version" in sys.argv[1:] else help_page().rstrip())
         return
     traceback_wanted = os.environ.get(_FULL_ERROR) == "1"
     os.environ[_FULL_ERROR] = "1"  # so that Hydra raises and does not print: what is printed is decided here
@@ -115,7 +114,8 @@ def _hint_at_settings(cfg: Config, chosen: str | None) -> None:
 def _refuse(line: str) -> None:
     """Ends the command; without a scene with the page that says how one is named."""
     if line.startswith("scene: must be given"):
-        print(help_page(), end="", flush=True)
+        with quiet_on_closed_pipe():
+            print(help_page(), end="")
         if {"--cfg", "-c"} & set(sys.argv[1:]):
             print("\n--cfg job prints the configuration of a command that names a scene: "
                   "python -m pipeline scene=synthetic/wheel --cfg job")
@@ -143,7 +143,7 @@ def _report(cfg: Config, metrics: dict) -> None:
     """The run's numbers, where they are, and what to do next."""
     console = Console(highlight=False, soft_wrap=True)
     final, best = metrics["final"], metrics["best_on_test"] or {}
-    table = Table(_title(cfg), "final", "best on test")
+    table = Table(_title(cfg, metrics), "final", "best on test")
     for name, heading in _HEADINGS.items():
         table.add_row(heading, _cell(final[name]), _cell(best.get(name)))
     if final.get("flicker") is not None:  # only where a held-out camera filmed
@@ -163,13 +163,16 @@ def _report(cfg: Config, metrics: dict) -> None:
 def _report_line(cfg: Config, metrics: dict) -> None:
     """One run of a sweep."""
     final = metrics["final"]
-    print(f"{_title(cfg)}: PSNR {_cell(final['psnr'])}, SSIM {_cell(final['ssim'])}, "
+    print(f"{_title(cfg, metrics)}: PSNR {_cell(final['psnr'])}, SSIM {_cell(final['ssim'])}, "
           f"{metrics['n_gaussians']} Gaussians, {metrics['train_seconds']:.0f} s of training; written to {cfg.out}",
           flush=True)
 
 
-def _title(cfg: Config) -> str:
-    return f"{cfg.scene.name} · {cfg.ablation.name} · {cfg.train.name} · seed {cfg.seed}"
+def _title(cfg: Config, metrics: dict | None = None) -> str:
+    """metrics: of the finished run; they say whether a trial made the model smaller than asked for."""
+    left_out = metrics is not None and metrics["trial"] is not None and not metrics["trial"]["kept"]
+    model = cfg.ablation.name + (", 4DSH left out" if left_out else "")
+    return f"{cfg.scene.name} · {model} · {cfg.train.name} · seed {cfg.seed}"
 
 
 def _cell(value: float | None) -> str:

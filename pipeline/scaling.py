@@ -22,6 +22,7 @@ import torch
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
+from pipeline.closed_pipe import quiet_on_closed_pipe
 from pipeline.machine import environment
 from pipeline.report.plots import LIGHT
 from rasterizer import Gaussians
@@ -146,6 +147,7 @@ def draw(series: Sequence[Series], title: str) -> str:
     return buffer.getvalue()
 
 
+@quiet_on_closed_pipe()
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m pipeline.scaling", description=__doc__.splitlines()[0])
     parser.add_argument("--workload", choices=WORKLOADS, default="W1", help="the largest scene of the series (W1)")

@@ -21,6 +21,7 @@ import pandas as pd
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
+from pipeline.closed_pipe import quiet_on_closed_pipe
 from pipeline.report.aggregate import Estimate, estimate
 from pipeline.report.collect import Collection, collect
 from pipeline.report.plots import LIGHT
@@ -125,6 +126,7 @@ def draw(lengths: Sequence[Length], title: str) -> str:
     return buffer.getvalue()
 
 
+@quiet_on_closed_pipe()
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m pipeline.video_length", description=__doc__.splitlines()[0])
     parser.add_argument("runs", type=Path, nargs="?", default=Path("results/runs/video_length"), metavar="RUNS",

@@ -68,10 +68,11 @@ def test_what_a_trial_leaves_out_the_model_does_not_hold(tmp_path: Path) -> None
     shell, asked = Shell(tmp_path), (*TINY, "train.trial=0.5", "train.fourier_at=[80,80]", "out=run")
     out, _ = shell(*asked)
     assert "trial: without colours that change with time, 30 iterations; 6 training views, 2 judge" in out
-    assert "+0.00 ± 0.00 dB: left out" in out
+    assert "+0.00 ± 0.00 dB: left out" in out and "synthetic/wheel · full, 4DSH left out · smoke · seed 0" in out
     folder = tmp_path / "run"
     metrics = json.loads((folder / "metrics.json").read_text())
     assert metrics["trial"]["kept"] is False and metrics["trial"]["gain"] == 0
+    assert metrics["model"] == {"motion": "full", "fourier_order": 0, "sh_degree": 3}
     # 65 float32 a Gaussian: mean 4, scale 4, rotations 8, opacity 1, colour 16 · 3.
     assert metrics["model_mb"] == pytest.approx(metrics["n_gaussians"] * 65 * 4 / 1e6)
     first = float(read_csv(folder / "error_vs_time.csv")[0]["train_seconds"])

@@ -15,6 +15,7 @@ from tempfile import TemporaryDirectory
 from torch import Tensor
 
 from datasets.scene import Scene
+from pipeline.closed_pipe import quiet_on_closed_pipe
 from pipeline.config import Config
 from pipeline.evaluate import frames_per_second, held_out_psnr, quick_evaluate
 from pipeline.leave_out import missed
@@ -100,6 +101,7 @@ def markdown(points: list[Point], chosen: Point, heading: str, share: float) -> 
     return "\n".join([*lines, "", note]) + "\n"
 
 
+@quiet_on_closed_pipe()
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m pipeline.compact", description=__doc__.splitlines()[0])
     parser.add_argument("run", type=Path, help="folder of a finished run")

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.closed_pipe import quiet_on_closed_pipe
 from pipeline.evaluate import Renderer
 from pipeline.train import thread_count
 from pipeline.trained_run import TrainedRun, open_run
@@ -43,6 +44,7 @@ def moment(runs: list[TrainedRun]) -> list[list[np.ndarray]]:
     return rows
 
 
+@quiet_on_closed_pipe()
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m pipeline.generalisation", description=__doc__.splitlines()[0])
     parser.add_argument("runs", type=Path, nargs="+", metavar="RUN", help="folders of finished runs of one scene")

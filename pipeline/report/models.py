@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.config import AblationConfig
-from pipeline.run_folder import read_config
+from pipeline.run_identity import read_config
 
 from .names import parts_of, with_parts
 

@@ -11,6 +11,7 @@ import numpy as np
 from PIL import Image
 
 from datasets.fault import DataError
+from pipeline.closed_pipe import quiet_on_closed_pipe
 from pipeline.config import InitConfig
 from pipeline.sfm.photograph import Photograph
 from pipeline.sfm.run import reconstruct
@@ -19,6 +20,7 @@ from pipeline.sfm.store import save
 SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
+@quiet_on_closed_pipe()
 def main(arguments: list[str] | None = None) -> int:
     """The command; returns the exit status."""
     parser = argparse.ArgumentParser(prog="python -m pipeline.sfm", description="Structure from motion of the "

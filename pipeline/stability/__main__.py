@@ -12,6 +12,7 @@ import torch
 from rich.console import Console
 from rich.progress import track
 
+from pipeline.closed_pipe import quiet_on_closed_pipe
 from pipeline.machine import git_commit, machine_line
 from pipeline.run_folder import now
 from pipeline.stability import textbook
@@ -38,6 +39,7 @@ def measure_case(case: Case, steps: int) -> Row:
     }, measure_spread(gaussians, request))
 
 
+@quiet_on_closed_pipe()
 def main(arguments: list[str] | None = None) -> int:
     """The command; returns the exit status."""
     parser = argparse.ArgumentParser(prog="python -m pipeline.stability", description="Hard cases: the float32 kernel, "

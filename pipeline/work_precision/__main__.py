@@ -12,6 +12,7 @@ from pathlib import Path
 
 import torch
 
+from pipeline.closed_pipe import quiet_on_closed_pipe
 from pipeline.machine import environment
 from rasterizer.bench.workloads import WORKLOADS, make_workload
 from rasterizer.kernel import kernel
@@ -43,6 +44,7 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     return options
 
 
+@quiet_on_closed_pipe()
 def main(arguments: list[str] | None = None) -> int:
     options = parse(arguments)
     keep_freed_memory()
