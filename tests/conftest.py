@@ -24,6 +24,7 @@ MOST_PROCESSES = 8  # more would wait for the longest file
 LONGEST = ("test_work_precision", "test_stability", "test_pipeline", "test_filmed", "test_config", "test_sfm")
 
 
+@pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
     """For `-n auto`: the cores this process may run on."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
