@@ -43,7 +43,8 @@ def example() -> Files:
         files |= {f"{run}/{name}": content.encode() for name, content in (
             ("metrics.json", json.dumps(metrics)), ("environment.json", json.dumps(environment)),
             ("sfm.json", json.dumps(sfm)),
-            ("config.yaml", f"seed: {seed}\nscene:\n  name: dnerf/lego\n  path: a/b\n  validation_every: 0\n  test_split: val\nablation:\n  name: {ablation}\n  fourier_order: 1\n"
+            ("config.yaml", f"seed: {seed}\nscene:\n  name: dnerf/lego\n  path: a/b\n  validation_every: 0\n"
+                            f"  test_split: val\nablation:\n  name: {ablation}\n  fourier_order: 1\n"
                             f"train:\n  name: fast\n  sampler: pairs\n  batch: {seed + 1}\n  iterations: 800\n"
                             "  resolution_steps:\n  - until: 0.5\n    scale: 0.5\n"),
             ("error_vs_time.csv", "train_seconds,iteration,psnr,ssim,test_loss,n_gaussians\n"

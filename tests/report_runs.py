@@ -66,7 +66,8 @@ def write_run(
     (folder / "metrics.json").write_text(json.dumps(metrics))
     (folder / "config.yaml").write_text(
         f"seed: {seed}\nthreads: 2\nscene:\n  name: {scene}\n  path: null\n{scene_settings}"
-        f"ablation:\n  name: {ablation}\n{ablation_settings}train:\n  name: {train}\n  iterations: {iterations}\n{settings}"
+        f"ablation:\n  name: {ablation}\n{ablation_settings}"
+        f"train:\n  name: {train}\n  iterations: {iterations}\n{settings}"
     )
     rows = ["train_seconds,iteration,psnr,ssim,test_loss,n_gaussians"]
     rows += [

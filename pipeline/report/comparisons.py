@@ -63,7 +63,7 @@ _Group = tuple[str, list[_Variant]]  # what varies ("" for a line on its own), a
 
 
 def comparisons(collection: Collection) -> list[Comparison]:
-    """All figures, scene by scene, schedules first. Each line that has a curve of two evaluations at least is in one."""
+    """All figures, scene by scene, schedules first. Each line with a curve of two evaluations at least is in one."""
     curves = collection.curves
     curves = curves[curves.groupby("run")["iteration"].transform("size") > 1]
     found = []

@@ -7,7 +7,6 @@ import re
 from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from markupsafe import Markup, escape
 
 from .content import Content
 from .layout import laid_out
@@ -30,7 +29,7 @@ def render_page(content: Content) -> str:
     environment.filters |= {
         "svg_uri": lambda svg: _data_uri("image/svg+xml", svg.encode()),
         "webp_uri": lambda webp: _data_uri("image/webp", webp),
-        "breakable": breakable,
+        "pieces": pieces,
     }
     return environment.get_template("page.html").render(
         content=content,
@@ -62,9 +61,9 @@ def _sections(content: Content) -> dict[str, str]:
     return {key: title for key, (title, there) in found.items() if there}
 
 
-def breakable(text: str) -> Markup:
-    """Text that may be broken where names are put together: after / _ and =."""
-    return Markup(re.sub(r"(?<=[/_=])", Markup("<wbr>"), escape(text)))
+def pieces(text: str) -> list[str]:
+    """Text cut where it may be broken: after the / _ and = that names are put together with."""
+    return re.split(r"(?<=[/_=])", text)
 
 
 def _data_uri(mime: str, content: bytes) -> str:

@@ -27,8 +27,8 @@ _RATIOS = {"train_seconds": "Train s ×", "n_gaussians": "N ×", "model_mb": "MB
 NOTE = (
     "",
     "Change − schedule as it is: final PSNR in dB (and SSIM), ± the standard error of the difference over the seeds; "
-    "the mean is "
-    "over the scenes that both have, its standard error from theirs. ×: ratio of the means, geometric mean over scenes.",
+    "the mean is over the scenes that both have, its standard error from theirs. ×: ratio of the means, geometric mean "
+    "over scenes.",
 )
 
 
