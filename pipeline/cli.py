@@ -143,7 +143,8 @@ def _report(cfg: Config, metrics: dict) -> None:
     """The run's numbers, where they are, and what to do next."""
     console = Console(highlight=False, soft_wrap=True)
     final, best = metrics["final"], metrics["best_on_test"] or {}
-    table = Table(_title(cfg, metrics), "final", "best on test")
+    console.print(_title(cfg, metrics), style="bold")
+    table = Table("", "final", "best on test")
     for name, heading in _HEADINGS.items():
         table.add_row(heading, _cell(final[name]), _cell(best.get(name)))
     if final.get("flicker") is not None:  # only where a held-out camera filmed

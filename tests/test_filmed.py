@@ -73,7 +73,7 @@ def test_videos_without_poses(finished: Path, shell: Shell) -> None:
     for path in sorted((shell.folder / "results" / "cache").glob("counter-*/cam*.mp4")):
         shutil.copy(path, videos / f"left{path.name}")
     out, _ = shell("scene=video", f"scene.path={videos}", *TINY, "init.max_features=2000")
-    folder = shell.folder / "results/runs/video/full/smoke/seed0"
+    folder = shell.folder / "results/runs/video/videos/full/smoke/seed0"
     assert json.loads((folder / "sfm.json").read_text())["poses"] == "estimated"
     assert json.loads((folder / "metrics.json").read_text())["n_test_views"] == 4
 
