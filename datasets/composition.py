@@ -25,7 +25,8 @@ def compose(rgba: np.ndarray, background: Color, downscale: int = 1) -> np.ndarr
     alpha = rgba[..., 3].astype(np.float32) / 255
     see_through = 255 * (1 - _block_means(alpha, downscale))
     # One channel at a time: numpy is several times faster on planes than on interleaved pixels.
-    channels = [_block_means(rgba[..., c] * alpha, downscale) + np.float32(background[c]) * see_through for c in range(3)]
+    channels = [_block_means(rgba[..., c] * alpha, downscale) + np.float32(background[c]) * see_through
+                for c in range(3)]
     return np.rint(np.stack(channels, axis=-1)).astype(np.uint8)
 
 

@@ -104,7 +104,8 @@ def _background(views: Sequence[View], asked: Color | None, say: Callable[[str],
     found = border_color([np.asarray(view.image) for view in views]) if opaque else None
     if asked is None:
         if found not in (None, BLACK):
-            say(f"scene.background: {_named(found)}, the colour of the images' borders; scene.background=black overrides")
+            say(f"scene.background: {_named(found)}, the colour of the images' borders; "
+                "scene.background=black overrides")
         return found or BLACK
     asked = tuple(float(channel) for channel in asked)
     if found is not None and found != asked:

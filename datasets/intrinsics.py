@@ -55,7 +55,8 @@ def read_pinhole(values: dict[str, Any], size: tuple[int, int], cam_to_world: np
     width, height = _stated_size(values, size, where)
     fx = _focal("fl_x", "camera_angle_x", width, values, where, file)
     fy = _focal("fl_y", "camera_angle_y", height, values, where, file, default=fx)
-    cx, cy = (read_number(values.get(key, side / 2), f"{where}: {key}") for key, side in (("cx", width), ("cy", height)))
+    cx = read_number(values.get("cx", width / 2), f"{where}: cx")
+    cy = read_number(values.get("cy", height / 2), f"{where}: cy")
     scale_x, scale_y = size[0] / width, size[1] / height
     fx, cx, fy, cy = fx * scale_x, cx * scale_x, fy * scale_y, cy * scale_y
     if not (fx > 0 and fy > 0 and np.isfinite([fx, fy, cx, cy]).all()):
@@ -65,7 +66,8 @@ def read_pinhole(values: dict[str, Any], size: tuple[int, int], cam_to_world: np
 
 
 def read_lens(values: dict[str, Any], where: str) -> tuple[float, ...]:
-    """Distortion coefficients, as LENS_KEYS; 0 where the file says nothing. SceneError for a lens of another formula."""
+    """Distortion coefficients, as LENS_KEYS; 0 where the file says nothing. SceneError for a lens of another formula.
+    """
     model = values.get("camera_model", LENS_MODELS[0])
     if model not in LENS_MODELS or values.get("is_fisheye"):
         raise SceneError(f"{where}: camera_model", ", ".join(LENS_MODELS), "a fisheye" if model in LENS_MODELS else
@@ -95,8 +97,8 @@ def _focal(pixels: str, angle: str, side: float, values: dict[str, Any], where: 
     if angle in values and focal > 0:
         other = _focal_of_angle(angle, side, values, file)
         if abs(other - focal) > ANGLE_TOLERANCE * focal:
-            raise SceneError(f"{where}: {pixels}", f"the focal length that {angle} says too, {other:.6g}; remove the key "
-                             "that is wrong", f"{focal:.6g}")
+            raise SceneError(f"{where}: {pixels}", f"the focal length that {angle} says too, {other:.6g}; remove the "
+                             "key that is wrong", f"{focal:.6g}")
     return focal
 
 

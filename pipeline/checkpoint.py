@@ -1,7 +1,7 @@
 """One file from which a run continues as if it had never stopped.
 
-It is written as datasets/disk.py does, so that at any moment, also after a kill, a power cut or on a full disk, the name
-holds either the old one or the new one, whole.
+It is written as datasets/disk.py does, so that at any moment, also after a kill, a power cut or on a full disk, the
+name holds either the old one or the new one, whole.
 """
 
 from __future__ import annotations

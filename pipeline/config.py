@@ -34,8 +34,8 @@ class SceneConfig:
     first_frame: int = 0  # plenoptic, video
     frames: int = 300  # plenoptic, video: at most so many from first_frame on; synthetic/counter: made
     downscale: int = 2  # images are read at 1/downscale of their size
-    # Composed under transparent pixels: RGB in [0, 1], black or white. auto: where no image has alpha and their borders are
-    # of one colour, that colour; else black
+    # Composed under transparent pixels: RGB in [0, 1], black or white. auto: where no image has alpha and their borders
+    # are of one colour, that colour; else black
     background: Any = "auto"
     background_model: str = "none"  # none | sphere | envmap: how what is far outside the cameras is modelled
     cache: str = "results/cache"  # where synthetic scenes, decoded frames and COLMAP's results are kept

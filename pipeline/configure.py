@@ -126,7 +126,8 @@ def _quoting(override: str) -> str:
 
 def _quoted(override: str) -> str:
     key, _, value = override.partition("=")
-    escaped = re.sub(r'(\\*)"', lambda found: found[1] * 2 + '\\"', value)  # Hydra: backslashes count before a quote only
+    # For Hydra a backslash escapes only before a quote, of which the one that closes the value is one.
+    escaped = re.sub(r'(\\*)("|$)', lambda found: found[1] * 2 + ('\\"' if found[2] else ""), value)
     return f'{key}="{escaped}"'
 
 

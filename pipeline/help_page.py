@@ -42,7 +42,8 @@ def help_page() -> str:
         textwrap.fill(
             "A run reads the scene, initialises Gaussians (from COLMAP's points where several cameras filmed), trains "
             "them, and evaluates them on the held-out views. It writes metrics.json, pictures and the model to "
-            "results/runs/<scene>/<ablation>/<train>/seed<k>. After an interruption the same command continues the run.",
+            "results/runs/<scene>/<ablation>/<train>/seed<k>. After an interruption the same command continues "
+            "the run.",
             WIDTH),
         "Groups and their choices (conf/GROUP/CHOICE.yaml)\n" + "\n".join(map(_group, GROUPS)),
         "Examples\n" + "\n".join(_example(*example) for example in EXAMPLES),

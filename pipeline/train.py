@@ -160,8 +160,8 @@ def train(model: Model, scene: Scene, cfg: Config, run: RunFolder, evaluate: Eva
                 display.update(iteration, batch.loss, quality, batch.n_gaussians, batch.alive, watch.seconds)
                 if iteration % LOG_EVERY == 0:
                     run.log({"event": "train", "iteration": iteration, "train_seconds": watch.seconds,
-                             "loss": batch.loss, "psnr": quality, "n_gaussians": batch.n_gaussians, "n_alive": batch.alive,
-                             "resolution": phase.resolution, "sh_degree": phase.sh_degree,
+                             "loss": batch.loss, "psnr": quality, "n_gaussians": batch.n_gaussians,
+                             "n_alive": batch.alive, "resolution": phase.resolution, "sh_degree": phase.sh_degree,
                              "fourier_order": phase.fourier_order})
             last = _done(iteration, watch.seconds, cfg)
             if last or iteration % cfg.train.eval_every == 0:
