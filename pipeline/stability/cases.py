@@ -64,8 +64,8 @@ MOST_STEPS = {"stack": 20, "coincident": 20, "wide": 20, "tall": 20}
 # Where two correct programs part within a hundred steps: the parameters must stay finite, the losses may differ.
 _JUMP = "steps carry Gaussians over the near plane, whichever program's rounding is ahead: the losses are not compared"
 _STUCK = "float32 holds positions so far out to 0.008 or worse, so a step of 1e-3 does not move one; float64 moves"
-_SWINGS = ("the loss is 5e-6 before the steps, Adam swings past its minimum, and rounding grows with the swings; at either "
-           "program's last parameters both give the same loss to 1e-6 of it")
+_SWINGS = ("the loss is 5e-6 before the steps, Adam swings past its minimum, and rounding grows with the swings; at "
+           "either program's last parameters both give the same loss to 1e-6 of it")
 STEPS_APART: dict[str, str] = {
     "quaternion_length 1e-44": "the first step is 1e40 times the quaternion: its direction is then rounding alone",
     "quaternion_length 1e-40": "the first step is 1e36 times the quaternion: its direction is then rounding alone",
