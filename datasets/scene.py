@@ -63,7 +63,7 @@ class Scene:
     name: str
     train: tuple[View, ...]
     test: tuple[View, ...]
-    duration: float  # T of SPEC 1
+    duration: float  # T of 4DSH's Fourier basis, in the unit of the times
     time_start: float
     background: tuple[float, float, float]  # RGB in [0, 1]
     extent: float  # world units, see camera_extent

@@ -1,4 +1,4 @@
-"""The views of one iteration, one after another: render, compare, carry the gradient back (SPEC 2)."""
+"""The views of one iteration, one after another: render, compare, carry the gradient back (docs/method.md 2)."""
 
 from __future__ import annotations
 

@@ -107,7 +107,7 @@ class InitConfig:
 
 @dataclass
 class AblationConfig:
-    """Which parts of the model are left out (SPEC 3)."""
+    """Which parts of the model are left out (docs/method.md 3)."""
 
     name: str = "full"
     rotation_4d: bool = True  # False: one 3D rotation, no motion
@@ -123,7 +123,7 @@ class AblationConfig:
 
 @dataclass
 class EvaluateConfig:
-    """What is measured and written after training (SPEC 5)."""
+    """What is measured and written after training (docs/method.md 4)."""
 
     lpips: bool = True  # needs weights: a download, once; without them the cells stay empty and say why
     best_on_test: bool = True  # also measure the model of the best test evaluation (the release's protocol)

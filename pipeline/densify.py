@@ -1,4 +1,4 @@
-"""Adaptive density control in space and time (SPEC 2): who is cloned, split or removed, and when.
+"""Adaptive density control in space and time (docs/method.md 2): who is cloned, split or removed, and when.
 
 Gaussians whose place the loss keeps pulling at stand where the model is too coarse: a small one is cloned, a big one
 split. Two indicators say so, the gradient of the position on the screen and the gradient of the mean in time. The
@@ -24,8 +24,8 @@ class Statistics:
     """Running means of the two indicators, and the largest radius, of each Gaussian since the last densification.
 
     Within an iteration the indicator is the mean over the views that saw the Gaussian, of the loss of one view
-    (SPEC 2: Σ over the batch × B / times seen, because the batch loss is a mean over B). Over iterations it is the
-    mean over those in which it was seen at all. `begin`, `add_view` for each view, `end`.
+    (docs/method.md 2: Σ over the batch × B / times seen, because the batch loss is a mean over B). Over iterations it
+    is the mean over those in which it was seen at all. `begin`, `add_view` for each view, `end`.
     """
 
     FIELDS = ("space", "time", "iterations", "radius")
@@ -148,7 +148,7 @@ def split_rows(model: Model, mask: Tensor, cfg: DensifyConfig, time_split: bool,
         rows["mean"] = rows["mean"] + (axes @ noise[:, :, None])[:, :, 0]
         shrinking = dims
     else:
-        time_row = torch.nn.functional.normalize(axes[:, 3], dim=1)  # v of SPEC 1
+        time_row = torch.nn.functional.normalize(axes[:, 3], dim=1)  # v of docs/method.md 1.1
         noise = noise - time_row * (time_row * noise).sum(dim=1, keepdim=True)  # (I - v vᵀ) ε
         rows["mean"][:, :3] += (axes[:, :3] @ noise[:, :, None])[:, :, 0]
         shrinking = 3

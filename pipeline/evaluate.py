@@ -1,4 +1,4 @@
-"""How good a model is on the test views (SPEC 5): image metrics, flicker, speed, and pictures and videos to look at.
+"""How good a model is on the test views (docs/method.md 4): image metrics, flicker, speed, pictures and videos.
 
 `evaluate` is what tables are made of; `quick_evaluate` is the cheap look that training takes now and then.
 

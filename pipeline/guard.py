@@ -1,4 +1,4 @@
-"""Stops a run at the first number that is not one, saying where (SPEC 7), so that it costs no further time.
+"""Stops a run at the first number that is not one, saying where, so that it costs no further time.
 
 The checks are one pass over what the iteration has just written; the search for the culprit runs only once they fail.
 """

@@ -1,5 +1,5 @@
-"""The Gaussians training starts from (SPEC 2): random points in a cube, or those of structure from motion; and where
-the scene has an open background, more on a sphere round it."""
+"""The Gaussians training starts from (docs/method.md 2): random points in a cube, or those of structure from motion; and
+where the scene has an open background, more on a sphere round it."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Leaving out the Gaussians that the training images would miss least.
 
-A pixel C is affine in each opacity o (SPEC 1, blending; but for its cut-offs), so that without a Gaussian it changes by
-exactly -o ∂C/∂o. Summed over the pixels of the training views the squares of that are the error which leaving it out
+A pixel C is affine in each opacity o (docs/method.md 1.3; but for its cut-offs), so that without a Gaussian it changes
+by exactly -o ∂C/∂o. Summed over the pixels of the training views the squares of that are the error which leaving it out
 makes: little for what is hidden, faint or of the colour of what stands behind it, however much of the image it makes.
 
 One backward pass with an image s gives Σ s o ∂C/∂o of every Gaussian. With random signs for s the square of that is the

@@ -1,4 +1,4 @@
-"""Image metrics by name (SPEC 5). Each takes two images, (H, W, 3) float32 in [0, 1], and returns a number or None.
+"""Image metrics by name (docs/method.md 4). Each takes two images, (H, W, 3) float32 in [0, 1]; returns a number or None.
 
 To add one: write the function and enter it in METRICS; evaluate.py, metrics.json and per_image.csv follow. LPIPS is
 not here, because it needs weights that may be out of reach: see lpips.py.

@@ -1,4 +1,4 @@
-"""The trained model: one float32 tensor per field of SPEC 1, and nothing a scene does not need.
+"""The trained model: one float32 tensor per field of docs/method.md 1, and nothing a scene does not need.
 
 A model is a plain bag of tensors. Which tensors there are, and how wide, is its `ModelKind`: a static scene stores
 no time, a model without 4D rotation no right quaternion, a model without Fourier orders no coefficients for them.

@@ -59,8 +59,8 @@ def lack_of_views(model: Model, cfg: PriorConfig, scene: Scene) -> Tensor | floa
 def tilt(quat_left: Tensor, quat_right: Tensor) -> Tensor:
     """(N,) how far the rotation turns the time axis into space: 2 sin(θ/2), θ the angle; (N, 4) quaternions.
 
-    With v = (x, y, z, t) = x + yi + zj + tk rotated to ql v qr (SPEC 1), time stays time where ql k qr = k, that is
-    where qr = (a, b, c, -d) for ql = (a, b, c, d), both of length 1. The tilt is the distance from that. A Gaussian
+    With v = (x, y, z, t) = x + yi + zj + tk rotated to ql v qr (docs/method.md 1), time stays time where ql k qr = k,
+    that is where qr = (a, b, c, -d) for ql = (a, b, c, d), both of length 1. The tilt is the distance from that. A Gaussian
     far longer in time than in space moves at tan θ.
     """
     return _difference(quat_left, quat_right).norm(dim=1)

@@ -24,8 +24,8 @@ def rigid_loss(mean: Tensor, log_scale: Tensor, quat_left: Tensor, quat_right: T
                duration: float, threads: int = 1) -> Tensor:
     """Mean over Gaussians alive at `time`, and their neighbours j, of exp(-100 d²) |u_i - u_j|; scalar.
 
-    u = Σ_xyz,t / Σtt × 0.1 duration, how far the conditional mean moves in a tenth of the duration (SPEC 1); d is the
-    distance at `time`, held constant in the gradient. Differentiable in all four tensors, (N, 4) each.
+    u = Σ_xyz,t / Σtt × 0.1 duration, how far the conditional mean moves in a tenth of the duration (docs/method.md
+    1.1); d is the distance at `time`, held constant in the gradient. Differentiable in all four tensors, (N, 4) each.
     """
     rotation = rotation_4d(quat_left, quat_right)
     axes = rotation * log_scale.exp()[:, None, :]  # M = R diag(s)

@@ -1,4 +1,4 @@
-"""Which training views make up a batch (SPEC 2): the only randomness of the optimisation besides splitting.
+"""Which training views make up a batch (docs/method.md 2): the only randomness of the optimisation besides splitting.
 
 Every sampler walks through a shuffled list of groups of views and shuffles anew at its end. Its whole state is a
 permutation, a position in it and the state of its numpy generator, so that a resumed run draws the same batches.

@@ -1,4 +1,4 @@
-"""What changes as training goes on: learning rates, active coefficients, resolution (SPEC 2).
+"""What changes as training goes on: learning rates, active coefficients, resolution (docs/method.md 2).
 
 All of it is a function of the `clock`, the iteration as a float. A run with a time budget moves the clock faster
 where the budget would end before the iterations do, so that decays still reach their end.
@@ -64,7 +64,7 @@ def phase(now: float, cfg: TrainConfig, extent: float, max_sh_degree: int, max_f
 def rates(now: float, fraction: float, cfg: RateConfig, extent: float) -> dict[str, Rate]:
     """Learning rate of every field, and of the environment map, at clock `now`, `fraction` of the whole schedule done.
 
-    extent: world units (SPEC 2), which positional rates are multiplied by.
+    extent: world units, which positional rates are multiplied by.
     The mean's columns are x, y, z (log-linear decay over `decay_iterations`) and t (constant, as the release).
     The unit of t's rate is the extent's too: the paper does not scale time.
     """

@@ -1,4 +1,4 @@
-"""The training loop: render a batch, compare, step, densify, now and then evaluate and save (SPEC 2).
+"""The training loop: render a batch, compare, step, densify, now and then evaluate and save (docs/method.md 2).
 
 The result is a function of the configuration, the data and the seed, whatever the number of threads and however often
 the run was killed and resumed. The one exception is `train.time_budget_s`: how far a run gets in a number of seconds,

@@ -13,7 +13,7 @@ from pipeline.ranges import BACKGROUNDS, require
 
 @dataclass
 class RateConfig:
-    """Learning rates of Adam (SPEC 2), in canonical units; positions are multiplied by the scene's extent."""
+    """Learning rates of Adam (docs/method.md 2), in canonical units; positions are multiplied by the scene's extent."""
 
     mean: float = 1.6e-4
     mean_final: float = 1.6e-6  # log-linear over `decay_iterations`
@@ -39,13 +39,13 @@ class RateConfig:
 
 @dataclass
 class DensifyConfig:
-    """Adaptive density control in space and time (SPEC 2)."""
+    """Adaptive density control in space and time (docs/method.md 2)."""
 
     start: int = 500
     stop: int = 15_000
     every: int = 100
     space_gradient: float = 2e-4  # NDC units, mean per view
-    use_time_gradient: bool = True  # the switch `densify.time_gradient` of SPEC 2
+    use_time_gradient: bool = True  # False: as the release, which computes it and never uses it
     time_gradient: float = 1e-4  # |dL/dμt|, time in units of the duration
     time_split: bool = True
     # False: as the paper, whatever asks for a split shrinks the lifetime too. True: only what time asked for

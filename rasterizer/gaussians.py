@@ -17,7 +17,7 @@ MAX_FOURIER_ORDER = 2
 
 @dataclass(frozen=True)
 class Gaussians:
-    """N Gaussians, before activation (SPEC 1): what is stored is what is trained.
+    """N Gaussians, before activation (docs/method.md 1): what is stored is what is trained.
 
     Which model it is follows from the shapes, so that nothing is stored that a scene does not need:
 

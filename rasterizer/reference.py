@@ -51,7 +51,7 @@ def normalise_quaternion(quat: Tensor) -> Tensor:
 
 
 def rotation_4d(quat_left: Tensor, quat_right: Tensor) -> Tensor:
-    """R = L(ql) R(qr) (N, 4, 4), SPEC 1: v -> ql v qr, for v = (x, y, z, t) = x + yi + zj + tk."""
+    """R = L(ql) R(qr) (N, 4, 4), docs/method.md 1: v -> ql v qr, for v = (x, y, z, t) = x + yi + zj + tk."""
     a, b, c, d = normalise_quaternion(quat_left).unbind(-1)
     p, q, r, s = normalise_quaternion(quat_right).unbind(-1)
     left = torch.stack([a, -b, -c, -d, b, a, -d, c, c, d, a, -b, d, -c, b, a], dim=-1).reshape(-1, 4, 4)
@@ -70,7 +70,7 @@ def rotation_3d(quat: Tensor) -> Tensor:
 
 
 def scaled_axes(gaussians: Gaussians) -> Tensor:
-    """M = R diag(s), so that Σ = M Mᵀ (SPEC 1): (N, 4, 4), or (N, 3, 3) for a static model.
+    """M = R diag(s), so that Σ = M Mᵀ (docs/method.md 1): (N, 4, 4), or (N, 3, 3) for a static model.
 
     Without 4D rotation, R turns space alone and leaves time: Σ is block diagonal and nothing moves.
     """
@@ -96,7 +96,7 @@ class Slice:
 
 
 def slice_in_time(gaussians: Gaussians, time: float) -> Slice:
-    """Condition the 4D Gaussians on the time (SPEC 1, "Slice at time t").
+    """Condition the 4D Gaussians on the time (docs/method.md 1.1).
 
     p(t) = exp(-½ (t-μt)²/Σtt) and μ(t) = μ_xyz + Σ_xyz,t Σtt⁻¹ (t-μt), a straight line. The textbook's
     conditional covariance Σ_xyz - Σ_xyz,t Σtt⁻¹ Σ_t,xyz cancels catastrophically where the motion is fast.
@@ -141,7 +141,7 @@ def project_factor(factor: Tensor, mean_cam: Tensor, camera: Camera) -> Tensor:
     """B = J W A (N, 2, 3 or 4), so that B Bᵀ is the slice's covariance on the image in px² (EWA splatting).
 
     W is the camera's rotation and J the Jacobian of the perspective at the mean. Inside J alone, x/z and y/z
-    are clamped to 1.3 × the half field of view on each side of the principal point (SPEC 1).
+    are clamped to 1.3 × the half field of view on each side of the principal point (docs/method.md 1.2).
     """
     x, y, z = mean_cam.unbind(-1)
     u = (x / z).clamp(-FRUSTUM_MARGIN * camera.cx / camera.fx,

@@ -1,4 +1,4 @@
-"""Blending splats into an image, front to back (SPEC 1, Blending).
+"""Blending splats into an image, front to back (docs/method.md 1.3).
 
 Part of the readable twin (`reference.py`), in any floating-point type, differentiable. Letters: V splats, P
 pixels, C channels to be averaged; T the transmittance, what is left of the light.
@@ -16,7 +16,7 @@ from .camera import Camera
 MAX_ALPHA = 0.99  # keeps 1 - α' away from zero (3DGS)
 MIN_ALPHA = 1 / 255  # an 8-bit image cannot show less (3DGS)
 MIN_TRANSMITTANCE = 1e-4  # what lies behind is invisible (3DGS)
-MIN_PRESENCE = 0.05  # p(t) below this takes no part: 2.4 σ from its moment (SPEC 1)
+MIN_PRESENCE = 0.05  # p(t) below this takes no part: 2.4 σ from its moment (docs/method.md 1.1)
 CHUNK_ELEMENTS = 2**22  # splats × pixels blended at once: bounds the memory where no gradient is recorded
 
 

@@ -1,4 +1,4 @@
-"""4D spherical harmonics (SPEC 1, 4DSH): the colour of a Gaussian seen from a direction at a time.
+"""4D spherical harmonics (docs/method.md 1.4): the colour of a Gaussian seen from a direction at a time.
 
 Part of the readable twin (`reference.py`), in any floating-point type, differentiable.
 """
@@ -49,7 +49,7 @@ def sh_color(
     elapsed: Tensor | None,  # (N,) t - μt; None for a static model
     duration: float,
 ) -> Tensor:
-    """RGB (N, 3) = max(0, ½ + Σ_n Σ_lm k_nlm cos(2πn (t-μt)/T) Y_lm(d)), SPEC 1.
+    """RGB (N, 3) = max(0, ½ + Σ_n Σ_lm k_nlm cos(2πn (t-μt)/T) Y_lm(d)).
 
     Where the sum is negative the colour and its gradient are zero.
     """

@@ -141,12 +141,12 @@ def test_a_launcher_whose_package_is_missing() -> None:
 
 
 def test_defaults_are_the_papers() -> None:
-    cfg = config_of("scene=dnerf")  # numbers: SPEC 2, column `ours`
+    cfg = config_of("scene=dnerf")  # numbers: docs/method.md 2, the last column
     assert (cfg.train.iterations, cfg.train.batch, cfg.scene.init_points) == (30_000, 4, 100_000)
     assert cfg.train == Config().train
 
 
-@pytest.mark.parametrize("scene, batch, points", [  # SPEC 2.1
+@pytest.mark.parametrize("scene, batch, points", [  # docs/method.md 2.1
     ("bouncingballs", 2, 100_000), ("hellwarrior", 1, 100_000), ("hook", 8, 300_000), ("jumpingjacks", 16, 300_000),
     ("lego", 2, 100_000), ("mutant", 8, 300_000), ("standup", 8, 300_000), ("trex", 24, 300_000)])
 def test_release_differs_from_scene_to_scene(scene: str, batch: int, points: int) -> None:

@@ -235,7 +235,7 @@ def test_other_endings_may_be_left_out_too(folder: Path, ending: str) -> None:
     assert [view.name for view in read(folder).train] == ["train/r_0", "train/r_1", "train/r_2"]
 
 
-# --- bad input (SPEC 7) ---------------------------------------------------------------------------------------------
+# --- bad input ---------------------------------------------------------------------------------------------
 
 def frame(content: dict, **changes: object) -> None:
     content["frames"][1].update(changes)

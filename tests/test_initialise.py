@@ -1,4 +1,4 @@
-"""Where training starts: SPEC 2's numbers, recomputed naively."""
+"""Where training starts: the numbers of docs/method.md 2, recomputed naively."""
 
 from __future__ import annotations
 

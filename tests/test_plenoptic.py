@@ -150,7 +150,7 @@ def test_opencv_is_loaded_only_where_there_are_videos() -> None:
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
 
 
-# --- bad input (SPEC 7) ---------------------------------------------------------------------------------------------
+# --- bad input ---------------------------------------------------------------------------------------------
 
 def poses(change: Callable[[np.ndarray], object]) -> Callable[[Path], None]:
     def damage(folder: Path) -> None:

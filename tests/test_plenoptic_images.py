@@ -162,7 +162,7 @@ def test_where_there_are_videos_with_poses_too_they_are_read(folder: Path) -> No
         read(folder)
 
 
-# --- bad input (SPEC 7) ---------------------------------------------------------------------------------------------
+# --- bad input ---------------------------------------------------------------------------------------------
 
 def frame(**changes: object) -> Callable[[Path], None]:
     """Changes cam02's frame 1 (frames[1] of train)."""

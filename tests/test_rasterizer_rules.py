@@ -1,4 +1,4 @@
-"""The rules of SPEC 1 on the compiled kernel, one small scene each, and the identities every rasterizer
+"""The rules of docs/method.md 1 on the compiled kernel, one small scene each, and the identities every rasterizer
 must keep.
 
 Float32 against float64 or work by hand: 3e-5 of an image's largest value, as in `test_rasterizer.py`.

@@ -1,4 +1,4 @@
-"""Schedules at the points SPEC 2 names."""
+"""Schedules at the points docs/method.md 2 names."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from rasterizer import Frame, Gradients, Request
 
 
 def views_that_saw(model: Model, scene: Scene, cfg: Config, threads: int) -> Tensor:
-    """(N,) (Σ w)² / Σ w² over the training views, w the sum of a Gaussian's blending weights α' T (SPEC 1) in one.
+    """(N,) (Σ w)² / Σ w² over the training views, w the sum of a Gaussian's blending weights α' T in one.
 
     The effective number of views: 1 if one has all, V if V have as much, 0 for what none has seen. The derivative of a
     sum of pixels by a Gaussian's colour is the sum of its weights, so that one backward pass a view gives them all. All

@@ -1,4 +1,4 @@
-// From the Gaussian at time t to an ellipse on the screen, and back (EWA splatting; SPEC 1, Projection).
+// From the Gaussian at time t to an ellipse on the screen, and back (EWA splatting; docs/method.md 1.2).
 //
 // With W the camera's rotation, J the Jacobian of the pinhole at the mean and A the factor of Σ(t):
 //     B = J W A (2×k),  Σ2d = B Bᵀ + 0.3 I,  det Σ2d = Σ (2×2 minors of B)² + 0.3 |B|² + 0.09 (Cauchy–Binet).

@@ -44,7 +44,7 @@ SPLAT_INLINE void normalise_backward(const UnitQuaternion<Real>& u, const Real (
     for (int i = 0; i < 4; ++i) d_q[i] = (d_unit[i] - along * u.q[i]) * u.inverse_norm;
 }
 
-// L(q)[i][j] = kLeftSign[i][j] q[kQuatIndex[i][j]], R(q) likewise with kRightSign (SPEC 1).
+// L(q)[i][j] = kLeftSign[i][j] q[kQuatIndex[i][j]], R(q) likewise with kRightSign (docs/method.md 1).
 inline constexpr int kQuatIndex[4][4] = {{0, 1, 2, 3}, {1, 0, 3, 2}, {2, 3, 0, 1}, {3, 2, 1, 0}};
 inline constexpr scalar kLeftSign[4][4] = {{1, -1, -1, -1}, {1, 1, -1, 1}, {1, 1, 1, -1}, {1, -1, 1, 1}};
 inline constexpr scalar kRightSign[4][4] = {{1, -1, -1, -1}, {1, 1, 1, -1}, {1, -1, 1, 1}, {1, 1, -1, 1}};

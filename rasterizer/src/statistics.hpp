@@ -1,4 +1,4 @@
-// What a view adds to the running statistics that densification decides by (SPEC 2).
+// What a view adds to the running statistics that densification decides by (docs/method.md 2).
 #pragma once
 
 #include <algorithm>

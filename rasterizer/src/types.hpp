@@ -1,4 +1,4 @@
-// The data that goes from stage to stage, and the numbers the method fixes (SPEC 1).
+// The data that goes from stage to stage, and the numbers the method fixes (docs/method.md 1).
 #pragma once
 
 #include <cstddef>
