@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -12,51 +11,13 @@ import pytest
 from PIL import Image
 
 from datasets.composition import compose
-from datasets.dnerf import read_dnerf
 from datasets.scene import SceneError
-
-SIZE = 8
-ANGLE_X = 0.7
-
-
-def pose(x: float, z: float = 4.0) -> list[list[float]]:
-    """Camera-to-world, Blender axes, unrotated: looks along -z from (x, 0, z)."""
-    return [[1.0, 0.0, 0.0, x], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, z], [0.0, 0.0, 0.0, 1.0]]
-
-
-def write_split(root: Path, split: str, count: int, *, timed: bool = True, seed: int = 0) -> None:
-    rng = np.random.default_rng(seed)
-    (root / split).mkdir(parents=True)
-    frames = []
-    for index in range(count):
-        name = f"r_{index:03d}" if split == "test" else f"r_{index}"
-        Image.fromarray(rng.integers(0, 256, (SIZE, SIZE, 4), dtype=np.uint8)).save(root / split / f"{name}.png")
-        frames.append({"file_path": f"./{split}/{name}", "rotation": 0.1, "transform_matrix": pose(float(index))})
-        if timed:
-            frames[-1]["time"] = index / max(count - 1, 1)
-    write_json(root / f"transforms_{split}.json", {"camera_angle_x": ANGLE_X, "frames": frames})
-
-
-def write_json(path: Path, content: object) -> None:
-    path.write_text(json.dumps(content))
-
-
-def edit(root: Path, change: Callable[[dict], None], split: str = "train") -> None:
-    path = root / f"transforms_{split}.json"
-    content = json.loads(path.read_text())
-    change(content)
-    write_json(path, content)
+from dnerf_folder import ANGLE_X, SIZE, edit, pose, read, write_folder, write_json, write_split
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    for number, (split, count) in enumerate((("train", 3), ("val", 2), ("test", 2))):
-        write_split(tmp_path, split, count, seed=number)
-    return tmp_path
-
-
-def read(folder: Path, **options: object):
-    return read_dnerf(folder, name="toy", **options)
+    return write_folder(tmp_path)
 
 
 # --- pixels ---------------------------------------------------------------------------------------------------------
@@ -162,77 +123,6 @@ def test_without_any_time_the_scene_is_static(tmp_path: Path) -> None:
         write_split(tmp_path, split, 2, timed=False)
     scene = read(tmp_path)
     assert scene.is_static and {view.time for view in scene.train + scene.test} == {0.0}
-
-
-# --- the background of images without alpha ------------------------------------------------------------------------
-
-def opaque_disc(root: Path, border: int, inside: int = 60) -> Path:
-    """Every image RGB: one level all over, a smaller square of another in it that reaches the lower edge."""
-    for split in ("train", "test"):
-        for path in (root / split).iterdir():
-            image = np.full((SIZE, SIZE, 3), border, np.uint8)
-            image[4:, 3:5] = inside
-            Image.fromarray(image).save(path)
-    return root
-
-
-def test_the_background_of_opaque_images_is_the_colour_of_their_borders(folder: Path) -> None:
-    told: list[str] = []
-    scene = read(opaque_disc(folder, 255), background=None, downscale=1, say=told.append)
-    assert scene.background == (1.0, 1.0, 1.0)
-    assert told == ["scene.background: white, the colour of the images' borders; scene.background=black overrides"]
-    assert read(opaque_disc(folder, 253), background=None, downscale=1).background == (1.0, 1.0, 1.0)
-    assert read(opaque_disc(folder, 3), background=None, downscale=1).background == (0.0, 0.0, 0.0)
-    assert read(opaque_disc(folder, 102), background=None, downscale=1).background == (0.4, 0.4, 0.4)
-
-
-def test_a_background_that_is_asked_for_stays_and_is_remarked_on(folder: Path) -> None:
-    told: list[str] = []
-    scene = read(opaque_disc(folder, 255), background=(0.0, 0.0, 0.0), downscale=1, say=told.append)
-    assert scene.background == (0.0, 0.0, 0.0)
-    assert told == ["scene.background: black, as asked for, though the images' borders are white"]
-
-
-def test_images_with_alpha_and_photographs_stay_over_black(folder: Path) -> None:
-    told: list[str] = []
-    assert read(folder, background=None, say=told.append).background == (0.0, 0.0, 0.0)  # random, with alpha
-    for path in (folder / "train").iterdir():
-        Image.open(path).convert("RGB").save(path)  # random, opaque: borders of many colours
-    assert read(folder, background=None, say=told.append).background == (0.0, 0.0, 0.0)
-    assert told == []
-
-
-# --- layouts that converters write ----------------------------------------------------------------------------------
-
-def test_a_missing_split_says_what_makes_do_without_it(folder: Path) -> None:
-    (folder / "transforms_test.json").unlink()
-    with pytest.raises(SceneError, match=r"transforms_test.json: expected a file .*, found none; transforms_val.json is "
-                                         r"there: scene.test_split=val takes it; scene.validation_every=8 holds out"):
-        read(folder)
-    assert [view.name for view in read(folder, test_split="val").test] == ["val/r_0", "val/r_1"]
-    (folder / "transforms_val.json").unlink()
-    with pytest.raises(SceneError, match=r"found none; scene.validation_every=8 holds out every eighth"):
-        read(folder)
-    scene = read(folder, test_split=None)
-    assert (len(scene.train), scene.test) == (3, ())
-
-
-def test_a_single_transforms_file_is_the_training_split(folder: Path) -> None:
-    expected = read(folder, test_split=None)
-    (folder / "transforms_train.json").rename(folder / "transforms.json")
-    found = read(folder, test_split=None)
-    assert [view.name for view in found.train] == [view.name for view in expected.train]
-    with pytest.raises(SceneError, match="scene.validation_every=8"):
-        (folder / "transforms_test.json").unlink()
-        read(folder)
-
-
-@pytest.mark.parametrize("ending", ["jpg", "jpeg", "JPG", "PNG"])
-def test_other_endings_may_be_left_out_too(folder: Path, ending: str) -> None:
-    for path in list((folder / "train").iterdir()):
-        Image.open(path).convert("RGB").save(path.with_suffix(f".{ending}"))
-        path.unlink()
-    assert [view.name for view in read(folder).train] == ["train/r_0", "train/r_1", "train/r_2"]
 
 
 # --- bad input ---------------------------------------------------------------------------------------------
