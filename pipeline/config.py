@@ -44,7 +44,7 @@ class SceneConfig:
     train_views: int = 60  # the other synthetic scenes
     test_views: int = 12  # the other synthetic scenes
     seed: int = 0  # synthetic: the scene's own seed, apart from the run's
-    init_points: int = 100_000
+    init_points: int = 100_000  # random points that training starts from
     # [low, high] of the cube random points start in, canonical units; videos have bounds or a cube round their cameras
     init_box: list[float] = field(default_factory=lambda: [-1.2, 1.2])
     near: float = 0.2  # in the scene's normalised unit (Scene.unit)
@@ -91,7 +91,7 @@ class InitConfig:
     max_distance: float = 100.0  # from the cameras' centre, in normalised units (Scene.unit); farther points are dropped
     min_points: int = 100  # fewer end the run with advice
     shared_intrinsics: bool = True  # poses unknown: one lens for all cameras
-    sphere_points: int = 100_000
+    sphere_points: int = 100_000  # background=sphere: so many points on it
     sphere_radius: float = 10.0  # × the farthest camera or point from the scene's centre
 
     def __post_init__(self) -> None:
@@ -109,11 +109,11 @@ class InitConfig:
 class AblationConfig:
     """Which parts of the model are left out (docs/method.md 3)."""
 
-    name: str = "full"
+    name: str = "full"  # names the run folder
     rotation_4d: bool = True  # False: one 3D rotation, no motion
     fourier_order: int = 2  # 0: colour constant in time
     time_split: bool = True  # False: split in space only, no temporal indicator
-    sh_degree: int = 3
+    sh_degree: int = 3  # highest degree of spherical harmonics
     static: Optional[bool] = None  # None: as the scene is; True: no time at all, ordinary 3DGS
 
     def __post_init__(self) -> None:
@@ -146,11 +146,11 @@ class Config:
     train: TrainConfig = field(default_factory=TrainConfig)
     evaluate: EvaluateConfig = field(default_factory=EvaluateConfig)
     background: str = "auto"  # auto: the schedule's or the scene's background_model | none | sphere | envmap
-    seed: int = 0
+    seed: int = 0  # of everything random in the run; >= 0
     threads: int = 0  # 0: all the machine has
     estimate: bool = False  # say what time, memory and disk the run will need, and stop there
-    out: str = "results/runs/${scene.name}/${ablation.name}/${train.name}/seed${seed}"
-    resume: bool = True
+    out: str = "results/runs/${scene.name}/${ablation.name}/${train.name}/seed${seed}"  # the run folder
+    resume: bool = True  # go on with an interrupted run; false: start over
 
     def __post_init__(self) -> None:
         require(self.background in ("auto", *BACKGROUNDS), "background", ", ".join(("auto", *BACKGROUNDS)),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 
-from pipeline.configure import CONFIG_DIR, options
+from pipeline.configure import options
 
 WIDTH = 110
 

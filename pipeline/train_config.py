@@ -15,17 +15,17 @@ from pipeline.ranges import BACKGROUNDS, require
 class RateConfig:
     """Learning rates of Adam (docs/method.md 2), in canonical units; positions are multiplied by the scene's extent."""
 
-    mean: float = 1.6e-4
+    mean: float = 1.6e-4  # of μ_xyz at the start; × extent
     mean_final: float = 1.6e-6  # log-linear over `decay_iterations`
     mean_time: float = 1.6e-4  # × extent, constant
-    decay_iterations: int = 30_000
-    sh_dc: float = 2.5e-3
-    sh_rest: float = 1.25e-4
+    decay_iterations: int = 30_000  # from `mean` to `mean_final`
+    sh_dc: float = 2.5e-3  # of the colour that is constant in time and direction
+    sh_rest: float = 1.25e-4  # of all other coefficients
     sh_time: Optional[float] = None  # of colours that change with time alone (degree 0); None: sh_rest
     sh_view_time: Optional[float] = None  # of colours that change with both; None: sh_rest
-    opacity: float = 5e-2
-    scale: float = 5e-3
-    rotation: float = 1e-3
+    opacity: float = 5e-2  # of the logit
+    scale: float = 5e-3  # of the log scales, all four
+    rotation: float = 1e-3  # of both quaternions
     environment: float = 2.5e-3  # of the learned environment map's pixels
     final_factor: float = 1.0  # every rate × this at the end, log-linear
     hold: float = 0.0  # part of the schedule before that decay begins
@@ -41,30 +41,30 @@ class RateConfig:
 class DensifyConfig:
     """Adaptive density control in space and time (docs/method.md 2)."""
 
-    start: int = 500
-    stop: int = 15_000
-    every: int = 100
+    start: int = 500  # densification begins after this iteration
+    stop: int = 15_000  # densification and opacity resets end before this iteration; 0: none
+    every: int = 100  # iterations between densifications
     space_gradient: float = 2e-4  # NDC units, mean per view
     use_time_gradient: bool = True  # False: as the release, which computes it and never uses it
     time_gradient: float = 1e-4  # |dL/dμt|, time in units of the duration
-    time_split: bool = True
+    time_split: bool = True  # False: a split samples positions in space only, and time asks for none
     # False: as the paper, whatever asks for a split shrinks the lifetime too. True: only what time asked for
     split_by_cause: bool = False
     split_scale: float = 0.01  # × extent: clone up to it, split above
-    split_count: int = 2
-    split_shrink: float = 1.6
+    split_count: int = 2  # Gaussians that take the place of a split one
+    split_shrink: float = 1.6  # their scales: divided by this
     # The paper gives no number. Without a cap N on lego is 226,814 at iteration 4,100 and grows by 7,000 at each
     # densification, of which another 108 are due; with this one 30,000 iterations take 46 minutes on two cores.
     max_gaussians: int = 200_000
-    prune_opacity: float = 0.005
-    prune_big_after: int = 3000
-    prune_radius_px: float = 20.0
+    prune_opacity: float = 0.005  # less opaque Gaussians are removed
+    prune_big_after: int = 3000  # iteration after which big ones are removed too, by the next two keys
+    prune_radius_px: float = 20.0  # on the screen
     prune_scale: float = 0.1  # × extent
     # Remove what the training images miss least, together this share of what they miss of all (leave_out.py); 0: nothing
     leave_out: float = 0.0
     leave_out_every: int = 500  # iterations
     opacity_reset_every: int = 3000  # 0: never
-    opacity_reset_to: float = 0.01
+    opacity_reset_to: float = 0.01  # at most so much after a reset
 
     def __post_init__(self) -> None:
         require(self.start >= 0, "train.densify.start", ">= 0", self.start)
@@ -88,8 +88,8 @@ class DensifyConfig:
 class ResolutionStep:
     """Train at `scale` of the full resolution until `until` (a fraction of the schedule)."""
 
-    until: float = 1.0
-    scale: float = 1.0
+    until: float = 1.0  # part of the schedule, in (0, 1]
+    scale: float = 1.0  # × the full resolution, in (0, 1]
 
     def __post_init__(self) -> None:
         require(0 < self.until <= 1, "train.resolution_steps.until", "in (0, 1]", self.until)
@@ -115,15 +115,15 @@ class PriorConfig:
 class TrainConfig:
     """The schedule. The defaults are `train=paper`."""
 
-    name: str = "paper"
-    iterations: int = 30_000
-    batch: int = 4
+    name: str = "paper"  # names the run folder
+    iterations: int = 30_000  # optimiser steps
+    batch: int = 4  # views an iteration
     sampler: str = "pairs"  # pairs: shuffled (view, time) | views_at_one_time | times_of_one_view
-    resolution_scale: float = 1.0
+    resolution_scale: float = 1.0  # × the size images were read at, throughout; evaluation too
     resolution_steps: list[ResolutionStep] = field(default_factory=list)  # coarse to fine; empty: full size throughout
     time_budget_s: Optional[float] = None  # stop after so many training seconds
-    ssim_weight: float = 0.2
-    rigid_weight: float = 0.0
+    ssim_weight: float = 0.2  # w of the loss (1 - w) L1 + w (1 - SSIM)
+    rigid_weight: float = 0.0  # of the release's rigid loss; 0: none
     prior: PriorConfig = field(default_factory=PriorConfig)
     random_background: bool = False  # compose transparent images over a new colour each time
     background_model: Optional[str] = None  # None: the scene's
@@ -137,7 +137,7 @@ class TrainConfig:
     # As this share of the schedule two trainings on three quarters of the cameras, with and without colours that change
     # with time; these go where the other quarter gains too little by them (trial.py). 0: none. Not under a time budget
     trial: float = 0.0
-    init_opacity: float = 0.1
+    init_opacity: float = 0.1  # of every Gaussian at the start
     init_time_scale: float = 0.5  # × duration
     init_time_margin: float = 0.0  # times uniform over the duration widened so much a side
     init_points: Optional[int] = None  # None: the scene's
@@ -146,10 +146,10 @@ class TrainConfig:
     densify: DensifyConfig = field(default_factory=DensifyConfig)
     # Keys of `train` that differ where nothing moves (resolve.py); null once they are filled in
     where_still: Optional[dict[str, Any]] = field(default_factory=dict)
-    eval_every: int = 500
+    eval_every: int = 500  # iterations between evaluations on held-out views
     eval_views: int = 30  # at most so many test views, spread evenly, each time; the final evaluation takes all
-    checkpoint_every: int = 1000
-    checkpoint_keep_moments: bool = True
+    checkpoint_every: int = 1000  # iterations between checkpoints
+    checkpoint_keep_moments: bool = True  # False: the last checkpoint is without Adam's moments
 
     def __post_init__(self) -> None:
         require(self.iterations >= 1, "train.iterations", "at least 1", self.iterations)
