@@ -14,4 +14,5 @@ if __name__ == "__main__":
         from pipeline.cli import main
         main()
     except KeyboardInterrupt:  # while modules are still being loaded
-        sys.exit("error: interrupted; nothing was saved yet; the same command starts anew")
+        print("error: interrupted; nothing of the run was saved yet; the same command starts it anew", file=sys.stderr)
+        sys.exit(130)

@@ -10,7 +10,7 @@ import json
 import math
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -89,7 +89,7 @@ def load(path: Path) -> Checkpoint:
 
 def load_model(path: Path) -> Model:
     """The model of a checkpoint alone, without reading Adam's moments."""
-    header, tensors = _read(path, prefix="model.")
+    header, tensors = _read(path, lambda name: name.startswith("model."))
     state = {name.removeprefix("model."): tensor for name, tensor in tensors.items()}
     with _named(path):
         return _model(header, state)
@@ -172,11 +172,12 @@ def _named(path: Path) -> Iterator[None]:
         raise DataError(path, "a checkpoint of this program", what) from None
 
 
-def _read(path: Path, prefix: str = "") -> tuple[dict, dict[str, Tensor]]:
+def _read(path: Path, wanted: Callable[[str], bool] = lambda name: True) -> tuple[dict, dict[str, Tensor]]:
+    """The header, and the tensors whose names are wanted."""
     try:
         with safe_open(path, framework="pt") as file:
             header = json.loads((file.metadata() or {})["state"])
-            tensors = {name: file.get_tensor(name) for name in file.keys() if name.startswith(prefix)}
+            tensors = {name: file.get_tensor(name) for name in file.keys() if wanted(name)}
     except FileNotFoundError:
         raise
     except Exception as error:  # safetensors, json and torch raise many types for broken files
@@ -194,4 +195,4 @@ def _os_error(error: SafetensorError) -> OSError:
 
 def saved_iteration(path: Path) -> int:
     """The last iteration that a checkpoint holds, from its header alone."""
-    return _whole("iteration", _read(path, prefix="none of the tensors")[0].get("iteration"))
+    return _whole("iteration", _read(path, wanted=lambda name: False)[0].get("iteration"))

@@ -66,10 +66,9 @@ def run_one(composed: DictConfig) -> None:
     """One run of the command line's. A failure ends a single run with exit status 1, and is RunFailed in a sweep."""
     job = HydraConfig.get()
     command = shlex.join(["python", "-m", "pipeline", *job.overrides.task])
-    out: Path | None = None
+    cfg: Config | None = None
     try:
         cfg = to_config(composed)
-        out = Path(cfg.out)
         _hint_at_settings(cfg, job.runtime.choices.get("scene"))
         import torch  # these two late: a typo on the command line need not wait for them
 
@@ -84,13 +83,13 @@ def run_one(composed: DictConfig) -> None:
         metrics = run(cfg, command, say=lambda text: print(text, flush=True))
         (_report_line if job.mode == RunMode.MULTIRUN else _report)(cfg, metrics)
     except KeyboardInterrupt:
-        raise KeyboardInterrupt(_where_it_stands(out)) from None
+        raise KeyboardInterrupt(_where_it_stands(cfg)) from None
     except EXPECTED as error:
         if os.environ.get("PIPELINE_TRACEBACK") == "1":
             raise
         line = one_line(error)
         if isinstance(error, BrokenPipeError):
-            line = f"standard output was closed; {_where_it_stands(out)}"
+            line = f"standard output was closed; {_where_it_stands(cfg)}"
         if job.mode == RunMode.MULTIRUN:
             _complain(f"{line}  [{command}]")
             raise RunFailed(command) from error
@@ -98,11 +97,9 @@ def run_one(composed: DictConfig) -> None:
         sys.exit(1)
 
 
-def _where_it_stands(out: Path | None) -> str:
-    if out is None or "pipeline.stages" not in sys.modules:
-        return "nothing was saved yet; the same command starts anew"
-    from pipeline.stages import where_it_stands
-    return where_it_stands(out)
+def _where_it_stands(cfg: Config | None) -> str:
+    from pipeline.stages import NOTHING_KEPT, where_it_stands
+    return NOTHING_KEPT if cfg is None else where_it_stands(cfg)
 
 
 def _hint_at_settings(cfg: Config, chosen: str | None) -> None:
@@ -171,7 +168,8 @@ def _report_line(cfg: Config, metrics: dict) -> None:
 
 def _title(cfg: Config, metrics: dict | None = None) -> str:
     """metrics: of the finished run; they say whether a trial made the model smaller than asked for."""
-    left_out = metrics is not None and metrics["trial"] is not None and not metrics["trial"]["kept"]
+    trial = (metrics or {}).get("trial")
+    left_out = trial is not None and not trial["kept"]
     model = cfg.ablation.name + (", 4DSH left out" if left_out else "")
     return f"{cfg.scene.name} · {model} · {cfg.train.name} · seed {cfg.seed}"
 

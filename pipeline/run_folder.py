@@ -23,8 +23,8 @@ from typing import Any
 
 from omegaconf import OmegaConf
 
-from datasets.disk import TEMPORARY, writing, write_text
-from pipeline.run_identity import FILES, Resolve, read_stages, refuse_foreign, refuse_other_run
+from datasets.disk import writing, write_text
+from pipeline.run_identity import FILES, UNFINISHED, Resolve, read_stages, refuse_foreign, refuse_other_run
 
 CURVE_COLUMNS = ("train_seconds", "iteration", "psnr", "ssim", "test_loss", "n_gaussians")
 
@@ -62,8 +62,8 @@ class RunFolder:
                 refuse_other_run(path, config, resolve)
             else:
                 self._clear()
-            for leftover in path.glob(f"{TEMPORARY}*"):  # of a run that was killed while it wrote
-                leftover.unlink()
+            for name in UNFINISHED:
+                (path / name).unlink(missing_ok=True)
         except BaseException:
             self._lock.close()
             raise

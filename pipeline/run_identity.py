@@ -16,6 +16,7 @@ from datasets.fault import DataError, clear, read_json
 FREE_KEYS = ("out", "threads", "resume", "scene.cache", "evaluate", "estimate")
 FILES = ("config.yaml", "environment.json", "stages.json", "log.jsonl", "sfm.json", "sfm.png", "canonical.json",
          "init.ply", "checkpoint.safetensors", "error_vs_time.csv", "metrics.json", "per_image.csv", "renders")
+UNFINISHED = tuple(f"{TEMPORARY}{name}" for name in FILES)  # what a run that was killed while it wrote leaves behind
 _GROUPS = ("scene", "train", "seed")  # of every run's config.yaml
 
 Resolve = Callable[[dict], dict]
@@ -27,8 +28,7 @@ def refuse_foreign(path: Path) -> None:
         return
     if not path.is_dir():
         raise ValueError(f"{path}: expected a run folder or nothing, found a file; give another out=DIR")
-    entries = sorted(entry.name for entry in path.iterdir()
-                     if entry.name != ".lock" and not entry.name.startswith(TEMPORARY))
+    entries = sorted(entry.name for entry in path.iterdir() if entry.name not in (".lock", *UNFINISHED))
     strange = [name for name in entries if name not in FILES]
     if entries and not _is_run(path):
         found = (strange or entries)[0]

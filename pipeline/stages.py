@@ -39,6 +39,8 @@ from rasterizer import Frame
 
 Say = Callable[[str], None]
 
+NOTHING_KEPT = "nothing of the run was saved yet; the same command starts it anew"
+
 
 def run(cfg: Config, command: str, say: Say) -> dict:
     """All stages of one run; returns what is in its metrics.json. Raises with one line what is wrong.
@@ -75,19 +77,20 @@ def run(cfg: Config, command: str, say: Say) -> dict:
         return read_json(folder.metrics)
 
 
-def where_it_stands(path: Path) -> str:
-    """For who interrupted a run: what of it is kept in the folder `path`, in a few words."""
+def where_it_stands(cfg: Config) -> str:
+    """For who interrupted a run: what of it is kept in its folder, and how it goes on."""
+    path, again = Path(cfg.out), "the same command" if cfg.resume else "the same command without resume=false"
     try:
         stages, checkpoint = read_stages(path), path / checkpoints.FILE_NAME
         if "train" in stages:
-            return "training is finished and kept; the same command goes on after it"
+            return f"training is finished and kept; {again} goes on after it"
         if checkpoint.exists():
-            return f"the same command goes on from iteration {checkpoints.saved_iteration(checkpoint)}"
+            return f"{again} goes on from iteration {checkpoints.saved_iteration(checkpoint)}"
         if stages:
-            return f"{', '.join(stages)} kept, no iteration of training yet; the same command goes on from there"
+            return f"{', '.join(stages)} kept, no iteration of training yet; {again} goes on from there"
     except (ValueError, OSError):
         pass
-    return "nothing was saved yet; the same command starts anew"
+    return NOTHING_KEPT
 
 
 def _resolved_tree(stored: dict, scene: Scene) -> dict:

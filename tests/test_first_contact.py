@@ -109,7 +109,8 @@ def test_a_run_from_and_into_folders_with_odd_names(shell: Shell) -> None:
 # --- folders --------------------------------------------------------------------------------------------------------
 
 @pytest.mark.parametrize("name, content", [("metrics.json", '{"accuracy": 1}'), ("config.yaml", "model: resnet\n"),
-                                           ("renders", None), ("log.jsonl", "{}\n"), ("notes.txt", "precious")])
+                                           ("renders", None), ("log.jsonl", "{}\n"), ("notes.txt", "precious"),
+                                           (".tmp-notes", "precious")])
 def test_files_that_no_run_made_are_left_alone(tmp_path: Path, name: str, content: str | None) -> None:
     folder = tmp_path / "theirs"
     folder.mkdir()
@@ -174,9 +175,9 @@ def test_an_interruption_says_what_is_kept(shell: Shell) -> None:
     long = (*TINY, "train.iterations=20000", "train.eval_every=20000", "out=long")
     err = interrupted(shell, *long, "train.checkpoint_every=20000", after="train: ")
     assert err == "error: interrupted; init kept, no iteration of training yet; the same command goes on from there\n"
-    often = (*long, "train.checkpoint_every=5", "resume=false")
+    often = (*long, "train.checkpoint_every=5", "resume=false")  # which the same command would start over once more
     err = interrupted(shell, *often, after="1000/")
-    assert re.fullmatch(r"error: interrupted; the same command goes on from iteration \d+\n", err)
+    assert re.fullmatch(r"error: interrupted; the same command without resume=false goes on from iteration \d+\n", err)
 
 
 def test_closed_output_is_no_traceback(shell: Shell) -> None:
