@@ -46,15 +46,15 @@ bench: $(BUILT) ## time kernel, loss, optimiser and readable twin in one run; a 
 	$(RUN) rasterizer.bench W1 W2h W2 --all
 
 work-precision: $(BUILT) ## error against time of the kernel's numerical choices: table and plot in results/work_precision
-	$(RUN) pipeline.work_precision
+	$(RUN) pipeline.studies.kernel_precision
 
 scaling: $(BUILT) ## how cost and Gaussians grow with scene and video: tables and plots in results/scaling
-	$(RUN) pipeline.scaling
+	$(RUN) pipeline.studies.cost_scaling
 	$(RUN) pipeline experiment=video_length
-	$(RUN) pipeline.video_length
+	$(RUN) pipeline.studies.video_length
 
 stability: $(BUILT) ## hard cases in float32 against float64: a table in results/stability; fails where a bound is broken
-	$(RUN) pipeline.stability
+	$(RUN) pipeline.studies.kernel_stability
 
 report: $(BUILT) ## tables, plots and the HTML page from the run folders under RUNS=results/runs
 	$(RUN) pipeline.report $(RUNS)
@@ -63,7 +63,7 @@ sanitize: $(BUILT) ## the kernel's tests with every memory access and operation 
 	.venv/bin/python tools/sanitize.py
 
 fuzz: $(BUILT) ## odd files for every reader, odd arguments for rasterize: FUZZ_SECONDS=20 each; fails if a rule breaks
-	$(RUN) fuzz all --seconds $(FUZZ_SECONDS)
+	PYTHONPATH=tests $(RUN) fuzz all --seconds $(FUZZ_SECONDS)
 
 clean: ## remove the built kernel and caches; .venv and results stay
 	rm -rf build rasterizer/*.so .pytest_cache .hypothesis

@@ -12,10 +12,19 @@ from datasets.validation import hold_out_every, hold_out_outermost
 
 if TYPE_CHECKING:  # the readers know nothing of configs; only this dispatch does
     from datasets.plenoptic import Footage, Posed
-    from pipeline.config import SceneConfig
+    from pipeline.config.schema import SceneConfig
 
-__all__ = ["Footage", "Scene", "SceneError", "View", "is_filmed", "load_footage", "load_posed",
-           "load_scene", "validate_scene"]
+__all__ = [
+    "Footage",
+    "Scene",
+    "SceneError",
+    "View",
+    "is_filmed",
+    "load_footage",
+    "load_posed",
+    "load_scene",
+    "validate_scene",
+]
 
 Say = Callable[[str], None]  # takes a line of text for the user
 
@@ -31,11 +40,19 @@ def load_scene(cfg: SceneConfig, *, threads: int = 0, say: Say = print) -> Scene
     if cfg.reader not in ("dnerf", "synthetic"):
         raise SceneError("scene.reader", "dnerf, plenoptic or synthetic", repr(cfg.reader))
     from datasets.dnerf import has_split, read_dnerf
+
     path = _make_synthetic(cfg, say) if cfg.reader == "synthetic" else _path(cfg)
     # Where training views are held out, a scene may come without a test split.
     split = None if cfg.validation_every and not has_split(path, cfg.test_split) else cfg.test_split
-    scene = read_dnerf(path, name=cfg.name, test_split=split, downscale=cfg.downscale,
-                       background=background_color(cfg.background), init_box=tuple(cfg.init_box), say=say)
+    scene = read_dnerf(
+        path,
+        name=cfg.name,
+        test_split=split,
+        downscale=cfg.downscale,
+        background=background_color(cfg.background),
+        init_box=tuple(cfg.init_box),
+        say=say,
+    )
     if not cfg.validation_every:
         return scene
     hold_out = hold_out_outermost if cfg.validation_outermost else hold_out_every
@@ -52,9 +69,13 @@ def background_color(asked: str | Sequence[float]) -> Color | None:
 def load_posed(cfg: SceneConfig, *, threads: int = 0, say: Say = print) -> Posed:
     """What several cameras filmed, and where they stood: checked but not decoded; Posed.to_scene makes the scene."""
     if cfg.reader == "video" or not is_filmed(cfg):
-        raise SceneError("scene.reader", "several cameras with known poses: plenoptic, or a synthetic scene of that "
-                         "kind", repr(cfg.reader))
+        raise SceneError(
+            "scene.reader",
+            "several cameras with known poses: plenoptic, or a synthetic scene of that kind",
+            repr(cfg.reader),
+        )
     from datasets.plenoptic import open_plenoptic
+
     filming = _filming(cfg, threads, say)
     path = _make_synthetic(cfg, say) if cfg.reader == "synthetic" else _path(cfg)
     return open_plenoptic(path, **filming)
@@ -67,6 +88,7 @@ def load_footage(cfg: SceneConfig, *, threads: int = 0, say: Say = print) -> Foo
     """
     if cfg.reader == "video":
         from datasets.plenoptic import read_footage
+
         return read_footage(_path(cfg), **_filming(cfg, threads, say))
     return load_posed(cfg, threads=threads, say=say).footage
 
@@ -75,6 +97,7 @@ def is_filmed(cfg: SceneConfig) -> bool:
     """Did several cameras film it at once? Then frames are decoded into a store, and points come from COLMAP."""
     if cfg.reader == "synthetic":
         from datasets.synthetic import FILMED
+
         return _synthetic_name(cfg) in FILMED
     return cfg.reader in ("plenoptic", "video")
 
@@ -82,15 +105,25 @@ def is_filmed(cfg: SceneConfig) -> bool:
 def __getattr__(name: str) -> Any:
     if name == "Footage":  # late, as all that needs a video decoder
         from datasets.plenoptic import Footage
+
         return Footage
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def _make_synthetic(cfg: SceneConfig, say: Say) -> Path:
     from datasets.synthetic import make_scene
-    return make_scene(_synthetic_name(cfg), cfg.cache, seed=cfg.seed, size=cfg.size, train_views=cfg.train_views,
-                      test_views=cfg.test_views, cameras=cfg.cameras, frames=cfg.frames,
-                      progress=lambda done, all_of_them: say(f"{cfg.name}: {done} of {all_of_them} cameras filmed"))
+
+    return make_scene(
+        _synthetic_name(cfg),
+        cfg.cache,
+        seed=cfg.seed,
+        size=cfg.size,
+        train_views=cfg.train_views,
+        test_views=cfg.test_views,
+        cameras=cfg.cameras,
+        frames=cfg.frames,
+        progress=lambda done, all_of_them: say(f"{cfg.name}: {done} of {all_of_them} cameras filmed"),
+    )
 
 
 def _synthetic_name(cfg: SceneConfig) -> str:
@@ -100,11 +133,23 @@ def _synthetic_name(cfg: SceneConfig) -> str:
 def _filming(cfg: SceneConfig, threads: int, say: Say) -> dict[str, Any]:
     """The fields of datasets.plenoptic.Reading. SceneError where views are to be held out, not cameras."""
     if cfg.validation_every:
-        raise SceneError("scene.validation_every", f"0 for {cfg.name}, which several cameras filmed (hold out another "
-                         "by scene.test_cameras)", str(cfg.validation_every))
-    return {"name": cfg.name, "downscale": cfg.downscale, "test_cameras": cfg.test_cameras,
-            "drop_cameras": cfg.drop_cameras, "first_frame": cfg.first_frame, "frames": cfg.frames, "cache": cfg.cache,
-            "background": background_color(cfg.background) or BLACK, "threads": threads, "say": say}
+        raise SceneError(
+            "scene.validation_every",
+            f"0 for {cfg.name}, which several cameras filmed (hold out another by scene.test_cameras)",
+            str(cfg.validation_every),
+        )
+    return {
+        "name": cfg.name,
+        "downscale": cfg.downscale,
+        "test_cameras": cfg.test_cameras,
+        "drop_cameras": cfg.drop_cameras,
+        "first_frame": cfg.first_frame,
+        "frames": cfg.frames,
+        "cache": cfg.cache,
+        "background": background_color(cfg.background) or BLACK,
+        "threads": threads,
+        "say": say,
+    }
 
 
 def _path(cfg: SceneConfig) -> Path:

@@ -22,7 +22,7 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from datasets.gaze import axes_meet, mean_direction
+from datasets.cameras.optical_axes import axes_meet, mean_direction
 from datasets.scene import Box, Scene, View, camera_extent
 from rasterizer.camera import Camera
 
@@ -62,8 +62,12 @@ class Canonical:
     @property
     def inverse(self) -> Canonical:
         """From canonical coordinates back to the scene's own, by the same functions."""
-        return Canonical(tuple(-self.scale * x for x in self.centre), 1.0 / self.scale,
-                         -self.time_scale * self.time_origin, 1.0 / self.time_scale)
+        return Canonical(
+            tuple(-self.scale * x for x in self.centre),
+            1.0 / self.scale,
+            -self.time_scale * self.time_origin,
+            1.0 / self.time_scale,
+        )
 
     def points(self, world: np.ndarray) -> np.ndarray:
         """(…, 3) world -> (…, 3) canonical, float64."""
@@ -86,9 +90,11 @@ class Canonical:
 
     def described(self) -> dict:
         """For canonical.json: the numbers, and what they mean."""
-        return {**asdict(self),
-                "meaning": "canonical x = (x - centre) scale, canonical t = (t - time_origin) time_scale; a "
-                           "film's t counts from its first frame in use"}
+        return {
+            **asdict(self),
+            "meaning": "canonical x = (x - centre) scale, canonical t = (t - time_origin) time_scale; a "
+            "film's t counts from its first frame in use",
+        }
 
     def __str__(self) -> str:
         """What changes, in one line."""
@@ -152,7 +158,13 @@ def canonicalise(scene: Scene, frame: Canonical) -> Scene:
         return replace(view, camera=moved[key], time=frame.time(view.time))
 
     return replace(
-        scene, train=tuple(map(view_of, scene.train)), test=tuple(map(view_of, scene.test)),
-        duration=scene.duration * frame.time_scale, time_start=frame.time(scene.time_start),
-        extent=scene.extent * frame.scale, init_box=frame.box(scene.init_box), unit=scene.unit * frame.scale,
-        frame_rate=None if scene.frame_rate is None else scene.frame_rate / frame.time_scale)
+        scene,
+        train=tuple(map(view_of, scene.train)),
+        test=tuple(map(view_of, scene.test)),
+        duration=scene.duration * frame.time_scale,
+        time_start=frame.time(scene.time_start),
+        extent=scene.extent * frame.scale,
+        init_box=frame.box(scene.init_box),
+        unit=scene.unit * frame.scale,
+        frame_rate=None if scene.frame_rate is None else scene.frame_rate / frame.time_scale,
+    )

@@ -25,8 +25,9 @@ def compose(rgba: np.ndarray, background: Color, downscale: int = 1) -> np.ndarr
     alpha = rgba[..., 3].astype(np.float32) / 255
     see_through = 255 * (1 - _block_means(alpha, downscale))
     # One channel at a time: numpy is several times faster on planes than on interleaved pixels.
-    channels = [_block_means(rgba[..., c] * alpha, downscale) + np.float32(background[c]) * see_through
-                for c in range(3)]
+    channels = [
+        _block_means(rgba[..., c] * alpha, downscale) + np.float32(background[c]) * see_through for c in range(3)
+    ]
     return np.rint(np.stack(channels, axis=-1)).astype(np.uint8)
 
 
@@ -38,7 +39,7 @@ def coverage(rgba: np.ndarray, downscale: int = 1) -> np.ndarray | None:
 
 def _block_means(plane: np.ndarray, side: int) -> np.ndarray:
     """Means (H // side, W // side) of the whole side × side blocks of (H, W)."""
-    plane = plane[:plane.shape[0] // side * side, :plane.shape[1] // side * side]
+    plane = plane[: plane.shape[0] // side * side, : plane.shape[1] // side * side]
     return sum(plane[i::side, j::side] for i in range(side) for j in range(side)) / np.float32(side**2)
 
 

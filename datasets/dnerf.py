@@ -21,13 +21,13 @@ from typing import Any
 
 import numpy as np
 
+from datasets.cameras.intrinsics import intrinsics_of, read_lens, read_pinhole
+from datasets.cameras.transforms import find_image, load_transforms, read_pose
 from datasets.canonical import canonical_space
 from datasets.composition import BLACK, WHITE, Color, border_color, compose, coverage
-from datasets.image_files import common_size, read_rgba
-from datasets.intrinsics import intrinsics_of, read_lens, read_pinhole
-from datasets.read_values import get_key, read_number
+from datasets.files.image_files import common_size, read_rgba
+from datasets.files.json_values import get_key, read_number
 from datasets.scene import Scene, SceneError, View, camera_extent, camera_of, validate_scene
-from datasets.transforms import find_image, load_transforms, read_pose
 from rasterizer.camera import Camera
 
 # Times that lie in [0, 1] and span more of it than this are the layout's own.
@@ -52,9 +52,16 @@ class Frame:
     intrinsics: dict[str, Any]  # see intrinsics.py
 
 
-def read_dnerf(path: str | Path, *, name: str, test_split: str | None = "test", downscale: int = 2,
-               background: Color | None = BLACK, init_box: tuple[float, float] = (-1.2, 1.2),
-               say: Callable[[str], None] = lambda line: None) -> Scene:
+def read_dnerf(
+    path: str | Path,
+    *,
+    name: str,
+    test_split: str | None = "test",
+    downscale: int = 2,
+    background: Color | None = BLACK,
+    init_box: tuple[float, float] = (-1.2, 1.2),
+    say: Callable[[str], None] = lambda line: None,
+) -> Scene:
     """The scene in folder `path`.
 
     test_split: the held-out split, "test" or "val" (the paper tests lego on val). None: none is read, and `Scene.test`
@@ -77,19 +84,31 @@ def read_dnerf(path: str | Path, *, name: str, test_split: str | None = "test", 
     time_start, duration = _time_range(root, everything)
     size = common_size([frame.image_path for frame in everything])
     if min(size) < downscale:
-        raise SceneError(everything[0].image_path, f"at least {downscale} pixels a side (downscale)",
-                         "{} x {}".format(*size))
+        raise SceneError(
+            everything[0].image_path, f"at least {downscale} pixels a side (downscale)", "{} x {}".format(*size)
+        )
 
     lenses = {frame.name: _read_lens(frame, size) for frame in everything}  # before any image is decoded
     composed_over = BLACK if background is None else tuple(float(channel) for channel in background)
-    views = {split: tuple(_read_view(frame, size, downscale, composed_over, *lenses[frame.name]) for frame in found)
-             for split, found in frames.items()}
+    views = {
+        split: tuple(_read_view(frame, size, downscale, composed_over, *lenses[frame.name]) for frame in found)
+        for split, found in frames.items()
+    }
     shown = _background(views["train"], background, say)
     cameras = [view.camera for view in views["train"]]
     space = canonical_space(cameras)
-    scene = Scene(name=name, train=views["train"], test=views[test_split] if test_split else (), duration=duration,
-                  time_start=time_start, background=shown, extent=camera_extent(cameras),
-                  init_box=space.inverse.box(tuple(init_box)), source=root, unit=space.unit)
+    scene = Scene(
+        name=name,
+        train=views["train"],
+        test=views[test_split] if test_split else (),
+        duration=duration,
+        time_start=time_start,
+        background=shown,
+        extent=camera_extent(cameras),
+        init_box=space.inverse.box(tuple(init_box)),
+        source=root,
+        unit=space.unit,
+    )
     return validate_scene(scene) if test_split else scene
 
 
@@ -104,8 +123,10 @@ def _background(views: Sequence[View], asked: Color | None, say: Callable[[str],
     found = border_color([np.asarray(view.image) for view in views]) if opaque else None
     if asked is None:
         if found not in (None, BLACK):
-            say(f"scene.background: {_named(found)}, the colour of the images' borders; "
-                "scene.background=black overrides")
+            say(
+                f"scene.background: {_named(found)}, the colour of the images' borders; "
+                "scene.background=black overrides"
+            )
         return found or BLACK
     asked = tuple(float(channel) for channel in asked)
     if found is not None and found != asked:
@@ -129,7 +150,7 @@ def _read_transforms(root: Path, split: str) -> list[Frame]:
 
 
 def _instead(root: Path, split: str) -> str:
-    """"none", and which key makes do without this split."""
+    """ "none", and which key makes do without this split."""
     if split == "train":
         return "none"
     others = [other for other in SPLITS if other not in ("train", split) and has_split(root, other)]
@@ -146,8 +167,15 @@ def _read_frame(entry: Any, content: dict, where: str, file: Path, root: Path) -
         if not math.isfinite(time):
             raise SceneError(f"{where}: time", "a finite time", f"{time}")
     pose = read_pose(get_key(entry, "transform_matrix", where), f"{where}: transform_matrix")
-    return Frame(Path(file_path).as_posix().removesuffix(".png"), where, file, image_path, time, pose,
-                 intrinsics_of(content, entry))
+    return Frame(
+        Path(file_path).as_posix().removesuffix(".png"),
+        where,
+        file,
+        image_path,
+        time,
+        pose,
+        intrinsics_of(content, entry),
+    )
 
 
 def _time_range(root: Path, frames: list[Frame]) -> tuple[float, float]:
@@ -157,13 +185,16 @@ def _time_range(root: Path, frames: list[Frame]) -> tuple[float, float]:
     """
     missing = [frame.name for frame in frames if frame.time is None]
     if missing and len(missing) < len(frames):
-        raise SceneError(root / missing[0], "a time in every frame or in none",
-                         f"none here and in {len(missing)} of {len(frames)} frames")
+        raise SceneError(
+            root / missing[0],
+            "a time in every frame or in none",
+            f"none here and in {len(missing)} of {len(frames)} frames",
+        )
     if missing:
         return 0.0, 1.0
     ordered = sorted(frames, key=lambda frame: frame.time)
     low, high = ordered[0].time, ordered[-1].time
-    if 0 <= low and high <= 1 and (high - low > LEAST_SPAN or high == low):
+    if low >= 0 and high <= 1 and (high - low > LEAST_SPAN or high == low):
         return 0.0, 1.0
     for stray, others in ((ordered[0], ordered[1:]), (ordered[-1], ordered[:-1])) if len(ordered) > 1 else ():
         times = [frame.time for frame in others]
@@ -172,8 +203,13 @@ def _time_range(root: Path, frames: list[Frame]) -> tuple[float, float]:
         step = steps.max(initial=0)
         regular = REGULAR[0] * step < gap < REGULAR[1] * step if own else gap < STRAY * (times[-1] - times[0])
         if gap > 0 and step > 0 and not regular:
-            raise SceneError(root / stray.name, "a time in [0, 1], as the other frames have" if own else
-                             f"a time near the other frames', {times[0]:.13g} to {times[-1]:.13g}", f"{stray.time:.13g}")
+            raise SceneError(
+                root / stray.name,
+                "a time in [0, 1], as the other frames have"
+                if own
+                else f"a time near the other frames', {times[0]:.13g} to {times[-1]:.13g}",
+                f"{stray.time:.13g}",
+            )
     duration = high - low or 1.0
     while low + duration < high:  # by rounding
         duration = math.nextafter(duration, math.inf)
@@ -187,15 +223,18 @@ def _read_lens(frame: Frame, size: tuple[int, int]) -> tuple[Camera, tuple[float
     return camera, distortion if any(distortion) else ()
 
 
-def _read_view(frame: Frame, size: tuple[int, int], downscale: int, background: Color, whole: Camera,
-               distortion: tuple[float, ...]) -> View:
+def _read_view(
+    frame: Frame, size: tuple[int, int], downscale: int, background: Color, whole: Camera, distortion: tuple[float, ...]
+) -> View:
     rgba = read_rgba(frame.image_path)
     width, height = size
     if rgba.shape[:2] != (height, width):
-        raise SceneError(frame.image_path, f"{width} x {height} pixels as its header says",
-                         "{1} x {0}".format(*rgba.shape))
+        raise SceneError(
+            frame.image_path, f"{width} x {height} pixels as its header says", "{1} x {0}".format(*rgba.shape)
+        )
     if distortion:
-        from datasets.lens import Undistortion, straighten_rgba  # OpenCV, which other scenes do without
+        from datasets.cameras.lens import Undistortion, straighten_rgba  # OpenCV, which other scenes do without
+
         rgba = straighten_rgba(rgba, Undistortion.of(whole, *distortion).maps(size))
     small = compose(rgba, background, downscale)
 
@@ -204,5 +243,4 @@ def _read_view(frame: Frame, size: tuple[int, int], downscale: int, background: 
         kept = replace(whole, width=small.shape[1] * downscale, height=small.shape[0] * downscale)
         return kept.resized(small.shape[1], small.shape[0])
 
-    return View(camera_of(frame.image_path, camera), frame.time or 0.0, small, frame.name,
-                coverage(rgba, downscale))
+    return View(camera_of(frame.image_path, camera), frame.time or 0.0, small, frame.name, coverage(rgba, downscale))

@@ -14,7 +14,7 @@ from typing import Protocol, Union
 
 import numpy as np
 
-from datasets.fault import DataError
+from datasets.files.errors import DataError
 from rasterizer.arguments import SHORTEST_DURATION
 from rasterizer.camera import Camera
 
@@ -125,14 +125,17 @@ def validate_scene(scene: Scene) -> Scene:
         if not views:
             raise SceneError(scene.source, f"at least one {split} view", "none")
     if not (0 < scene.duration < math.inf and math.isfinite(scene.time_start)):
-        raise SceneError(scene.source, "a finite start and a duration > 0",
-                         f"start {scene.time_start}, duration {scene.duration}")
+        raise SceneError(
+            scene.source, "a finite start and a duration > 0", f"start {scene.time_start}, duration {scene.duration}"
+        )
     if scene.duration < SHORTEST_DURATION:
         raise SceneError(scene.source, f"a duration of at least {SHORTEST_DURATION:g}", f"{scene.duration:g}")
     if len(scene.background) != 3 or not all(0 <= channel <= 1 for channel in scene.background):
         raise SceneError(scene.source, "a background of three values in [0, 1]", f"{scene.background}")
-    if not (np.isfinite(np.concatenate([np.ravel(corner) for corner in scene.init_box])).all()
-            and np.less(*scene.init_box).all()):
+    if not (
+        np.isfinite(np.concatenate([np.ravel(corner) for corner in scene.init_box])).all()
+        and np.less(*scene.init_box).all()
+    ):
         raise SceneError(scene.source, "init_box [low, high] with low < high", f"{scene.init_box}")
     if not 0 < scene.unit < math.inf:
         raise SceneError(scene.source, "a unit > 0", f"{scene.unit}")
@@ -149,8 +152,11 @@ def validate_scene(scene: Scene) -> Scene:
     # metre in coordinates of a map, which are millions of metres, must.
     reach = max(float(np.linalg.norm(view.camera.position)) for view in scene.train)
     if not scene.extent > 1e-9 * reach:
-        raise SceneError(scene.source, "training cameras at two places or more (their spread scales the learning rate)",
-                         f"{len(scene.train)} at one place")
+        raise SceneError(
+            scene.source,
+            "training cameras at two places or more (their spread scales the learning rate)",
+            f"{len(scene.train)} at one place",
+        )
     return scene
 
 
@@ -158,10 +164,14 @@ def _validate_view(view: View, scene: Scene, first: View) -> None:
     where = scene.source / view.name
     shape = (view.camera.height, view.camera.width, 3)
     if view.image.dtype != np.uint8 or view.image.shape != shape:
-        raise SceneError(where, f"an image of uint8 {shape}, its camera's size",
-                         f"{view.image.dtype} {view.image.shape}")
+        raise SceneError(
+            where, f"an image of uint8 {shape}, its camera's size", f"{view.image.dtype} {view.image.shape}"
+        )
     if view.image.shape != first.image.shape:
-        raise SceneError(where, f"{first.camera.width} x {first.camera.height} pixels as {first.name}",
-                         f"{view.camera.width} x {view.camera.height}")
+        raise SceneError(
+            where,
+            f"{first.camera.width} x {first.camera.height} pixels as {first.name}",
+            f"{view.camera.width} x {view.camera.height}",
+        )
     if not scene.time_start <= view.time <= scene.time_end:  # also false for NaN
         raise SceneError(where, f"a time in [{scene.time_start:g}, {scene.time_end:g}]", f"{view.time}")

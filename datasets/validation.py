@@ -27,8 +27,9 @@ def hold_out_poses(scene: Scene, every: int) -> Scene:
     """
     poses = dict.fromkeys(view.camera.world_to_cam.tobytes() for view in scene.train)
     chosen = set(list(poses)[every // 2 :: every])
-    return _hold_out(scene, {index for index, view in enumerate(scene.train)
-                             if view.camera.world_to_cam.tobytes() in chosen}, every)
+    return _hold_out(
+        scene, {index for index, view in enumerate(scene.train) if view.camera.world_to_cam.tobytes() in chosen}, every
+    )
 
 
 def hold_out_outermost(scene: Scene, every: int) -> Scene:
@@ -47,6 +48,7 @@ def _hold_out(scene: Scene, chosen: Set[int], every: int) -> Scene:
     held_out = tuple(view for index, view in enumerate(scene.train) if index in chosen)
     kept = tuple(view for index, view in enumerate(scene.train) if index not in chosen)
     if not held_out or not kept:
-        raise SceneError(f"{scene.source}: scene.validation_every", f"at most the {len(scene.train)} training views",
-                         f"{every}")
+        raise SceneError(
+            f"{scene.source}: scene.validation_every", f"at most the {len(scene.train)} training views", f"{every}"
+        )
     return replace(scene, train=kept, test=held_out, extent=camera_extent([view.camera for view in kept]))

@@ -12,6 +12,7 @@ if "OMP_WAIT_POLICY" not in os.environ:
 if __name__ == "__main__":
     try:
         from pipeline.cli import main
+
         main()
     except KeyboardInterrupt:  # while modules are still being loaded
         print("error: interrupted; nothing of the run was saved yet; the same command starts it anew", file=sys.stderr)

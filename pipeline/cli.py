@@ -19,10 +19,10 @@ from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
 from rich.table import Table
 
-from pipeline.closed_pipe import quiet_on_closed_pipe
-from pipeline.config import Config
-from pipeline.configure import CONFIG_DIR, one_line, options, quote_paths, register_schema, to_config
-from pipeline.help_page import help_page
+from pipeline.config.compose import CONFIG_DIR, one_line, options, quote_paths, register_schema, to_config
+from pipeline.config.schema import Config
+from pipeline.terminal.closed_pipe import quiet_on_closed_pipe
+from pipeline.terminal.help_page import help_page
 from rasterizer.memory import keep_freed_memory
 
 # What a user can cause, by a wrong key, bad data, a full disk or a training that diverges. Anything else is a fault of
@@ -30,8 +30,17 @@ from rasterizer.memory import keep_freed_memory
 EXPECTED = (ValueError, OSError, ArithmeticError, MemoryError, HydraException, OmegaConfBaseException)
 
 _FULL_ERROR = "HYDRA_FULL_ERROR"
-_HEADINGS = {"psnr": "PSNR", "ssim": "SSIM", "ms_ssim": "MS-SSIM", "dssim1": "DSSIM1", "dssim2": "DSSIM2",
-             "lpips_alex": "LPIPS-Alex", "lpips_vgg": "LPIPS-VGG", "fps_render": "FPS", "fps_raster": "FPS (raster)"}
+_HEADINGS = {
+    "psnr": "PSNR",
+    "ssim": "SSIM",
+    "ms_ssim": "MS-SSIM",
+    "dssim1": "DSSIM1",
+    "dssim2": "DSSIM2",
+    "lpips_alex": "LPIPS-Alex",
+    "lpips_vgg": "LPIPS-VGG",
+    "fps_render": "FPS",
+    "fps_raster": "FPS (raster)",
+}
 
 
 class RunFailed(Exception):
@@ -77,7 +86,8 @@ def run_one(composed: DictConfig) -> None:
         keep_freed_memory()
         torch.set_num_threads(1)  # the heavy work is the kernel's, which has threads of its own (cfg.threads)
         if cfg.estimate:
-            from pipeline.estimate import estimate
+            from pipeline.training.estimate import estimate
+
             print("\n  ".join([f"{_title(cfg)} would take", *estimate(cfg).lines(cfg)]), flush=True)
             return
         metrics = run(cfg, command, say=lambda text: print(text, flush=True))
@@ -99,6 +109,7 @@ def run_one(composed: DictConfig) -> None:
 
 def _where_it_stands(cfg: Config | None) -> str:
     from pipeline.stages import NOTHING_KEPT, where_it_stands
+
     return NOTHING_KEPT if cfg is None else where_it_stands(cfg)
 
 
@@ -114,8 +125,10 @@ def _refuse(line: str) -> None:
         with quiet_on_closed_pipe():
             print(help_page(), end="")
         if {"--cfg", "-c"} & set(sys.argv[1:]):
-            print("\n--cfg job prints the configuration of a command that names a scene: "
-                  "python -m pipeline scene=synthetic/wheel --cfg job")
+            print(
+                "\n--cfg job prints the configuration of a command that names a scene: "
+                "python -m pipeline scene=synthetic/wheel --cfg job"
+            )
             return
     _complain(line)
     sys.exit(1)
@@ -124,7 +137,8 @@ def _refuse(line: str) -> None:
 def _version() -> str:
     from importlib.metadata import PackageNotFoundError, version
 
-    from pipeline.machine import git_commit
+    from pipeline.runs.provenance import git_commit
+
     try:
         number = version("gaussians-4d")
     except PackageNotFoundError:  # run from a checkout that is not installed
@@ -148,9 +162,11 @@ def _report(cfg: Config, metrics: dict) -> None:
         table.add_row("flicker, of 255", *(_cell(255 * model["flicker"]) if model else "–" for model in (final, best)))
     table.add_row("iteration", str(metrics["iterations"]), str(best.get("iteration", "–")))
     console.print(table)
-    console.print(f"{metrics['n_gaussians']} Gaussians, {metrics['n_alive_mean']:.0f} alive a frame; "
-                  f"{metrics['train_seconds']:.0f} s of training; {metrics['model_mb']:.1f} MB; "
-                  f"peak memory {metrics['peak_rss_mb']:.0f} MB")
+    console.print(
+        f"{metrics['n_gaussians']} Gaussians, {metrics['n_alive_mean']:.0f} alive a frame; "
+        f"{metrics['train_seconds']:.0f} s of training; {metrics['model_mb']:.1f} MB; "
+        f"peak memory {metrics['peak_rss_mb']:.0f} MB"
+    )
     if metrics["note"]:
         console.print(f"– : {metrics['note']}")
     console.print(f"written to {cfg.out}")
@@ -161,9 +177,11 @@ def _report(cfg: Config, metrics: dict) -> None:
 def _report_line(cfg: Config, metrics: dict) -> None:
     """One run of a sweep."""
     final = metrics["final"]
-    print(f"{_title(cfg, metrics)}: PSNR {_cell(final['psnr'])}, SSIM {_cell(final['ssim'])}, "
-          f"{metrics['n_gaussians']} Gaussians, {metrics['train_seconds']:.0f} s of training; written to {cfg.out}",
-          flush=True)
+    print(
+        f"{_title(cfg, metrics)}: PSNR {_cell(final['psnr'])}, SSIM {_cell(final['ssim'])}, "
+        f"{metrics['n_gaussians']} Gaussians, {metrics['train_seconds']:.0f} s of training; written to {cfg.out}",
+        flush=True,
+    )
 
 
 def _title(cfg: Config, metrics: dict | None = None) -> str:

@@ -16,25 +16,25 @@ import numpy as np
 from omegaconf.errors import OmegaConfBaseException
 
 from datasets import Scene
-from datasets.disk import replacing
-from datasets.fault import read_json
-from pipeline import checkpoint as checkpoints
-from pipeline import trial
-from pipeline.config import Config
-from pipeline.configure import config_of_tree
-from pipeline.estimate import estimate_if_large
-from pipeline.evaluate import Evaluation, evaluate, evaluate_and_show, quick_evaluate
-from pipeline.initialise import initialise
-from pipeline.generalisation.lifetimes import lifetimes
-from pipeline.machine import environment, peak_memory_mb, reset_peak_memory, usable_cores
-from pipeline.model import Model
-from pipeline.ply import load_ply, save_ply
-from pipeline.prepare import Prepared, prepare
-from pipeline.random_streams import Stream, stream
-from pipeline.resolve import resolved
-from pipeline.run_folder import RunFolder, now, write_csv, write_json
-from pipeline.run_identity import read_stages, refuse_foreign, refuse_other_run
-from pipeline.train import Progress, TrainResult, train
+from datasets.files.atomic_write import replacing
+from datasets.files.errors import read_json
+from pipeline.config.compose import config_of_tree
+from pipeline.config.random_streams import Stream, stream
+from pipeline.config.schema import Config
+from pipeline.config.static_overrides import resolved
+from pipeline.data.prepare import Prepared, prepare
+from pipeline.evaluation.evaluate import Evaluation, evaluate, evaluate_and_show, quick_evaluate
+from pipeline.evaluation.lifetimes import lifetimes
+from pipeline.model.initialise import initialise
+from pipeline.model.model import Model
+from pipeline.model.ply import load_ply, save_ply
+from pipeline.runs.provenance import environment, peak_memory_mb, reset_peak_memory, usable_cores
+from pipeline.runs.run_folder import RunFolder, now, write_csv, write_json
+from pipeline.runs.run_identity import read_stages, refuse_foreign, refuse_other_run
+from pipeline.training import checkpoint as checkpoints
+from pipeline.training import select_time_colour as trial
+from pipeline.training.estimate import estimate_if_large
+from pipeline.training.loop import Progress, TrainResult, train
 from rasterizer import Frame
 
 Say = Callable[[str], None]
@@ -62,8 +62,10 @@ def run(cfg: Config, command: str, say: Say) -> dict:
     with RunFolder(path, asdict(cfg), cfg.resume, lambda stored: _resolved_tree(stored, data.scene)) as folder:
         inputs = stage_inputs(cfg, data)
         if folder.inputs_of("init") not in (None, inputs["init"]):
-            raise ValueError(f"{folder.path}: holds a run made from other data than {data.scene.source} holds now, or "
-                             "normalised otherwise; give another out=DIR, or resume=false to replace it")
+            raise ValueError(
+                f"{folder.path}: holds a run made from other data than {data.scene.source} holds now, or "
+                "normalised otherwise; give another out=DIR, or resume=false to replace it"
+            )
         if not all(_done(folder, stage, inputs[stage]) for stage in inputs):
             write_json(folder.environment, environment(command))
             folder.log({"event": "start", "command": command})
@@ -176,15 +178,27 @@ def _train(cfg: Config, data: Prepared, folder: RunFolder, say: Say) -> dict:
 
     def look(model: Model, progress: Progress) -> dict:
         found = quick_evaluate(model, scene, cfg, frame)
-        folder.log({"event": "evaluate", "iteration": progress.iteration, **found, "lifetimes": lifetimes(model, scene),
-                    "peak_rss_mb": peak_memory_mb()})
+        folder.log(
+            {
+                "event": "evaluate",
+                "iteration": progress.iteration,
+                **found,
+                "lifetimes": lifetimes(model, scene),
+                "peak_rss_mb": peak_memory_mb(),
+            }
+        )
         return found
 
     reset_peak_memory()
     verdict = _verdict(folder)
     result = train(load_ply(folder.init_ply), scene, cfg, folder, look, spent=verdict.seconds if verdict else 0.0)
-    return {"iterations": result.iteration, "train_seconds": result.train_seconds,
-            "n_gaussians": len(result.model), **_sizes(result), "peak_rss_mb": _peak_memory_mb(folder)}
+    return {
+        "iterations": result.iteration,
+        "train_seconds": result.train_seconds,
+        "n_gaussians": len(result.model),
+        **_sizes(result),
+        "peak_rss_mb": _peak_memory_mb(folder),
+    }
 
 
 def _evaluate(cfg: Config, data: Prepared, folder: RunFolder, say: Say) -> dict:
@@ -200,13 +214,26 @@ def _evaluate(cfg: Config, data: Prepared, folder: RunFolder, say: Say) -> dict:
 
     verdict = _verdict(folder)
     write_csv(folder.per_image, _per_image(final, best))
-    write_json(folder.metrics, {
-        "scene": cfg.scene.name, "ablation": cfg.ablation.name, "train": cfg.train.name, "seed": cfg.seed,
-        "date": now(), "final": final.metrics,
-        "best_on_test": None if best is None else {**best.metrics, "iteration": saved.best["iteration"]},
-        "model": asdict(saved.model.kind),  # of what was trained; a trial may have left out what `ablation` asks for
-        "trial": None if verdict is None else {**asdict(verdict), "kept": verdict.kept},
-        "note": final.note(), "n_alive_mean": final.n_alive_mean, "n_test_views": len(scene.test), **trained})
+    write_json(
+        folder.metrics,
+        {
+            "scene": cfg.scene.name,
+            "ablation": cfg.ablation.name,
+            "train": cfg.train.name,
+            "seed": cfg.seed,
+            "date": now(),
+            "final": final.metrics,
+            "best_on_test": None if best is None else {**best.metrics, "iteration": saved.best["iteration"]},
+            "model": asdict(
+                saved.model.kind
+            ),  # of what was trained; a trial may have left out what `ablation` asks for
+            "trial": None if verdict is None else {**asdict(verdict), "kept": verdict.kept},
+            "note": final.note(),
+            "n_alive_mean": final.n_alive_mean,
+            "n_test_views": len(scene.test),
+            **trained,
+        },
+    )
     return {"psnr": final.metrics["psnr"]}
 
 
@@ -233,8 +260,10 @@ def _done(folder: RunFolder, stage: str, inputs: str) -> bool:
 
 def _sizes(result: TrainResult) -> dict[str, float]:
     """In MB of 10⁶ bytes: the parameters alone, and with Adam's moments."""
-    return {"model_mb": result.model.bytes / 1e6,
-            "model_with_optimiser_mb": (result.model.bytes + result.optimiser_bytes) / 1e6}
+    return {
+        "model_mb": result.model.bytes / 1e6,
+        "model_with_optimiser_mb": (result.model.bytes + result.optimiser_bytes) / 1e6,
+    }
 
 
 def _peak_memory_mb(folder: RunFolder) -> float:

@@ -6,13 +6,23 @@ from collections.abc import Sequence
 
 from torch import Tensor
 
-from .frame import Gradients, default_threads, split_coefficients
-from .kernel import kernel
+from rasterizer.frame import Gradients, default_threads, split_coefficients
+from rasterizer.kernel import kernel
 
 
-def adam_step(param: Tensor, grad: Tensor, m: Tensor, v: Tensor, lr: float | Sequence[float], step: int,
-              beta1: float = 0.9, beta2: float = 0.999, eps: float = 1e-15, sparse_rows: Tensor | None = None,
-              threads: int = 0) -> None:
+def adam_step(
+    param: Tensor,
+    grad: Tensor,
+    m: Tensor,
+    v: Tensor,
+    lr: float | Sequence[float],
+    step: int,
+    beta1: float = 0.9,
+    beta2: float = 0.999,
+    eps: float = 1e-15,
+    sparse_rows: Tensor | None = None,
+    threads: int = 0,
+) -> None:
     """Update `param` (N,) or (N, C) and its moments m, v in place; all contiguous float32.
 
     lr: one rate, or one a column. step: 1 for the first. sparse_rows (N,) uint8: rows with 0 are left alone, moments
@@ -22,13 +32,34 @@ def adam_step(param: Tensor, grad: Tensor, m: Tensor, v: Tensor, lr: float | Seq
     rates = [float(lr)] * columns if isinstance(lr, (int, float)) else [float(rate) for rate in lr]
     if len(rates) != columns:
         raise ValueError(f"lr must hold one rate or one for each of {columns} columns, got {len(rates)}")
-    kernel.adam(p=param, g=grad, m=m, v=v, lr=rates, keep=sparse_rows, beta1=beta1, beta2=beta2, epsilon=eps, step=step,
-                threads=threads or default_threads())
+    kernel.adam(
+        p=param,
+        g=grad,
+        m=m,
+        v=v,
+        lr=rates,
+        keep=sparse_rows,
+        beta1=beta1,
+        beta2=beta2,
+        epsilon=eps,
+        step=step,
+        threads=threads or default_threads(),
+    )
 
 
-def sh_adam_step(sh: Tensor, gradients: Gradients, m: Tensor, v: Tensor, lr: Sequence[float], step: int,
-                 beta1: float = 0.9, beta2: float = 0.999, eps: float = 1e-15,
-                 sparse_rows: Tensor | None = None, threads: int = 0) -> None:
+def sh_adam_step(
+    sh: Tensor,
+    gradients: Gradients,
+    m: Tensor,
+    v: Tensor,
+    lr: Sequence[float],
+    step: int,
+    beta1: float = 0.9,
+    beta2: float = 0.999,
+    eps: float = 1e-15,
+    sparse_rows: Tensor | None = None,
+    threads: int = 0,
+) -> None:
     """Update SH coefficients (N, K, 3) and moments in place from the batch's compact colour gradients.
 
     Degrees and Fourier orders that no view of the batch used are left alone: exact as long as they have had no gradient
@@ -38,7 +69,20 @@ def sh_adam_step(sh: Tensor, gradients: Gradients, m: Tensor, v: Tensor, lr: Seq
     coefficients, orders = split_coefficients(sh.shape[1])
     used_orders = 1 + max((view.fourier_order for view in gradients.views), default=0)
     used_coefficients = (1 + max((view.sh_degree for view in gradients.views), default=0)) ** 2
-    kernel.adam_sh(sh=sh, m=m, v=v, coefficients=coefficients, orders=orders,
-                   active_coefficients=min(used_coefficients, coefficients), active_orders=min(used_orders, orders),
-                   lr=[float(rate) for rate in lr], keep=sparse_rows, views=[view.as_tuple() for view in gradients.views],
-                   beta1=beta1, beta2=beta2, epsilon=eps, step=step, threads=threads or default_threads())
+    kernel.adam_sh(
+        sh=sh,
+        m=m,
+        v=v,
+        coefficients=coefficients,
+        orders=orders,
+        active_coefficients=min(used_coefficients, coefficients),
+        active_orders=min(used_orders, orders),
+        lr=[float(rate) for rate in lr],
+        keep=sparse_rows,
+        views=[view.as_tuple() for view in gradients.views],
+        beta1=beta1,
+        beta2=beta2,
+        epsilon=eps,
+        step=step,
+        threads=threads or default_threads(),
+    )

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import torch
 
-from .camera import Camera
-from .gaussians import Gaussians
-from .number import as_float, is_whole, shown
-from .output import OUTPUT_NAMES
+from rasterizer.camera import Camera
+from rasterizer.gaussians import Gaussians
+from rasterizer.number import as_float, is_whole, shown
+from rasterizer.output import OUTPUT_NAMES
 
 SHORTEST_DURATION = 1e-30  # colours change by up to 2π/T a unit of time, which float32 must hold
 LONGEST_FLOW = 1e30  # likewise the way moved in δ, at any speed that float32's scales give
@@ -54,8 +54,13 @@ class Request:
         if "flow" in outputs and not abs(as_float(self.flow_dt)) <= LONGEST_FLOW:
             raise ValueError(f"flow_dt must be finite when outputs has 'flow', got {shown(self.flow_dt)}")
         # Numbers of any kind may be given; from here on they are floats. An output named twice is one.
-        for name, value in (("time", time), ("duration", duration), ("near", near), ("background", background),
-                            ("outputs", tuple(dict.fromkeys(outputs)))):
+        for name, value in (
+            ("time", time),
+            ("duration", duration),
+            ("near", near),
+            ("background", background),
+            ("outputs", tuple(dict.fromkeys(outputs))),
+        ):
             object.__setattr__(self, name, value)
 
     def check_against(self, gaussians: Gaussians) -> None:

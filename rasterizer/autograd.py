@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from .arguments import Request, check_finite
-from .camera import Camera
-from .frame import Frame, Gradients, check_stored
-from .gaussians import Gaussians
-from .kernel import kernel
-from .output import OUTPUT_NAMES, RenderOutput
+from rasterizer.arguments import Request, check_finite
+from rasterizer.camera import Camera
+from rasterizer.frame import Frame, Gradients, check_stored
+from rasterizer.gaussians import Gaussians
+from rasterizer.kernel import kernel
+from rasterizer.output import OUTPUT_NAMES, RenderOutput
 
 _FIELDS = tuple(Gaussians.__dataclass_fields__)
 
@@ -35,8 +35,11 @@ class _Rasterize(torch.autograd.Function):
         given = {f"d_{name}": gradient for name, gradient in zip(ctx.names, image_gradients, strict=True)}
         ctx.frame.backward(gradients, **given)
         named = gradients.dense() | {"sh": gradients.sh(ctx.frame.threads)}
-        _check_held({f"the gradient of {name}": tensor for name, tensor in named.items()},
-                    "with these Gaussians and image gradients", ctx.frame.threads)
+        _check_held(
+            {f"the gradient of {name}": tensor for name, tensor in named.items()},
+            "with these Gaussians and image gradients",
+            ctx.frame.threads,
+        )
         return None, None, *(named.get(name) for name in _FIELDS)
 
 
@@ -45,21 +48,31 @@ def _check_held(tensors: dict[str, Tensor], given: str, threads: int) -> None:
     for name, tensor in tensors.items():
         if not kernel.all_finite(array=tensor, threads=threads):
             index = torch.nonzero(~torch.isfinite(tensor))[0].tolist()
-            raise ValueError(f"{name}{index} must be a number that float32 holds, got {tensor[tuple(index)].item()} "
-                             f"{given}")
+            raise ValueError(
+                f"{name}{index} must be a number that float32 holds, got {tensor[tuple(index)].item()} {given}"
+            )
 
 
-def rasterize(gaussians: Gaussians, camera: Camera, time: float = 0.0, duration: float = 1.0,
-              background: Sequence[float] = (0.0, 0.0, 0.0), outputs: Sequence[str] = ("color",),
-              flow_dt: float | None = None, near: float = 0.2, sh_degree: int | None = None,
-              fourier_order: int | None = None, threads: int = 0) -> RenderOutput:
+def rasterize(
+    gaussians: Gaussians,
+    camera: Camera,
+    time: float = 0.0,
+    duration: float = 1.0,
+    background: Sequence[float] = (0.0, 0.0, 0.0),
+    outputs: Sequence[str] = ("color",),
+    flow_dt: float | None = None,
+    near: float = 0.2,
+    sh_degree: int | None = None,
+    fourier_order: int | None = None,
+    threads: int = 0,
+) -> RenderOutput:
     """Render 4D Gaussians (float32, contiguous) as seen by `camera` at `time`; differentiable in all of them.
 
     time, duration, flow_dt: in the unit of μt. background: RGB. outputs: any of "color", "alpha", "depth", "flow",
     "stats"; what is not asked for is not computed. flow_dt: δ of the flow. near: near plane, world units.
     sh_degree, fourier_order: leave out the coefficients above them. threads: 0 for all; the result is the same bits.
 
-    `rasterizer.reference.rasterize` is the same function in plain PyTorch. Raises ValueError for wrong shapes, types
+    `rasterizer.reference.render.rasterize` is the same function in plain PyTorch. Raises ValueError for wrong shapes, types
     and values that are not finite.
     """
     request = Request(camera, time, duration, background, outputs, flow_dt, near, sh_degree, fourier_order)

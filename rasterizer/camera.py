@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .number import as_float, shown
+from rasterizer.number import as_float, shown
 
 # Flips Blender/NeRF camera axes (x right, y up, z backward) to COLMAP's (x right, y down, z forward).
 _BLENDER_TO_COLMAP = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -45,20 +45,26 @@ class Camera:
             if not isinstance(side, numbers.Integral):
                 raise ValueError(f"camera: {name} must be a whole number of pixels, got {shown(side)}")
             if not 1 <= side <= LARGEST_SIDE:
-                raise ValueError(f"camera: width and height must be in 1..{LARGEST_SIDE} pixels, got {name} "
-                                 f"{shown(side)}")
+                raise ValueError(
+                    f"camera: width and height must be in 1..{LARGEST_SIDE} pixels, got {name} {shown(side)}"
+                )
             object.__setattr__(self, name, int(side))
         if self.width * self.height > LARGEST_IMAGE:
-            raise ValueError(f"camera: width × height must be at most {LARGEST_IMAGE} pixels, got {self.width} x "
-                             f"{self.height}")
+            raise ValueError(
+                f"camera: width × height must be at most {LARGEST_IMAGE} pixels, got {self.width} x {self.height}"
+            )
         object.__setattr__(self, "world_to_cam", _rigid(self.world_to_cam))
         for name in ("fx", "fy", "cx", "cy"):
             object.__setattr__(self, name, as_float(getattr(self, name)))
         intrinsics = (self.fx, self.fy, self.cx, self.cy)
-        if not (all(SHORTEST_FOCAL <= f <= LONGEST_FOCAL for f in intrinsics[:2])
-                and all(abs(c) <= LONGEST_FOCAL for c in intrinsics[2:])):
-            raise ValueError(f"camera: fx, fy must be > 0 and all intrinsics finite ({SHORTEST_FOCAL:g} to "
-                             f"{LONGEST_FOCAL:g} pixels), got {intrinsics}")
+        if not (
+            all(SHORTEST_FOCAL <= f <= LONGEST_FOCAL for f in intrinsics[:2])
+            and all(abs(c) <= LONGEST_FOCAL for c in intrinsics[2:])
+        ):
+            raise ValueError(
+                f"camera: fx, fy must be > 0 and all intrinsics finite ({SHORTEST_FOCAL:g} to "
+                f"{LONGEST_FOCAL:g} pixels), got {intrinsics}"
+            )
 
     @classmethod
     def from_blender(cls, width: int, height: int, focal: float, cam_to_world: np.ndarray) -> Camera:
@@ -77,8 +83,9 @@ class Camera:
     def resized(self, width: int, height: int) -> Camera:
         """The same camera with its image resampled to width × height pixels."""
         sx, sy = width / self.width, height / self.height
-        return replace(self, width=width, height=height,
-                       fx=self.fx * sx, cx=self.cx * sx, fy=self.fy * sy, cy=self.cy * sy)
+        return replace(
+            self, width=width, height=height, fx=self.fx * sx, cx=self.cx * sx, fy=self.fy * sy, cy=self.cy * sy
+        )
 
 
 def _rigid(world_to_cam: object) -> np.ndarray:
@@ -92,8 +99,12 @@ def _rigid(world_to_cam: object) -> np.ndarray:
     if not np.isfinite(pose).all():
         raise ValueError("camera: world_to_cam must be finite, got NaN or Inf")
     rotation = pose[:3, :3]
-    if not (np.abs(rotation).max() <= 2 and np.abs(rotation.T @ rotation - np.eye(3)).max() <= RIGID_TOLERANCE
-            and np.linalg.det(rotation) > 0 and np.abs(pose[3] - [0, 0, 0, 1]).max() <= RIGID_TOLERANCE):
+    if not (
+        np.abs(rotation).max() <= 2
+        and np.abs(rotation.T @ rotation - np.eye(3)).max() <= RIGID_TOLERANCE
+        and np.linalg.det(rotation) > 0
+        and np.abs(pose[3] - [0, 0, 0, 1]).max() <= RIGID_TOLERANCE
+    ):
         raise ValueError(f"camera: world_to_cam must hold a rotation, its last row 0 0 0 1, got {shown(pose.tolist())}")
     if np.abs(pose[:3, 3]).max() > FARTHEST:
         raise ValueError(f"camera: world_to_cam must move by at most {FARTHEST:g}, got {pose[:3, 3].tolist()}")

@@ -1,8 +1,8 @@
 """One view rendered by the compiled kernel, and its backward pass, without autograd: what training runs on.
 
-    frame = Frame(threads=2)                      # scratch memory, reused from view to view
-    out = frame.render(gaussians, Request(camera, time=0.5))
-    seen = frame.backward(gradients, d_color=…)   # adds to `gradients`
+frame = Frame(threads=2)                      # scratch memory, reused from view to view
+out = frame.render(gaussians, Request(camera, time=0.5))
+seen = frame.backward(gradients, d_color=…)   # adds to `gradients`
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from types import ModuleType
 import torch
 from torch import Tensor
 
-from .arguments import Request
-from .camera import Camera
-from .gaussians import Gaussians
-from .kernel import kernel
-from .number import is_whole, shown
-from .output import RenderOutput
+from rasterizer.arguments import Request
+from rasterizer.camera import Camera
+from rasterizer.gaussians import Gaussians
+from rasterizer.kernel import kernel
+from rasterizer.number import is_whole, shown
+from rasterizer.output import RenderOutput
 
 STAGES = ("prepare", "sort", "bin", "blend", "blend_backward", "gaussian_backward")
 _EXTRAS = ("depth", "flow", "stats")
@@ -58,13 +58,32 @@ class ViewGradient:
         """Set `seen` (N,) uint8 to 1 for the Gaussians it shows."""
         kernel.mark_seen(id=self.visible, seen=seen, threads=threads)
 
-    def add_to(self, space: Tensor, time: Tensor, views: Tensor, radius: Tensor, camera: Camera, duration: float,
-               threads: int = 1) -> None:
+    def add_to(
+        self,
+        space: Tensor,
+        time: Tensor,
+        views: Tensor,
+        radius: Tensor,
+        camera: Camera,
+        duration: float,
+        threads: int = 1,
+    ) -> None:
         """Add to running statistics, (N,) each, in place: Σ |∂L/∂ position| in normalised device coordinates,
         Σ |∂L/∂μt| per duration, how many views, and the largest radius."""
-        kernel.add_view(id=self.visible, mean2d=self.mean2d, mean_t=self.mean_t, radius=self.radius,
-                        half_width=0.5 * camera.width, half_height=0.5 * camera.height, duration=duration, space=space,
-                        time=time, views=views, largest_radius=radius, threads=threads)
+        kernel.add_view(
+            id=self.visible,
+            mean2d=self.mean2d,
+            mean_t=self.mean_t,
+            radius=self.radius,
+            half_width=0.5 * camera.width,
+            half_height=0.5 * camera.height,
+            duration=duration,
+            space=space,
+            time=time,
+            views=views,
+            largest_radius=radius,
+            threads=threads,
+        )
 
 
 @dataclass
@@ -107,8 +126,13 @@ class Gradients:
         """
         count, orders = split_coefficients(self.sh_shape[1])
         out = torch.empty(self.sh_shape, dtype=self.mean.dtype) if out is None else out
-        kernel.expand_sh(views=[view.as_tuple() for view in self.views], dense=out, coefficients=count,
-                         orders=orders, threads=threads)
+        kernel.expand_sh(
+            views=[view.as_tuple() for view in self.views],
+            dense=out,
+            coefficients=count,
+            orders=orders,
+            threads=threads,
+        )
         return out
 
 
@@ -167,16 +191,24 @@ class Frame:
         self.fourier_order = gaussians.fourier_order if request.fourier_order is None else int(request.fourier_order)
         coefficients, orders = split_coefficients(gaussians.sh.shape[1])
         detached = {name: tensor.detach() for name, tensor in gaussians.tensors().items()}
-        self._model = self._kernel.Model(**{"quat_right": None, **detached}, coefficients=coefficients,
-                                         stored_order=orders - 1)
+        self._model = self._kernel.Model(
+            **{"quat_right": None, **detached}, coefficients=coefficients, stored_order=orders - 1
+        )
         self._frame.set_view(
-            camera=self._kernel.Camera.make(camera.width, camera.height, intrinsics, camera.world_to_cam,
-                                            list(camera.position)),
-            time=request.time, duration=request.duration, near=request.near, background=list(request.background),
-            flow_dt=float(request.flow_dt) if "flow" in request.outputs else 0.0, sh_degree=self.sh_degree,
+            camera=self._kernel.Camera.make(
+                camera.width, camera.height, intrinsics, camera.world_to_cam, list(camera.position)
+            ),
+            time=request.time,
+            duration=request.duration,
+            near=request.near,
+            background=list(request.background),
+            flow_dt=float(request.flow_dt) if "flow" in request.outputs else 0.0,
+            sh_degree=self.sh_degree,
             fourier_order=self.fourier_order,
-            extras=tuple(name in request.outputs for name in _EXTRAS), differentiable=differentiable,
-            threads=self.threads)
+            extras=tuple(name in request.outputs for name in _EXTRAS),
+            differentiable=differentiable,
+            threads=self.threads,
+        )
         images = {name: self._empty(_CHANNELS[name], camera.height, camera.width) for name in request.outputs}
         # Detached: an image's graph holds this frame, which must not hold the graph.
         self._images = {name: image.detach() for name, image in images.items()}
@@ -208,20 +240,32 @@ class Frame:
             if name not in self._images:
                 raise ValueError(f"d_{name}: expected {name!r} among the outputs, found {self._request.outputs}")
             if image.dtype != self.dtype or list(image.shape) != [_CHANNELS[name], *size]:
-                raise ValueError(f"d_{name} must be {_type_name(self.dtype)} {[_CHANNELS[name], *size]}, got "
-                                 f"{_type_name(image.dtype)} {list(image.shape)}")
+                raise ValueError(
+                    f"d_{name} must be {_type_name(self.dtype)} {[_CHANNELS[name], *size]}, got "
+                    f"{_type_name(image.dtype)} {list(image.shape)}"
+                )
             images[name] = image.detach().contiguous()
         for name, image in self._images.items():
             if image._version != self._versions[name]:
-                raise RuntimeError(f"Frame.backward reads the rendered {name}, which was changed in place after "
-                                   "Frame.render: clone it first")
+                raise RuntimeError(
+                    f"Frame.backward reads the rendered {name}, which was changed in place after "
+                    "Frame.render: clone it first"
+                )
         visible = self._frame.visible
-        out = ViewGradient(torch.empty(visible, dtype=torch.int32), self._empty(visible, 2), self._empty(visible),
-                           self._empty(visible))
+        out = ViewGradient(
+            torch.empty(visible, dtype=torch.int32), self._empty(visible, 2), self._empty(visible), self._empty(visible)
+        )
         colors = ViewColors(out.visible, self._empty(visible, 8), self.sh_degree, self.fourier_order)
-        self._frame.backward(self._model, **{f"d_{name}": image for name, image in images.items()},
-                             **{"quat_right": None, **gradients.dense()}, id=out.visible, mean2d=out.mean2d,
-                             mean_t=out.mean_t, radius=out.radius, color_gradient=colors.gradient)
+        self._frame.backward(
+            self._model,
+            **{f"d_{name}": image for name, image in images.items()},
+            **{"quat_right": None, **gradients.dense()},
+            id=out.visible,
+            mean2d=out.mean2d,
+            mean_t=out.mean_t,
+            radius=out.radius,
+            color_gradient=colors.gradient,
+        )
         gradients.views.append(colors)
         return out
 

@@ -91,5 +91,9 @@ class Gaussians:
 
     def to(self, dtype: torch.dtype) -> Gaussians:
         """The same Gaussians in another floating-point type."""
-        return Gaussians(**{name: None if getattr(self, name) is None else getattr(self, name).to(dtype)
-                            for name in self.__dataclass_fields__})
+        return Gaussians(
+            **{
+                name: None if getattr(self, name) is None else getattr(self, name).to(dtype)
+                for name in self.__dataclass_fields__
+            }
+        )

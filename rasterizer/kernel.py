@@ -11,7 +11,7 @@ import os
 from pathlib import Path
 from types import ModuleType
 
-from . import __path__, _cpu
+from rasterizer import __path__, _cpu
 
 ISA_VARIABLE = "RASTERIZER_ISA"
 FOLDER_VARIABLE = "RASTERIZER_KERNELS"

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from .frame import default_threads
-from .kernel import kernel
+from rasterizer.frame import default_threads
+from rasterizer.kernel import kernel
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,14 @@ class L1Ssim:
                 kind = str(tensor.dtype).removeprefix("torch.")
                 raise ValueError(f"{name} must be float32 {expected}, got {kind} {list(tensor.shape)}")
         d_image = torch.empty_like(image)
-        l1, ssim = kernel.l1_ssim(image=image.contiguous(), target=target.contiguous(), gradient=d_image,
-                                  ssim_weight=self.ssim_weight, share=share, threads=self.threads)
+        l1, ssim = kernel.l1_ssim(
+            image=image.contiguous(),
+            target=target.contiguous(),
+            gradient=d_image,
+            ssim_weight=self.ssim_weight,
+            share=share,
+            threads=self.threads,
+        )
         return LossValue((1 - self.ssim_weight) * l1 + self.ssim_weight * (1 - ssim), l1, ssim, d_image)
 
 

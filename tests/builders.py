@@ -106,9 +106,7 @@ def render_and_gradients(
     """The images, and ∂L/∂parameter by name for L = Σ weights · images."""
     leaves = {name: tensor.detach().clone().requires_grad_() for name, tensor in gaussians.tensors().items()}
     out = render(rasterize, Gaussians(**{"quat_right": None, **leaves}), request)
-    loss = sum(
-        (getattr(out, name) * weight.to(gaussians.mean.dtype)).sum() for name, weight in weights.items()
-    )
+    loss = sum((getattr(out, name) * weight.to(gaussians.mean.dtype)).sum() for name, weight in weights.items())
     found = torch.autograd.grad(loss, list(leaves.values()), allow_unused=True)
     return out, {
         name: torch.zeros_like(leaf) if gradient is None else gradient

@@ -35,14 +35,50 @@ def inside(image: np.ndarray, downscale: int = 1) -> np.ndarray:
 def write_video(path: Path, frames: Sequence[np.ndarray], rate: float = RATE, *options: str) -> None:
     """H.264, near lossless, every frame on its own, the index before the frames: what a cut leaves can be decoded."""
     height, width = frames[0].shape[:2]
-    command = [get_ffmpeg_exe(), "-v", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}",
-               "-r", str(rate), "-i", "-", "-c:v", "libx264", "-preset", "ultrafast", "-threads", "1", "-crf", "1",
-               "-g", "1", "-pix_fmt", "yuv420p", "-movflags", "+faststart", *options, str(path)]
+    command = [
+        get_ffmpeg_exe(),
+        "-v",
+        "error",
+        "-y",
+        "-f",
+        "rawvideo",
+        "-pix_fmt",
+        "rgb24",
+        "-s",
+        f"{width}x{height}",
+        "-r",
+        str(rate),
+        "-i",
+        "-",
+        "-c:v",
+        "libx264",
+        "-preset",
+        "ultrafast",
+        "-threads",
+        "1",
+        "-crf",
+        "1",
+        "-g",
+        "1",
+        "-pix_fmt",
+        "yuv420p",
+        "-movflags",
+        "+faststart",
+        *options,
+        str(path),
+    ]
     subprocess.run(command, input=b"".join(frame.tobytes() for frame in frames), check=True)
 
 
-def write_camera(path: Path, camera: int, frames: int = FRAMES, rate: float = RATE, *options: str,
-                 width: int = WIDTH, height: int = HEIGHT) -> None:
+def write_camera(
+    path: Path,
+    camera: int,
+    frames: int = FRAMES,
+    rate: float = RATE,
+    *options: str,
+    width: int = WIDTH,
+    height: int = HEIGHT,
+) -> None:
     write_video(path, [picture(camera, frame, width, height) for frame in range(frames)], rate, *options)
 
 

@@ -15,8 +15,11 @@ PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 def declared() -> dict[str, list[Requirement]]:
     """What pyproject.toml asks for: `build` its tools, `library` the dependencies, and each extra under its name."""
     project = PYPROJECT["project"]
-    groups = {"build": PYPROJECT["build-system"]["requires"], "library": project["dependencies"],
-              **project["optional-dependencies"]}
+    groups = {
+        "build": PYPROJECT["build-system"]["requires"],
+        "library": project["dependencies"],
+        **project["optional-dependencies"],
+    }
     return {group: [Requirement(line) for line in lines] for group, lines in groups.items()}
 
 

@@ -71,8 +71,7 @@ def write_run(
     )
     rows = ["train_seconds,iteration,psnr,ssim,test_loss,n_gaussians"]
     rows += [
-        f"{(60 + seed) * k / 4},{iterations * k // 4},{psnr - 8 / k + 2},{0.8},{0.1},{3000 * k}"
-        for k in (1, 2, 3, 4)
+        f"{(60 + seed) * k / 4},{iterations * k // 4},{psnr - 8 / k + 2},{0.8},{0.1},{3000 * k}" for k in (1, 2, 3, 4)
     ]
     (folder / "error_vs_time.csv").write_text("\n".join(rows) + "\n")
     (folder / "environment.json").write_text(
@@ -98,8 +97,15 @@ def write_run(
 
 def write_sfm(folder: Path, picture: bool = True, **changes) -> Path:
     """What a run that started from structure from motion leaves besides; `changes` replace keys of sfm.json."""
-    found = {"points": 12345, "mean_error_px": 0.625, "mean_track_length": 3.5, "cameras": 20, "registered": 19,
-             "seconds": 42.5, "poses": "known"}
+    found = {
+        "points": 12345,
+        "mean_error_px": 0.625,
+        "mean_track_length": 3.5,
+        "cameras": 20,
+        "registered": 19,
+        "seconds": 42.5,
+        "poses": "known",
+    }
     (folder / "sfm.json").write_text(json.dumps(found | changes))
     if picture:
         Image.fromarray(np.full((60, 80, 3), 77, np.uint8)).save(folder / "sfm.png")

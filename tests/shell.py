@@ -12,14 +12,21 @@ import sys
 import tempfile
 from pathlib import Path
 
-from pipeline.configure import CONFIG_DIR
+from pipeline.config.compose import CONFIG_DIR
 
 LONGEST_S = 120  # of a command
 # Each command is a process of its own, forked from one that has imported what takes seconds. It has run no parallel
 # region, after which a fork hangs.
 FORKING = multiprocessing.get_context("forkserver")
-FORKING.set_forkserver_preload(["pipeline.cli", "pipeline.stages", "datasets.plenoptic", "pipeline.compact.draw",
-                                "pipeline.generalisation.draw"])
+FORKING.set_forkserver_preload(
+    [
+        "pipeline.cli",
+        "pipeline.stages",
+        "datasets.plenoptic",
+        "pipeline.studies.compression.plot",
+        "pipeline.studies.overfitting.plot",
+    ]
+)
 
 
 class Command:
@@ -80,9 +87,14 @@ class Shell:
 
     def fresh(self, *arguments: str) -> tuple[str, str]:
         """In a Python that has imported nothing, as from a terminal: seconds more."""
-        done = subprocess.run([sys.executable, "-m", "pipeline", *arguments], cwd=self.folder, text=True,
-                              capture_output=True, timeout=LONGEST_S,
-                              env={**os.environ, "PYTHONPATH": str(CONFIG_DIR.parent)})
+        done = subprocess.run(
+            [sys.executable, "-m", "pipeline", *arguments],
+            cwd=self.folder,
+            text=True,
+            capture_output=True,
+            timeout=LONGEST_S,
+            env={**os.environ, "PYTHONPATH": str(CONFIG_DIR.parent)},
+        )
         assert done.returncode == 0, done.stderr
         return done.stdout, done.stderr
 

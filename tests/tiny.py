@@ -9,11 +9,11 @@ import numpy as np
 import torch
 
 from datasets.scene import Scene, View, camera_extent
-from pipeline.config import AblationConfig, Config, InitConfig, SceneConfig
-from pipeline.train_config import DensifyConfig, TrainConfig
-from pipeline.initialise import initialise
-from pipeline.model import Model
-from pipeline.train import Progress, TrainResult, train
+from pipeline.config.schema import AblationConfig, Config, InitConfig, SceneConfig
+from pipeline.config.train_schema import DensifyConfig, TrainConfig
+from pipeline.model.initialise import initialise
+from pipeline.model.model import Model, ModelKind
+from pipeline.training.loop import Progress, TrainResult, train
 from rasterizer import Camera
 
 SIZE = 32
@@ -34,23 +34,55 @@ def tiny_scene(views: int = 8, static: bool = False) -> Scene:
         image = np.zeros((SIZE, SIZE, 3), np.uint8)
         image[disc] = (220, 60, 30)
         made.append(View(camera, time, image, f"train/r_{i}"))
-    return Scene("tiny", tuple(made), tuple(made[::3]), 1.0, 0.0, (0.0, 0.0, 0.0),
-                 camera_extent([view.camera for view in made]), (-1.2, 1.2), Path("tiny"))
+    return Scene(
+        "tiny",
+        tuple(made),
+        tuple(made[::3]),
+        1.0,
+        0.0,
+        (0.0, 0.0, 0.0),
+        camera_extent([view.camera for view in made]),
+        (-1.2, 1.2),
+        Path("tiny"),
+    )
 
 
 def tiny_config(iterations: int = 60, background: str = "auto", **train_keys) -> Config:
     """Everything that can happen in a run happens within 60 iterations; a background is trained for 20 of them."""
-    densify = DensifyConfig(start=5, stop=50, every=10, space_gradient=1e-5, opacity_reset_every=25,
-                            prune_big_after=30, max_gaussians=400)
-    keys = dict(iterations=iterations, batch=2, eval_every=10, checkpoint_every=7, sh_degree_every=15,
-                fourier_at=[30, 40], densify=densify, init_points=200, sphere_freeze_after=20, environment_until=20,
-                environment_height=12)
-    return Config(scene=SceneConfig(init_points=200), init=InitConfig(sphere_points=300, sphere_radius=2.0),
-                  ablation=AblationConfig(), train=TrainConfig(**(keys | train_keys)), threads=1, background=background)
+    densify = DensifyConfig(
+        start=5, stop=50, every=10, space_gradient=1e-5, opacity_reset_every=25, prune_big_after=30, max_gaussians=400
+    )
+    keys = dict(
+        iterations=iterations,
+        batch=2,
+        eval_every=10,
+        checkpoint_every=7,
+        sh_degree_every=15,
+        fourier_at=[30, 40],
+        densify=densify,
+        init_points=200,
+        sphere_freeze_after=20,
+        environment_until=20,
+        environment_height=12,
+    )
+    return Config(
+        scene=SceneConfig(init_points=200),
+        init=InitConfig(sphere_points=300, sphere_radius=2.0),
+        ablation=AblationConfig(),
+        train=TrainConfig(**(keys | train_keys)),
+        threads=1,
+        background=background,
+    )
+
+
+def random_model(kind: ModelKind, count: int = 7) -> Model:
+    """Of standard normal numbers."""
+    generator = torch.Generator().manual_seed(1)
+    return Model(kind, {name: torch.randn(count, *row, generator=generator) for name, row in kind.shapes().items()})
 
 
 class TinyRun:
-    """The least a run folder does: see pipeline.train.RunFolder."""
+    """The least a run folder does: see pipeline.training.loop.RunFolder."""
 
     def __init__(self, path: Path) -> None:
         path.mkdir(parents=True, exist_ok=True)

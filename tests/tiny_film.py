@@ -6,9 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from tiny import SIZE, tiny_scene
 
 from datasets.scene import Scene, View, camera_extent
-from tiny import SIZE, tiny_scene
 
 RATE = 10.0  # frames a second
 
@@ -30,5 +30,15 @@ def tiny_film(frames: int = 4, height: int = SIZE, held_out: tuple[str, ...] = (
     test = [view for i, name in enumerate(held_out) for view in filmed("test", name, 3 - 2 * i)]
     # Frame by frame, cameras taking turns: the order of a reader that opens all videos at once.
     test.sort(key=lambda view: view.time)
-    return Scene("tiny_film", tuple(train), tuple(test), (frames - 1) / RATE, 0.0, (0.0, 0.0, 0.0),
-                 camera_extent(cameras), (-1.2, 1.2), Path("tiny_film"), frame_rate=RATE)
+    return Scene(
+        "tiny_film",
+        tuple(train),
+        tuple(test),
+        (frames - 1) / RATE,
+        0.0,
+        (0.0, 0.0, 0.0),
+        camera_extent(cameras),
+        (-1.2, 1.2),
+        Path("tiny_film"),
+        frame_rate=RATE,
+    )

@@ -18,8 +18,15 @@ VENV = ROOT / "build" / "lock"
 UV = "uv==0.13.9"
 
 # What torch's Linux wheels ask for besides plain Python packages. Set-up takes the CPU build, which needs none of it.
-CUDA = ("cuda-bindings", "cuda-toolkit", "nvidia-cudnn-cu13", "nvidia-cusparselt-cu13", "nvidia-nccl-cu13",
-        "nvidia-nvshmem-cu13", "triton")
+CUDA = (
+    "cuda-bindings",
+    "cuda-toolkit",
+    "nvidia-cudnn-cu13",
+    "nvidia-cusparselt-cu13",
+    "nvidia-nccl-cu13",
+    "nvidia-nvshmem-cu13",
+    "triton",
+)
 
 
 def main(arguments: list[str]) -> int:
@@ -30,10 +37,31 @@ def main(arguments: list[str]) -> int:
     excluded.write_text("\n".join(CUDA) + "\n")
     tools = tomllib.loads((ROOT / "pyproject.toml").read_text())["build-system"]["requires"]
     # One version of a package for all Pythons (fewest), so that results do not depend on which one runs them.
-    command = [VENV / "bin/uv", "pip", "compile", "pyproject.toml", "-", "--all-extras", "--universal",
-               "--python-version", "3.11", "--fork-strategy", "fewest", "--generate-hashes",
-               "--no-emit-package", "torch", "--excludes", excluded, "--custom-compile-command", "make lock",
-               "--no-config", "--quiet", "--output-file", "requirements.lock", *arguments]
+    command = [
+        VENV / "bin/uv",
+        "pip",
+        "compile",
+        "pyproject.toml",
+        "-",
+        "--all-extras",
+        "--universal",
+        "--python-version",
+        "3.11",
+        "--fork-strategy",
+        "fewest",
+        "--generate-hashes",
+        "--no-emit-package",
+        "torch",
+        "--excludes",
+        excluded,
+        "--custom-compile-command",
+        "make lock",
+        "--no-config",
+        "--quiet",
+        "--output-file",
+        "requirements.lock",
+        *arguments,
+    ]
     return subprocess.run(command, cwd=ROOT, input="\n".join(tools), text=True).returncode
 
 

@@ -13,8 +13,15 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 BUILD = ROOT / "build" / "sanitize"
-TESTS = ("test_rasterizer.py", "test_rasterizer_rules.py", "test_depth_order.py", "test_frame.py", "test_adam.py",
-         "test_loss.py", "test_sweeps.py")
+TESTS = (
+    "test_rasterizer.py",
+    "test_rasterizer_rules.py",
+    "test_depth_order.py",
+    "test_frame.py",
+    "test_adam.py",
+    "test_loss.py",
+    "test_sweeps.py",
+)
 
 
 def main(isas: list[str]) -> int:
@@ -24,16 +31,21 @@ def main(isas: list[str]) -> int:
 
     isas = isas or available_isas()
     if wrong := [isa for isa in isas if isa not in available_isas()]:
-        print(f"error: expected some of {', '.join(available_isas())} (what this processor has), found {wrong[0]!r}",
-              file=sys.stderr)
+        print(
+            f"error: expected some of {', '.join(available_isas())} (what this processor has), found {wrong[0]!r}",
+            file=sys.stderr,
+        )
         return 1
     build(isas)
     for isa in isas:
         print(f"sanitize: {isa}", flush=True)
         tests = [str(ROOT / "tests" / name) for name in TESTS]
         # Those tests choose kernels of other instruction sets in processes of their own, at their own time.
-        done = subprocess.run([sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-k",
-                               "not instruction_set", *tests], cwd=ROOT, env=environment(isa))
+        done = subprocess.run(
+            [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-k", "not instruction_set", *tests],
+            cwd=ROOT,
+            env=environment(isa),
+        )
         if done.returncode != 0:
             return done.returncode
     return 0
@@ -44,11 +56,30 @@ def build(isas: list[str]) -> None:
     import nanobind
 
     BUILD.mkdir(parents=True, exist_ok=True)
-    subprocess.run(["cmake", "-S", ROOT, "-B", BUILD, "-G", "Ninja", "-DRASTERIZER_SANITIZE=ON",
-                    "-DCMAKE_BUILD_TYPE=Release", f"-Dnanobind_DIR={nanobind.cmake_dir()}",
-                    f"-DPython_EXECUTABLE={sys.executable}"], check=True, stdout=subprocess.DEVNULL, env=tool_path())
-    subprocess.run(["cmake", "--build", BUILD, "--target", *(f"_kernel_{isa}" for isa in isas)], check=True,
-                   stdout=subprocess.DEVNULL, env=tool_path())
+    subprocess.run(
+        [
+            "cmake",
+            "-S",
+            ROOT,
+            "-B",
+            BUILD,
+            "-G",
+            "Ninja",
+            "-DRASTERIZER_SANITIZE=ON",
+            "-DCMAKE_BUILD_TYPE=Release",
+            f"-Dnanobind_DIR={nanobind.cmake_dir()}",
+            f"-DPython_EXECUTABLE={sys.executable}",
+        ],
+        check=True,
+        stdout=subprocess.DEVNULL,
+        env=tool_path(),
+    )
+    subprocess.run(
+        ["cmake", "--build", BUILD, "--target", *(f"_kernel_{isa}" for isa in isas)],
+        check=True,
+        stdout=subprocess.DEVNULL,
+        env=tool_path(),
+    )
 
 
 def tool_path() -> dict[str, str]:
@@ -60,9 +91,14 @@ def environment(isa: str) -> dict[str, str]:
     """For the tests: the sanitizer's runtime must be loaded before Python, which was built without it."""
     found = subprocess.run(["c++", "-print-file-name=libasan.so"], capture_output=True, text=True, check=True)
     standard = subprocess.run(["c++", "-print-file-name=libstdc++.so"], capture_output=True, text=True, check=True)
-    return {**os.environ, "LD_PRELOAD": f"{found.stdout.strip()}:{standard.stdout.strip()}",
-            "ASAN_OPTIONS": "detect_leaks=0",  # Python keeps what it has until the end
-            "UBSAN_OPTIONS": "print_stacktrace=1", "RASTERIZER_KERNELS": str(BUILD), "RASTERIZER_ISA": isa}
+    return {
+        **os.environ,
+        "LD_PRELOAD": f"{found.stdout.strip()}:{standard.stdout.strip()}",
+        "ASAN_OPTIONS": "detect_leaks=0",  # Python keeps what it has until the end
+        "UBSAN_OPTIONS": "print_stacktrace=1",
+        "RASTERIZER_KERNELS": str(BUILD),
+        "RASTERIZER_ISA": isa,
+    }
 
 
 if __name__ == "__main__":

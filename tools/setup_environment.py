@@ -23,8 +23,16 @@ MIN_PYTHON = (3, 11)
 CPU_INDEX = "https://download.pytorch.org/whl/cpu"
 # Nothing is resolved: the lock is complete but for torch, which some of its packages ask for. Of those only Hydra's
 # parser has no wheel; it is plain Python.
-LOCKED = ["--require-hashes", "--no-deps", "--only-binary", ":all:", "--no-binary", "antlr4-python3-runtime",
-          "--requirement", str(LOCK)]
+LOCKED = [
+    "--require-hashes",
+    "--no-deps",
+    "--only-binary",
+    ":all:",
+    "--no-binary",
+    "antlr4-python3-runtime",
+    "--requirement",
+    str(LOCK),
+]
 COMPILER_TEST = """
 #include <concepts>
 #include <span>
@@ -55,8 +63,10 @@ def main() -> None:
 def check_python(version: tuple[int, ...]) -> None:
     """Raises SetupError if this Python is too old for the project."""
     if version[:2] < MIN_PYTHON:
-        raise SetupError(f"Python: expected {dotted(MIN_PYTHON)} or newer, found {dotted(version)}"
-                         f" ({sys.executable}); `make PYTHON=/path/to/python3.11` names another")
+        raise SetupError(
+            f"Python: expected {dotted(MIN_PYTHON)} or newer, found {dotted(version)}"
+            f" ({sys.executable}); `make PYTHON=/path/to/python3.11` names another"
+        )
 
 
 def check_compiler() -> None:
@@ -95,8 +105,10 @@ def make_venv() -> Path:
     done = subprocess.run([str(python), "-c", question], capture_output=True, text=True)
     found = tuple(map(int, done.stdout.split())) if done.returncode == 0 else ()
     if found < MIN_PYTHON:
-        raise SetupError(f".venv: expected Python {dotted(MIN_PYTHON)} or newer with pip, found"
-                         f" {dotted(found) or 'a broken one'}; remove .venv and run again")
+        raise SetupError(
+            f".venv: expected Python {dotted(MIN_PYTHON)} or newer with pip, found"
+            f" {dotted(found) or 'a broken one'}; remove .venv and run again"
+        )
     return python
 
 
@@ -125,8 +137,10 @@ def install_torch(python: Path, pin: str) -> None:
     say(f"not where pip is set to look; taking it from {CPU_INDEX}")
     done = pip_install(python, *wheel, build, "--index-url", CPU_INDEX, "--retries", "1", "--timeout", "30")
     if done.returncode != 0:
-        raise SetupError(f"{build}: neither where pip is set to look nor at {CPU_INDEX} ({reason(done.stderr)}); put"
-                         " its wheel in a folder and run `PIP_FIND_LINKS=/path/to/folder make setup`")
+        raise SetupError(
+            f"{build}: neither where pip is set to look nor at {CPU_INDEX} ({reason(done.stderr)}); put"
+            " its wheel in a folder and run `PIP_FIND_LINKS=/path/to/folder make setup`"
+        )
 
 
 def installed_torch(python: Path) -> str:

@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from datasets.cameras.lens import Undistortion
 from datasets.canonical import canonical_space
-from datasets.lens import Undistortion
 from datasets.plenoptic.decode import fingerprint
 from datasets.plenoptic.footage import Footage, Reading
 from datasets.plenoptic.images import camera_number, read_camera, read_entries, sequences
@@ -100,5 +100,6 @@ def _open_images(root: Path, reading: Reading) -> Posed:
     posed = {name: read_camera(entries[name], footage.size) for name in footage.names}
     cameras = {name: camera for name, (camera, _) in posed.items()}
     trained = [camera for name, camera in cameras.items() if name not in footage.held_out]
-    return Posed(footage, cameras, {name: lens for name, (_, lens) in posed.items()},
-                 unit=canonical_space(trained).unit)  # these files have no bounds
+    return Posed(
+        footage, cameras, {name: lens for name, (_, lens) in posed.items()}, unit=canonical_space(trained).unit
+    )  # these files have no bounds

@@ -1,6 +1,6 @@
 """Fills the decoded-frame store: every camera once, several side by side, going on where a killed run stopped.
 
-    <cache>/<scene>-<hash>/<camera>.npy, <camera>.json     see datasets/frames.py
+    <cache>/<scene>-<hash>/<camera>.npy, <camera>.json     see datasets/plenoptic/frame_store.py
 
 The hash is that of everything the frames follow from, but not of the place the data lie in or the cameras that are
 left out: a copied data set, or one with a camera dropped, finds its frames.
@@ -25,10 +25,10 @@ from typing import Any, Protocol
 import cv2
 import numpy as np
 
-from datasets.disk import TEMPORARY, DiskFull
-from datasets.frames import StoredFrame, read_frames, write_frames
-from datasets.lens import Undistortion, straighten
+from datasets.cameras.lens import Undistortion, straighten
+from datasets.files.atomic_write import TEMPORARY, DiskFull
 from datasets.plenoptic.display import DecodingDisplay, Say
+from datasets.plenoptic.frame_store import StoredFrame, read_frames, write_frames
 from datasets.scene import SceneError
 from rasterizer.camera import Camera
 
@@ -65,7 +65,7 @@ def reduce_image(image: np.ndarray, downscale: int) -> np.ndarray:
     if downscale == 1:
         return image
     height, width = image.shape[0] // downscale, image.shape[1] // downscale
-    whole = image[:height * downscale, :width * downscale]
+    whole = image[: height * downscale, : width * downscale]
     return cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)
 
 
@@ -75,8 +75,9 @@ def reduce_camera(camera: Camera, downscale: int) -> Camera:
     return replace(camera, width=width * downscale, height=height * downscale).resized(width, height)
 
 
-def store_folder(cache: Path, scene: str, content: str, recipe: Recipe, undistortion: Mapping[str, Undistortion]
-                 ) -> Path:
+def store_folder(
+    cache: Path, scene: str, content: str, recipe: Recipe, undistortion: Mapping[str, Undistortion]
+) -> Path:
     """Where a scene's frames lie.
 
     content: hash of the videos or images, all in the folder, whether left out or not.
@@ -103,8 +104,14 @@ def fingerprint(paths: Sequence[Path], part: int) -> str:
     return digest.hexdigest()
 
 
-def decode(streams: Sequence[Stream], folder: Path, recipe: Recipe, undistortion: Mapping[str, Undistortion],
-           threads: int, say: Say) -> dict[str, tuple[StoredFrame, ...]]:
+def decode(
+    streams: Sequence[Stream],
+    folder: Path,
+    recipe: Recipe,
+    undistortion: Mapping[str, Undistortion],
+    threads: int,
+    say: Say,
+) -> dict[str, tuple[StoredFrame, ...]]:
     """Camera -> its frames in `folder`, decoded now unless they are there. All streams are of one size.
 
     threads: cameras decoded side by side. Another process that decodes into the same folder is waited for. Raises
@@ -126,15 +133,27 @@ def decode(streams: Sequence[Stream], folder: Path, recipe: Recipe, undistortion
     return found
 
 
-def _decode_missing(streams: Sequence[Stream], folder: Path, shape: tuple[int, int, int, int], recipe: Recipe,
-                    undistortion: Mapping[str, Undistortion], threads: int, display: DecodingDisplay) -> None:
+def _decode_missing(
+    streams: Sequence[Stream],
+    folder: Path,
+    shape: tuple[int, int, int, int],
+    recipe: Recipe,
+    undistortion: Mapping[str, Undistortion],
+    threads: int,
+    display: DecodingDisplay,
+) -> None:
     stop = threading.Event()  # an error, or Ctrl-C, must not wait for minutes of decoding in the other threads
     each = max(1, threads // max(1, len(streams)))  # threads of one decoder
 
     def one(stream: Stream) -> None:
         images = _prepared(stream, recipe, undistortion.get(stream.name), each, stop, display)
-        facts = {"source": stream.path.name, "rate": stream.rate, "first_frame": recipe.first_frame,
-                 "downscale": recipe.downscale, "store_version": STORE_VERSION}
+        facts = {
+            "source": stream.path.name,
+            "rate": stream.rate,
+            "first_frame": recipe.first_frame,
+            "downscale": recipe.downscale,
+            "store_version": STORE_VERSION,
+        }
         try:
             write_frames(folder, stream.name, shape, images, facts)
         except DiskFull:
@@ -152,8 +171,14 @@ def _decode_missing(streams: Sequence[Stream], folder: Path, shape: tuple[int, i
             raise
 
 
-def _prepared(stream: Stream, recipe: Recipe, lens: Undistortion | None, threads: int, stop: threading.Event,
-              display: DecodingDisplay) -> Iterator[np.ndarray]:
+def _prepared(
+    stream: Stream,
+    recipe: Recipe,
+    lens: Undistortion | None,
+    threads: int,
+    stop: threading.Event,
+    display: DecodingDisplay,
+) -> Iterator[np.ndarray]:
     """A camera's frames as they are stored."""
     maps = lens.maps(stream.size) if lens else None
     for image in stream.read(recipe.first_frame, recipe.frames, threads):
@@ -172,8 +197,11 @@ def _check_space(folder: Path, needed: int) -> None:
 
 
 def _no_space(folder: Path, needed: int, free: int) -> SceneError:
-    return SceneError(folder, f"{needed / 1e9:.1f} GB free for the decoded frames",
-                      f"{free / 1e9:.1f} GB; scene.cache=DIR puts them elsewhere, scene.downscale makes them smaller")
+    return SceneError(
+        folder,
+        f"{needed / 1e9:.1f} GB free for the decoded frames",
+        f"{free / 1e9:.1f} GB; scene.cache=DIR puts them elsewhere, scene.downscale makes them smaller",
+    )
 
 
 @contextmanager

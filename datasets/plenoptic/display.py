@@ -24,8 +24,13 @@ class DecodingDisplay:
         self._lock = threading.Lock()
         self._started = time.perf_counter()
         self._bar = Progress(
-            TextColumn("{task.completed:.0f}/{task.total:.0f}"), BarColumn(), TextColumn("{task.fields[text]}"),
-            console=self._console, disable=not self._console.is_terminal, transient=True)
+            TextColumn("{task.completed:.0f}/{task.total:.0f}"),
+            BarColumn(),
+            TextColumn("{task.fields[text]}"),
+            console=self._console,
+            disable=not self._console.is_terminal,
+            transient=True,
+        )
         self._task = self._bar.add_task("decode", total=self._frames, text="frames decoded")
 
     def __enter__(self) -> DecodingDisplay:

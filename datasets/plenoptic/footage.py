@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
+from datasets.cameras.lens import Undistortion, straighten
 from datasets.canonical import FRAMES_A_UNIT
-from datasets.lens import Undistortion, straighten
 from datasets.plenoptic.decode import Recipe, Stream, decode, reduce_camera, store_folder
 from datasets.plenoptic.display import Say
 from datasets.plenoptic.sync import drop_advice
@@ -41,8 +41,12 @@ class Reading:
     say: Say = print
 
     def __post_init__(self) -> None:
-        for name, value in (("test_cameras", tuple(self.test_cameras)), ("drop_cameras", tuple(self.drop_cameras)),
-                            ("cache", Path(self.cache)), ("background", tuple(float(c) for c in self.background))):
+        for name, value in (
+            ("test_cameras", tuple(self.test_cameras)),
+            ("drop_cameras", tuple(self.drop_cameras)),
+            ("cache", Path(self.cache)),
+            ("background", tuple(float(c) for c in self.background)),
+        ):
             object.__setattr__(self, name, value)
 
     @property
@@ -92,6 +96,7 @@ class Footage:
     def first_images(self, undistortion: Mapping[str, Undistortion] | None = None) -> dict[str, np.ndarray]:
         """Name -> the first frame in use of each camera, (height, width, 3) uint8 RGB at full resolution; straight
         where there is a lens to straighten."""
+
         def first(stream: Stream) -> np.ndarray:
             image = next(iter(stream.read(self.reading.first_frame, 1, 1)))
             lens = (undistortion or {}).get(stream.name)
@@ -100,8 +105,13 @@ class Footage:
         with ThreadPoolExecutor(self.reading.cores) as pool:
             return dict(zip(self.names, pool.map(first, self.streams)))
 
-    def to_scene(self, cameras: Mapping[str, Camera], undistortion: Mapping[str, Undistortion] | None = None,
-                 unit: float = 1.0, init_box: Box | None = None) -> Scene:
+    def to_scene(
+        self,
+        cameras: Mapping[str, Camera],
+        undistortion: Mapping[str, Undistortion] | None = None,
+        unit: float = 1.0,
+        init_box: Box | None = None,
+    ) -> Scene:
         """The scene seen by `cameras` (name -> camera of the full-size image), decoding what is not in the store.
 
         undistortion: name -> lens, for images that are to be straightened; their cameras are those of the straight
@@ -111,8 +121,10 @@ class Footage:
         reading = self.reading
         self._check_cameras(cameras)
         undistortion = {name: lens for name, lens in (undistortion or {}).items() if any(lens.coefficients)}
-        small = {name: camera_of(self.source / name, lambda: reduce_camera(cameras[name], reading.downscale))
-                 for name in self.names}
+        small = {
+            name: camera_of(self.source / name, lambda: reduce_camera(cameras[name], reading.downscale))
+            for name in self.names
+        }
         init_box = init_box or _cube_round(list(small.values()), unit)
         # Not one pixel is needed to see whether the scene can be trained on.
         camera = small[self.names[0]]
@@ -128,29 +140,52 @@ class Footage:
         for stream in self.streams:
             camera = cameras.get(stream.name)
             if camera is None:
-                raise SceneError(stream.path, "a pose for each camera",
-                                 f"none; {drop_advice(stream.number, self.reading.drop_cameras)}")
+                raise SceneError(
+                    stream.path,
+                    "a pose for each camera",
+                    f"none; {drop_advice(stream.number, self.reading.drop_cameras)}",
+                )
             if (camera.width, camera.height) != self.size:
-                raise SceneError(stream.path, "a camera of {} x {} pixels".format(*self.size),
-                                 f"{camera.width} x {camera.height}")
+                raise SceneError(
+                    stream.path, "a camera of {} x {} pixels".format(*self.size), f"{camera.width} x {camera.height}"
+                )
         if min(self.size) < self.reading.downscale:
-            raise SceneError(self.source, f"at least {self.reading.downscale} pixels a side (downscale)",
-                             "{} x {}".format(*self.size))
+            raise SceneError(
+                self.source,
+                f"at least {self.reading.downscale} pixels a side (downscale)",
+                "{} x {}".format(*self.size),
+            )
 
-    def _scene(self, cameras: Mapping[str, Camera], images: Mapping[str, Sequence[Image]], unit: float,
-               init_box: Box) -> Scene:
+    def _scene(
+        self, cameras: Mapping[str, Camera], images: Mapping[str, Sequence[Image]], unit: float, init_box: Box
+    ) -> Scene:
         views: dict[str, list[View]] = {"train": [], "test": []}
         for stream in self.streams:
             split = "test" if stream.name in self.held_out else "train"
             views[split] += [
-                View(cameras[stream.name], index / self.rate, image,
-                     f"{split}/{stream.name}_{self.reading.first_frame + index:04d}")
-                for index, image in enumerate(images[stream.name])]
+                View(
+                    cameras[stream.name],
+                    index / self.rate,
+                    image,
+                    f"{split}/{stream.name}_{self.reading.first_frame + index:04d}",
+                )
+                for index, image in enumerate(images[stream.name])
+            ]
         train, test = tuple(views["train"]), tuple(views["test"])
-        return Scene(name=self.reading.name, train=train, test=test, duration=self.count / self.rate, time_start=0.0,
-                     background=self.reading.background, extent=camera_extent([view.camera for view in train]),
-                     init_box=init_box, source=self.source, unit=unit, frame_rate=self.rate,
-                     shown_rate=self.shown_rate)
+        return Scene(
+            name=self.reading.name,
+            train=train,
+            test=test,
+            duration=self.count / self.rate,
+            time_start=0.0,
+            background=self.reading.background,
+            extent=camera_extent([view.camera for view in train]),
+            init_box=init_box,
+            source=self.source,
+            unit=unit,
+            frame_rate=self.rate,
+            shown_rate=self.shown_rate,
+        )
 
 
 def _cube_round(cameras: Sequence[Camera], unit: float) -> Box:

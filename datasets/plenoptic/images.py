@@ -2,7 +2,7 @@
 
     DIR/images/cam00_0000.png …   camera, frame number; frames of a camera follow each other without a gap
     DIR/transforms_train.json, transforms_test.json
-        {"w", "h", "fl_x", "fl_y", "cx", "cy": pixels, or "camera_angle_x": radians (see datasets/intrinsics.py),
+        {"w", "h", "fl_x", "fl_y", "cx", "cy": pixels, or "camera_angle_x": radians (see datasets/cameras/intrinsics.py),
          "frames": [{"file_path": "images/cam00_0000", "time": …, "transform_matrix": 4×4 camera-to-world}, …]}
 
 Poses have Blender's camera axes. Which cameras are held out is not taken from the
@@ -18,13 +18,13 @@ from pathlib import Path
 
 import numpy as np
 
+from datasets.cameras.intrinsics import intrinsics_of, read_lens, read_pinhole
+from datasets.cameras.lens import Undistortion
+from datasets.cameras.transforms import find_image, load_transforms, read_pose
 from datasets.composition import compose
-from datasets.image_files import common_size, read_rgba
-from datasets.intrinsics import intrinsics_of, read_lens, read_pinhole
-from datasets.lens import Undistortion
-from datasets.read_values import get_key, read_number
+from datasets.files.image_files import common_size, read_rgba
+from datasets.files.json_values import get_key, read_number
 from datasets.scene import SceneError
-from datasets.transforms import find_image, load_transforms, read_pose
 from rasterizer.camera import Camera
 
 FRAME_NAME = re.compile(r"(?P<camera>\D*(?P<number>\d+))_(?P<frame>\d+)")  # cam00_0000
@@ -63,7 +63,7 @@ class ImageSequence:
 
     def read(self, first: int, count: int, threads: int) -> Iterator[np.ndarray]:
         """Images first … first + count - 1, each (height, width, 3) uint8 RGB; read by one thread."""
-        for path in self.paths[first:first + count]:
+        for path in self.paths[first : first + count]:
             rgba = read_rgba(path)
             yield rgba[..., :3] if (rgba[..., 3] == 255).all() else compose(rgba, self.background)
 
@@ -80,10 +80,15 @@ def read_entries(root: Path) -> dict[str, list[Entry]]:
             parts = FRAME_NAME.fullmatch(Path(file_path).name.removesuffix(image_path.suffix))
             if parts is None:
                 raise SceneError(f"{where}: file_path", "a name like images/cam00_0000", file_path)
-            entry = Entry(where, image_path, int(parts["frame"]),
-                          read_number(get_key(frame, "time", where), f"{where}: time", LATEST),
-                          read_pose(get_key(frame, "transform_matrix", where), f"{where}: transform_matrix"),
-                          intrinsics_of(content, frame), path)
+            entry = Entry(
+                where,
+                image_path,
+                int(parts["frame"]),
+                read_number(get_key(frame, "time", where), f"{where}: time", LATEST),
+                read_pose(get_key(frame, "transform_matrix", where), f"{where}: transform_matrix"),
+                intrinsics_of(content, frame),
+                path,
+            )
             cameras.setdefault(parts["camera"], []).append(entry)
     return {name: sorted(cameras[name], key=lambda entry: entry.frame) for name in sorted(cameras)}
 
@@ -93,8 +98,9 @@ def camera_number(name: str) -> int:
     return int(re.search(r"\d+$", name)[0])
 
 
-def sequences(cameras: dict[str, list[Entry]], keep: Collection[int], background: tuple[float, float, float]
-              ) -> tuple[ImageSequence, ...]:
+def sequences(
+    cameras: dict[str, list[Entry]], keep: Collection[int], background: tuple[float, float, float]
+) -> tuple[ImageSequence, ...]:
     """The cameras in use, their frames and times checked."""
     kept = {name: entries for name, entries in cameras.items() if camera_number(name) in keep}
     # Of times since 1970 only differences say which frame it is: each camera's rate is a little rounded.
@@ -103,8 +109,19 @@ def sequences(cameras: dict[str, list[Entry]], keep: Collection[int], background
     for name, entries in kept.items():
         rate = _rate(entries)
         paths = tuple(entry.image_path for entry in entries)
-        found.append(ImageSequence(name, camera_number(name), paths[0], common_size(paths), rate, len(entries),
-                                   (entries[0].time - earliest) * rate, paths, background))
+        found.append(
+            ImageSequence(
+                name,
+                camera_number(name),
+                paths[0],
+                common_size(paths),
+                rate,
+                len(entries),
+                (entries[0].time - earliest) * rate,
+                paths,
+                background,
+            )
+        )
     return tuple(found)
 
 
@@ -113,8 +130,11 @@ def read_camera(entries: list[Entry], size: tuple[int, int]) -> tuple[Camera, Un
     first = entries[0]
     for entry in entries:
         if np.abs(entry.cam_to_world - first.cam_to_world).max() > STILL_TOLERANCE:
-            raise SceneError(f"{entry.where}: transform_matrix",
-                             f"the pose of {first.image_path.name}, for cameras do not move", "another")
+            raise SceneError(
+                f"{entry.where}: transform_matrix",
+                f"the pose of {first.image_path.name}, for cameras do not move",
+                "another",
+            )
     camera = read_pinhole(first.intrinsics, size, first.cam_to_world, first.where, first.file)
     return camera, Undistortion.of(camera, *read_lens(first.intrinsics, first.where))
 
@@ -128,11 +148,15 @@ def _rate(entries: list[Entry]) -> float:
     if len(entries) == 1:
         return SINGLE_FRAME_RATE
     if not last.time > first.time:
-        raise SceneError(f"{last.where}: time", f"a time after that of frame {first.frame}, {first.time:.13g}",
-                         f"{last.time:.13g}")
+        raise SceneError(
+            f"{last.where}: time", f"a time after that of frame {first.frame}, {first.time:.13g}", f"{last.time:.13g}"
+        )
     rate = (len(entries) - 1) / (last.time - first.time)
     for index, entry in enumerate(entries):
         if not abs((entry.time - first.time) * rate - index) <= 0.5:
-            raise SceneError(f"{entry.where}: time", f"{first.time + index / rate:.13g}, at equal steps in time",
-                             f"{entry.time:.13g}")
+            raise SceneError(
+                f"{entry.where}: time",
+                f"{first.time + index / rate:.13g}, at equal steps in time",
+                f"{entry.time:.13g}",
+            )
     return rate

@@ -1,7 +1,7 @@
 """poses_bounds.npy: LLFF's poses, one row of 17 numbers a camera, in the order of the videos' names.
 
-    3 x 5, row by row: columns DOWN, RIGHT, BACKWARDS (the camera's axes in the world), position, (height, width, focal)
-    near, far: distances between which the scene lies, world units
+3 x 5, row by row: columns DOWN, RIGHT, BACKWARDS (the camera's axes in the world), position, (height, width, focal)
+near, far: distances between which the scene lies, world units
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
+from datasets.cameras.transforms import read_pose
 from datasets.scene import Box, SceneError, camera_of, cube_round
-from datasets.transforms import read_pose
 from rasterizer.camera import FARTHEST, Camera
 
 ROW = 17
@@ -51,8 +51,9 @@ def read_poses(path: Path, names: Sequence[str], keep: Collection[str], size: tu
         camera = cameras[name] = _camera(values[:15].reshape(3, 5), size, where)
         near, far = values[15:]
         if not 0 < near < far <= FARTHEST:
-            raise SceneError(where, f"bounds 0 < near < far, which is {FARTHEST:g} at most",
-                             f"near {near:g}, far {far:g}")
+            raise SceneError(
+                where, f"bounds 0 < near < far, which is {FARTHEST:g} at most", f"near {near:g}, far {far:g}"
+            )
         nears.append(near)
         corners += [camera.position, camera.position + far * camera.world_to_cam[2, :3]]
     return Poses(cameras, NEAR_TO_UNIT * float(min(nears)), cube_round(corners))
@@ -87,7 +88,12 @@ def _camera(block: np.ndarray, size: tuple[int, int], where: str) -> Camera:
     scale_x, scale_y = size[0] / width, size[1] / height
     # Another scale of the same image: the sides, each rounded to whole pixels, fit one factor.
     if not abs(width * scale_y - size[0]) <= max(1.0, scale_y) < math.inf:
-        raise SceneError(where, "the videos' {} x {} pixels or the same shape at another scale".format(*size),
-                         f"{width:g} x {height:g}")
-    return camera_of(where, lambda: Camera(*size, focal * scale_x, focal * scale_y, size[0] / 2, size[1] / 2,
-                                           np.linalg.inv(cam_to_world)))
+        raise SceneError(
+            where,
+            "the videos' {} x {} pixels or the same shape at another scale".format(*size),
+            f"{width:g} x {height:g}",
+        )
+    return camera_of(
+        where,
+        lambda: Camera(*size, focal * scale_x, focal * scale_y, size[0] / 2, size[1] / 2, np.linalg.inv(cam_to_world)),
+    )

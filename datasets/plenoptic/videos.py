@@ -53,8 +53,11 @@ class Video:
         try:
             for index in range(first + count):
                 if not capture.grab():
-                    raise SceneError(self.path, f"{self.count} frames as its header promises",
-                                     f"{index}, a truncated video; {self.advice}")
+                    raise SceneError(
+                        self.path,
+                        f"{self.count} frames as its header promises",
+                        f"{index}, a truncated video; {self.advice}",
+                    )
                 if index >= first:
                     yield self._retrieve(capture, index)
         except cv2.error as error:
@@ -65,8 +68,11 @@ class Video:
     def _retrieve(self, capture: cv2.VideoCapture, index: int) -> np.ndarray:
         decoded, image = capture.retrieve()
         if not decoded or image.shape != (self.size[1], self.size[0], 3):
-            raise SceneError(f"{self.path}: frame {index}", "{} x {} pixels in colour".format(*self.size),
-                             "{1} x {0}".format(*image.shape) if decoded else "none: damaged")
+            raise SceneError(
+                f"{self.path}: frame {index}",
+                "{} x {} pixels in colour".format(*self.size),
+                "{1} x {0}".format(*image.shape) if decoded else "none: damaged",
+            )
         return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
 
 
@@ -81,8 +87,9 @@ def find_footage(root: Path) -> list[VideoFile]:
     if not root.is_dir():
         raise SceneError(root, "a folder of videos", "a file" if root.exists() else "nothing there")
     # Hidden ones are what file managers leave behind.
-    paths = sorted(path for path in root.iterdir()
-                   if path.suffix.lower() in FOOTAGE_SUFFIXES and not path.name.startswith("."))
+    paths = sorted(
+        path for path in root.iterdir() if path.suffix.lower() in FOOTAGE_SUFFIXES and not path.name.startswith(".")
+    )
     if not paths:
         raise SceneError(root, f"videos ({', '.join(FOOTAGE_SUFFIXES)})", "none")
     stems = [path.stem for path in paths]
@@ -118,11 +125,16 @@ def open_video(path: Path, threads: int, advice: str) -> cv2.VideoCapture:
 def _probe(file: VideoFile, advice: str) -> Video:
     capture = open_video(file.path, 1, advice)
     try:
-        width, height, count, rate = (capture.get(key) for key in (
-            cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT, cv2.CAP_PROP_FRAME_COUNT, cv2.CAP_PROP_FPS))
+        width, height, count, rate = (
+            capture.get(key)
+            for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT, cv2.CAP_PROP_FRAME_COUNT, cv2.CAP_PROP_FPS)
+        )
         if not (0 < rate < math.inf and 0 < count < math.inf and min(width, height) >= 1 and capture.grab()):
-            raise SceneError(file.path, "a length, a rate and a first frame that can be decoded",
-                             f"{count:.0f} frames at {rate:g} a second, and no first frame; {advice}")
+            raise SceneError(
+                file.path,
+                "a length, a rate and a first frame that can be decoded",
+                f"{count:.0f} frames at {rate:g} a second, and no first frame; {advice}",
+            )
         start = capture.get(cv2.CAP_PROP_PTS)
     except cv2.error as error:
         raise SceneError(file.path, "a first frame that can be decoded", f"{error}; {advice}") from None

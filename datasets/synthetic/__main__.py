@@ -19,9 +19,12 @@ from datasets.synthetic import FILMED, PHOTOGRAPHED, SCENE_NAMES, build_scene
 
 
 def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="python -m datasets.synthetic", description="Makes a synthetic scene in the "
-                                     "D-NeRF layout, with exact depth and optical flow for its test views, or "
-                                     f"({', '.join(FILMED)}) in the Plenoptic Video layout, with exact depth.")
+    parser = argparse.ArgumentParser(
+        prog="python -m datasets.synthetic",
+        description="Makes a synthetic scene in the "
+        "D-NeRF layout, with exact depth and optical flow for its test views, or "
+        f"({', '.join(FILMED)}) in the Plenoptic Video layout, with exact depth.",
+    )
     parser.add_argument("scene", choices=SCENE_NAMES)
     parser.add_argument("--out", type=Path, required=True, help="folder to make; must not exist or be empty")
     parser.add_argument("--seed", type=int, default=0)
@@ -33,8 +36,12 @@ def main(arguments: list[str] | None = None) -> int:
     filmed.add_argument("--cameras", type=int, default=12, help="default: %(default)s")
     filmed.add_argument("--frames", type=int, default=60, help="default: %(default)s")
     filmed.add_argument("--samples", type=int, default=3, help="rays along a pixel's side (default: %(default)s)")
-    filmed.add_argument("--processes", type=int, default=_usable_cores(),
-                        help="cameras filmed side by side (default: %(default)s, all processors)")
+    filmed.add_argument(
+        "--processes",
+        type=int,
+        default=_usable_cores(),
+        help="cameras filmed side by side (default: %(default)s, all processors)",
+    )
     options = vars(parser.parse_args(arguments))
     folder = options.pop("out")
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
@@ -46,9 +53,11 @@ def main(arguments: list[str] | None = None) -> int:
     except (SceneError, OSError) as error:
         parser.error(str(error))
     size = options["size"]
-    what = (f"{options['cameras']} cameras, {options['frames']} frames each, {size} pixels wide,"
-            if options["scene"] in FILMED else
-            f"{options['train_views']} training and {options['test_views']} test views of {size} x {size} pixels")
+    what = (
+        f"{options['cameras']} cameras, {options['frames']} frames each, {size} pixels wide,"
+        if options["scene"] in FILMED
+        else f"{options['train_views']} training and {options['test_views']} test views of {size} x {size} pixels"
+    )
     print(f"{folder}: {what} in {time.perf_counter() - start:.1f} s")
     return 0
 
@@ -61,8 +70,14 @@ def _usable_cores() -> int:
 def _progress() -> Iterator[Callable[[int, int], None]]:
     """A live bar on a terminal, one line a camera elsewhere."""
     console = Console()
-    with Progress(TextColumn("{task.completed:.0f}/{task.total:.0f} cameras"), BarColumn(), TimeRemainingColumn(),
-                  console=console, disable=not console.is_terminal, transient=True) as bar:
+    with Progress(
+        TextColumn("{task.completed:.0f}/{task.total:.0f} cameras"),
+        BarColumn(),
+        TimeRemainingColumn(),
+        console=console,
+        disable=not console.is_terminal,
+        transient=True,
+    ) as bar:
         tasks: list[TaskID] = []
 
         def update(done: int, total: int) -> None:
@@ -71,6 +86,7 @@ def _progress() -> Iterator[Callable[[int, int], None]]:
             bar.update(tasks[0], completed=done)
             if not console.is_terminal:
                 print(f"{done}/{total} cameras", flush=True)
+
         yield update
 
 

@@ -70,12 +70,18 @@ def to_pixels(color: np.ndarray) -> np.ndarray:
 def crop(camera: Camera, block: Block) -> Camera:
     """The camera that sees only a block of pixels, each as before."""
     rows, columns = block
-    return replace(camera, width=columns.stop - columns.start, height=rows.stop - rows.start,
-                   cx=camera.cx - columns.start, cy=camera.cy - rows.start)
+    return replace(
+        camera,
+        width=columns.stop - columns.start,
+        height=rows.stop - rows.start,
+        cx=camera.cx - columns.start,
+        cy=camera.cy - rows.start,
+    )
 
 
-def _expose(still: World, camera: Camera, samples: int, placed: list[Placed],
-            time: float) -> tuple[np.ndarray, np.ndarray]:
+def _expose(
+    still: World, camera: Camera, samples: int, placed: list[Placed], time: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Colour (3, H·samples, W·samples) and depth (H·samples, W·samples) of every ray, traced in strips of rows."""
     color = np.empty((3, camera.height * samples, camera.width * samples), dtype=np.float32)
     depth = np.empty(color.shape[1:], dtype=np.float32)

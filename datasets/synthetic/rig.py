@@ -26,10 +26,13 @@ def rig(count: int, width: int, height: int, rng: np.random.Generator) -> list[C
         raise SceneError("scene.cameras", "at least 3", str(count))
     across, upward = grid(count).T + rng.normal(scale=JITTER, size=(2, count))
     azimuth, elevation = across / RADIUS, ELEVATION + upward / RADIUS
-    places = RADIUS * np.stack([np.cos(elevation) * np.sin(azimuth), -np.cos(elevation) * np.cos(azimuth),
-                                np.sin(elevation)], axis=-1)
-    return [Camera.from_blender(width, height, FOCAL * width, look_at_origin(place) @ _roll(angle))
-            for place, angle in zip(places, rng.normal(scale=ROLL, size=count))]
+    places = RADIUS * np.stack(
+        [np.cos(elevation) * np.sin(azimuth), -np.cos(elevation) * np.cos(azimuth), np.sin(elevation)], axis=-1
+    )
+    return [
+        Camera.from_blender(width, height, FOCAL * width, look_at_origin(place) @ _roll(angle))
+        for place, angle in zip(places, rng.normal(scale=ROLL, size=count))
+    ]
 
 
 def grid(count: int) -> np.ndarray:

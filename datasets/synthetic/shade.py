@@ -43,8 +43,17 @@ def place(world: World, time: float) -> list[Placed]:
     return [item for item in placed if item.pose.scale > 0]
 
 
-def shade(receiver: Placed, points: np.ndarray, local: np.ndarray, toward_eye: np.ndarray, sample: np.ndarray,
-          samples: int, placed: list[Placed], world: World, time: float) -> np.ndarray:
+def shade(
+    receiver: Placed,
+    points: np.ndarray,
+    local: np.ndarray,
+    toward_eye: np.ndarray,
+    sample: np.ndarray,
+    samples: int,
+    placed: list[Placed],
+    world: World,
+    time: float,
+) -> np.ndarray:
     """Colour (3, N) in [0, 1] of N points of one body.
 
     points, local: (3, N) in the world and in the body's frame. toward_eye: (3, N) unit. sample: (N,) which of
@@ -79,8 +88,9 @@ def shade(receiver: Placed, points: np.ndarray, local: np.ndarray, toward_eye: n
     return np.clip(colour, 0, 1)
 
 
-def in_sight(start: np.ndarray, segment: np.ndarray, wanted: np.ndarray, receiver: Placed, light: Light,
-             placed: list[Placed]) -> np.ndarray:
+def in_sight(
+    start: np.ndarray, segment: np.ndarray, wanted: np.ndarray, receiver: Placed, light: Light, placed: list[Placed]
+) -> np.ndarray:
     """Which of the segments start (3, N) … start + segment meet no body: (N,) bool. Asked only where `wanted`."""
     clear = wanted.copy()
     squared = dot(segment, segment)
@@ -93,8 +103,9 @@ def in_sight(start: np.ndarray, segment: np.ndarray, wanted: np.ndarray, receive
         offset -= along * segment
         near = np.flatnonzero(clear & (dot(offset, offset) <= occluder.radius**2))
         if near.size:
-            distance = occluder.body.shape.intersect(occluder.pose.to_body(start.take(near, axis=1)),
-                                                     occluder.pose.turn_to_body(segment.take(near, axis=1)))
+            distance = occluder.body.shape.intersect(
+                occluder.pose.to_body(start.take(near, axis=1)), occluder.pose.turn_to_body(segment.take(near, axis=1))
+            )
             clear[near[(distance > 0) & (distance < 1)]] = False  # 1 is the light itself
     return clear
 

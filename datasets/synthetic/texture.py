@@ -50,9 +50,11 @@ def stripes(even: Texture, odd: Texture, width: float, direction: tuple[float, f
 
 def sectors(parts: Sequence[Texture]) -> Texture:
     """Equal slices about the z axis, one texture each."""
+
     def texture(points: np.ndarray) -> np.ndarray:
         turn = np.arctan2(points[1], points[0]) / np.float32(2 * np.pi) % 1
         return select(np.minimum(np.floor(turn * len(parts)), len(parts) - 1), parts, points)
+
     return texture
 
 
@@ -64,6 +66,7 @@ def mosaic(dark: Colour, light: Colour, size: float, rng: np.random.Generator) -
         x, y, z = np.floor(points / np.float32(size) + np.float32(0.25)).astype(np.int32)
         cell = table[(x + table[(y + table[z & 255]) & 255]) & 255]  # Perlin's hash; repeats after 256 cells
         return _mix(dark, light, (cell / np.float32(255)).astype(np.float32))
+
     return texture
 
 
@@ -82,9 +85,11 @@ def mottled(dark: Colour, light: Colour, scale: float, rng: np.random.Generator)
 def marble(dark: Colour, light: Colour, scale: float, rng: np.random.Generator) -> Texture:
     """Two colours in wavy veins about `scale` wide: bands across (1, 1, 1) shifted by noise."""
     noise = plane_wave_noise(2 * scale, rng)
+
     def texture(points: np.ndarray) -> np.ndarray:
         phase = points.sum(axis=0) * np.float32(np.pi / scale / 3**0.5) + np.float32(1.3) * noise(points)
         return _mix(dark, light, 0.5 + 0.5 * np.sin(phase))
+
     return texture
 
 

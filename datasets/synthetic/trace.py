@@ -57,12 +57,24 @@ def trace(world: World, camera: Camera, time: float, *, flow_dt: float = 0.01, s
         y, x = np.nonzero(owner == index)
         local = item.pose.to_body(column(camera.position) + depth[y, x] * directions[:, y, x])
         flow[:, y, x], flow_valid[y, x] = _flow(item, local, x, y, camera, time + flow_dt)
-    return Traced(color=pool(met.color, samples), alpha=pool(hit.astype(np.float32), samples), depth=depth,
-                  flow=flow, flow_valid=flow_valid)
+    return Traced(
+        color=pool(met.color, samples),
+        alpha=pool(hit.astype(np.float32), samples),
+        depth=depth,
+        flow=flow,
+        flow_valid=flow_valid,
+    )
 
 
-def cast(bodies: list[Placed], camera: Camera, samples: int, placed: list[Placed], world: World, time: float,
-         before: np.ndarray | None = None) -> Cast:
+def cast(
+    bodies: list[Placed],
+    camera: Camera,
+    samples: int,
+    placed: list[Placed],
+    world: World,
+    time: float,
+    before: np.ndarray | None = None,
+) -> Cast:
     """The nearest of `bodies` for each ray of the camera, and its colour under the shadows of all `placed`.
 
     before: (H·samples, W·samples); only what is nearer than this is met. None: whatever the distance.
@@ -83,8 +95,9 @@ def cast(bodies: list[Placed], camera: Camera, samples: int, placed: list[Placed
         ray = directions.reshape(3, -1).take(met, axis=1)
         points = eye + depth.take(met) * ray
         sample = row % samples * samples + col % samples
-        color.reshape(3, -1)[:, met] = shade(item, points, item.pose.to_body(points), -ray / norm(ray), sample,
-                                             samples**2, placed, world, time)
+        color.reshape(3, -1)[:, met] = shade(
+            item, points, item.pose.to_body(points), -ray / norm(ray), sample, samples**2, placed, world, time
+        )
     return Cast(color=color, depth=depth, owner=owner)
 
 
@@ -102,8 +115,13 @@ def rays(camera: Camera, samples: int) -> np.ndarray:
     return x.astype(np.float32) * right + (y.astype(np.float32)[:, None] * down + forward)
 
 
-def first_hits(eye: np.ndarray, directions: np.ndarray, bodies: list[Placed], blocks: list[tuple[slice, slice]],
-               before: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+def first_hits(
+    eye: np.ndarray,
+    directions: np.ndarray,
+    bodies: list[Placed],
+    blocks: list[tuple[slice, slice]],
+    before: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
     """(depth, index of the body met) of each ray, where nearer than `before`; inf and NOTHING for none."""
     shape = directions.shape[1:]
     depth = np.full(shape, np.inf, dtype=np.float32) if before is None else before.copy()
@@ -140,13 +158,15 @@ def pool(values: np.ndarray, samples: int) -> np.ndarray:
     return total / np.float32(samples**2)
 
 
-def _flow(item: Placed, local: np.ndarray, x: np.ndarray, y: np.ndarray, camera: Camera,
-          later: float) -> tuple[np.ndarray, np.ndarray]:
+def _flow(
+    item: Placed, local: np.ndarray, x: np.ndarray, y: np.ndarray, camera: Camera, later: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Movement (2, N) in pixels of body points (3, N) seen at the centres of pixels x, y; where it exists (N,)."""
     pose = item.body.motion(later)
     moved = camera.world_to_cam[:3, :3] @ pose.to_world(local) + camera.world_to_cam[:3, 3:]
     valid = (moved[2] > 0) & (pose.scale > 0)
     z = np.where(valid, moved[2], 1)
-    flow = np.stack([camera.fx * moved[0] / z + camera.cx - (x + 0.5),
-                     camera.fy * moved[1] / z + camera.cy - (y + 0.5)])
+    flow = np.stack(
+        [camera.fx * moved[0] / z + camera.cx - (x + 0.5), camera.fy * moved[1] / z + camera.cy - (y + 0.5)]
+    )
     return np.where(valid, flow, 0), valid

@@ -15,17 +15,52 @@ FRAME_RATE = 30  # a second, as the Plenoptic Video data set
 # conversion, which rounds down.
 QUALITY = 8
 # ITU-R BT.601, 16 to 235: what readers take an untagged video for, so that those that ignore the tags agree too.
-COLOURS = ["-vf", "scale=out_color_matrix=bt601:out_range=tv:flags=bicubic+accurate_rnd+bitexact",
-           "-colorspace", "smpte170m", "-color_primaries", "smpte170m", "-color_trc", "smpte170m", "-color_range", "tv"]
+COLOURS = [
+    "-vf",
+    "scale=out_color_matrix=bt601:out_range=tv:flags=bicubic+accurate_rnd+bitexact",
+    "-colorspace",
+    "smpte170m",
+    "-color_primaries",
+    "smpte170m",
+    "-color_trc",
+    "smpte170m",
+    "-color_range",
+    "tv",
+]
 # One thread and no versions or dates in the file: the same frames give the same bytes.
 REPEATABLE = ["-threads", "1", "-fflags", "+bitexact", "-flags:v", "+bitexact"]
 
 
 def write_video(path: Path, frames: Iterable[np.ndarray], width: int, height: int) -> None:
     """Frames (height, width, 3) uint8 at FRAME_RATE; width and height even. Raises OSError if ffmpeg fails."""
-    command = [get_ffmpeg_exe(), "-v", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}",
-               "-r", str(FRAME_RATE), "-i", "-", "-an", *COLOURS, "-c:v", "libx264", "-preset", "veryfast",
-               "-crf", str(QUALITY), "-pix_fmt", "yuv420p", *REPEATABLE, str(path)]
+    command = [
+        get_ffmpeg_exe(),
+        "-v",
+        "error",
+        "-y",
+        "-f",
+        "rawvideo",
+        "-pix_fmt",
+        "rgb24",
+        "-s",
+        f"{width}x{height}",
+        "-r",
+        str(FRAME_RATE),
+        "-i",
+        "-",
+        "-an",
+        *COLOURS,
+        "-c:v",
+        "libx264",
+        "-preset",
+        "veryfast",
+        "-crf",
+        str(QUALITY),
+        "-pix_fmt",
+        "yuv420p",
+        *REPEATABLE,
+        str(path),
+    ]
     # At "-v error" it says a line or two: less than the pipe holds, so that it can be read at the end.
     encoder = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     try:

@@ -1,8 +1,8 @@
 """Writes a traced scene to disk in the D-NeRF layout, whole or not at all.
 
-    transforms_{train,val,test}.json, {train,val}/r_N.png, test/r_NNN.png     as datasets/dnerf.py reads them
-    test/r_NNN.npz     depth (H, W), flow (2, H, W), flow_valid (H, W) at pixel centres, see trace.Traced
-    meta.json          how the scene was made
+transforms_{train,val,test}.json, {train,val}/r_N.png, test/r_NNN.png     as datasets/dnerf.py reads them
+test/r_NNN.npz     depth (H, W), flow (2, H, W), flow_valid (H, W) at pixel centres, see trace.Traced
+meta.json          how the scene was made
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from datasets.files.atomic_folder import draft_of, write_json
 from datasets.synthetic.camera_path import ANGLE_X, Shot
-from datasets.draft import draft_of, write_json
 from datasets.synthetic.trace import Traced, trace
 from datasets.synthetic.world import World
 from rasterizer.camera import Camera
@@ -55,8 +55,12 @@ def _write_split(world: World, split: str, shots: list[Shot], size: int, flow_dt
         traced = trace(world, Camera.from_blender(size, size, focal, shot.cam_to_world), shot.time, flow_dt=flow_dt)
         Image.fromarray(to_rgba(traced)).save(folder / f"{name}.png")
         if split == "test":
-            np.savez_compressed(folder / f"{name}.npz", depth=traced.depth.astype(np.float32),
-                                flow=traced.flow.astype(np.float32), flow_valid=traced.flow_valid)
+            np.savez_compressed(
+                folder / f"{name}.npz",
+                depth=traced.depth.astype(np.float32),
+                flow=traced.flow.astype(np.float32),
+                flow_valid=traced.flow_valid,
+            )
         frame = {"file_path": f"./{name}", "time": shot.time, "transform_matrix": shot.cam_to_world.tolist()}
         if world.is_static:
             del frame["time"]

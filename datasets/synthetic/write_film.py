@@ -1,9 +1,9 @@
 """Films a scene with a rig of cameras and writes it in the Plenoptic Video layout, whole or not at all.
 
-    camNN.mp4              H.264, video.FRAME_RATE frames a second; frame i is the world at time i / FRAME_RATE
-    poses_bounds.npy       (N, 17) float64, LLFF's convention, see llff_row
-    truth/camNN_depth.npy  (H, W) float32 depth z at the pixels' centres of frame 0, world units
-    meta.json              how the scene was made
+camNN.mp4              H.264, video.FRAME_RATE frames a second; frame i is the world at time i / FRAME_RATE
+poses_bounds.npy       (N, 17) float64, LLFF's convention, see llff_row
+truth/camNN_depth.npy  (H, W) float32 depth z at the pixels' centres of frame 0, world units
+meta.json              how the scene was made
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from pathlib import Path
 
 import numpy as np
 
+from datasets.files.atomic_folder import draft_of, write_json
 from datasets.scene import SceneError
-from datasets.draft import draft_of, write_json
 from datasets.synthetic.film import depth_of, film
 from datasets.synthetic.rig import rig
 from datasets.synthetic.video import FRAME_RATE, write_video
@@ -68,8 +68,9 @@ class Shooting:
         return world, rig(self.cameras, self.size, self.height, rig_rng)
 
 
-def write_film(shooting: Shooting, folder: Path, *, processes: int = 1,
-               progress: Callable[[int, int], None] | None = None) -> Path:
+def write_film(
+    shooting: Shooting, folder: Path, *, processes: int = 1, progress: Callable[[int, int], None] | None = None
+) -> Path:
     """Films with all cameras into `folder`, `processes` of them side by side; the bytes do not depend on how many."""
     if processes < 1:
         raise SceneError("processes", "at least 1", str(processes))
@@ -82,10 +83,19 @@ def write_film(shooting: Shooting, folder: Path, *, processes: int = 1,
                     progress(done, shooting.cameras)
         depths = [np.load(_depth_path(draft, number)) for number in range(shooting.cameras)]
         near_far = [(depth.min(), depth[depth < BACKDROP].max()) for depth in depths]
-        np.save(draft / "poses_bounds.npy",
-                np.stack([llff_row(camera, *bounds) for camera, bounds in zip(cameras, near_far)]))
-        write_json(draft / "meta.json", {**asdict(shooting), "frame_rate": FRAME_RATE, "backdrop": BACKDROP,
-                                         "depth": "z along the viewing axis, frame 0"})
+        np.save(
+            draft / "poses_bounds.npy",
+            np.stack([llff_row(camera, *bounds) for camera, bounds in zip(cameras, near_far)]),
+        )
+        write_json(
+            draft / "meta.json",
+            {
+                **asdict(shooting),
+                "frame_rate": FRAME_RATE,
+                "backdrop": BACKDROP,
+                "depth": "z along the viewing axis, frame 0",
+            },
+        )
     return folder
 
 
@@ -104,8 +114,12 @@ def _shoot(shooting: Shooting, folder: Path, number: int) -> int:
     world, cameras = shooting.set_up()
     camera = cameras[number]
     np.save(_depth_path(folder, number), depth_of(world, camera, shooting.times[0]))
-    write_video(folder / f"cam{number:02d}.mp4", film(world, camera, shooting.times, samples=shooting.samples),
-                camera.width, camera.height)
+    write_video(
+        folder / f"cam{number:02d}.mp4",
+        film(world, camera, shooting.times, samples=shooting.samples),
+        camera.width,
+        camera.height,
+    )
     return number
 
 
@@ -121,6 +135,7 @@ def _mapper(processes: int) -> Iterator[Callable]:
         return
     # Spawned: a fork after a parallel region of torch or numpy hangs.
     with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn")) as pool:
+
         def in_any_order(task: Callable, items: range) -> Iterator:
             futures = [pool.submit(task, item) for item in items]
             try:
@@ -128,4 +143,5 @@ def _mapper(processes: int) -> Iterator[Callable]:
                     yield future.result()
             finally:
                 pool.shutdown(wait=True, cancel_futures=True)  # after a failure the rest need not run
+
         yield in_any_order

@@ -12,21 +12,20 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from pipeline.closed_pipe import quiet_on_closed_pipe
-
-from .collect import collect
-from .comparisons import comparisons
-from .content import Content, CurvePlot, report_markdown, terminal_text
-from .export import files_of
-from .out_folder import replace_report
-from .page import render_page
-from .plots import DARK, plot
-from .run_tables import run_tables
-from .strips import make_strips
-from .structure import structure_from_motion
-from .summary import summarise
-from .tables import paper_tables
-from .variants import name_variants
+from pipeline.presentation.table_files import files_of
+from pipeline.report.compare.comparisons import comparisons
+from pipeline.report.tables.paper_tables import paper_tables
+from pipeline.report.tables.run_tables import run_tables
+from pipeline.report.tables.structure import structure_from_motion
+from pipeline.report.tables.summary import summarise
+from pipeline.report.write.content import Content, CurvePlot, report_markdown, terminal_text
+from pipeline.report.write.out_folder import replace_report
+from pipeline.report.write.page import render_page
+from pipeline.report.write.plots import DARK, plot
+from pipeline.report.write.strips import make_strips
+from pipeline.runs.read.collect import collect
+from pipeline.runs.read.variants import name_variants
+from pipeline.terminal.closed_pipe import quiet_on_closed_pipe
 
 
 @quiet_on_closed_pipe()
@@ -37,10 +36,21 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("runs_dir", type=Path, metavar="RUNS_DIR")
     parser.add_argument("--out", type=Path, metavar="DIR", help="default: RUNS_DIR/../report")
-    parser.add_argument("--no-pictures", nargs="*", default=[], metavar="SCENE",
-                        help="scenes, or families of them (dnerf), whose images may not be passed on: no strips")
-    parser.add_argument("--psnr", nargs="*", type=float, default=[], metavar="DB",
-                        help="levels of the table of training seconds to a PSNR (default: by scene)")
+    parser.add_argument(
+        "--no-pictures",
+        nargs="*",
+        default=[],
+        metavar="SCENE",
+        help="scenes, or families of them (dnerf), whose images may not be passed on: no strips",
+    )
+    parser.add_argument(
+        "--psnr",
+        nargs="*",
+        type=float,
+        default=[],
+        metavar="DB",
+        help="levels of the table of training seconds to a PSNR (default: by scene)",
+    )
     options = parser.parse_args(arguments)
     out = options.out or options.runs_dir.resolve().parent / "report"
     try:
@@ -77,16 +87,24 @@ def make_report(runs_dir: Path, no_pictures: tuple[str, ...] = (), levels: tuple
     strips, strip_warnings = make_strips(collection.runs, no_pictures)
     structure, structure_warnings = structure_from_motion(collection.runs, no_pictures)
     summary = summarise(collection, strip_warnings + structure_warnings)
-    content = Content(summary, paper_tables(collection), run_tables(collection, levels), structure, strips, [
-        CurvePlot(compared.title, compared.slug, plot(collection, compared), plot(collection, compared, DARK))
-        for compared in comparisons(collection)
-    ])
+    content = Content(
+        summary,
+        paper_tables(collection),
+        run_tables(collection, levels),
+        structure,
+        strips,
+        [
+            CurvePlot(compared.title, compared.slug, plot(collection, compared), plot(collection, compared, DARK))
+            for compared in comparisons(collection)
+        ],
+    )
     files: dict[str, bytes] = {}
     for table in content.tables:
         files |= {f"tables/{name}": written for name, written in files_of(table).items()}
     files |= {f"plots/{of_curves.slug}.svg": of_curves.light.encode() for of_curves in content.plots}
-    files |= {f"strips/{picture.filename}": picture.webp
-              for picture in (*strips, *(structure.pictures if structure else ()))}
+    files |= {
+        f"strips/{picture.filename}": picture.webp for picture in (*strips, *(structure.pictures if structure else ()))
+    }
     files |= {"report.md": report_markdown(content).encode(), "report.html": render_page(content).encode()}
     return Report(files, (*summary.left_out, *summary.warnings), terminal_text(content))
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from rasterizer.bench.measure import Counts
 from rasterizer.kernel import kernel
+from rasterizer.timing.measure import Counts
 
 GEOMETRY = 4 * 17  # bytes: mean, scale, two quaternions, opacity
 LINE = 64  # bytes of a splat, a colour slope, a gradient slot
@@ -46,8 +46,10 @@ def work_of(c: Counts, sh_bytes: int) -> dict[str, Work]:
     return {
         # time row and marginal 105 a Gaussian; slice and projection 380 one alive; Fourier sum and its slope
         # 5/3 a coefficient, basis, colour and its derivatives 360
-        "prepare": Work(105 * c.gaussians + 380 * c.alive + (5 / 3 * coefficients + 360) * c.visible,
-                        GEOMETRY * c.gaussians + (sh_bytes + 2 * LINE + 4) * c.visible),
+        "prepare": Work(
+            105 * c.gaussians + 380 * c.alive + (5 / 3 * coefficients + 360) * c.visible,
+            GEOMETRY * c.gaussians + (sh_bytes + 2 * LINE + 4) * c.visible,
+        ),
         # keys made of depths, and moved in two passes
         "sort": Work(10 * c.visible, (4 + 6 * 8) * c.visible),
         # the quadratic form's largest value in sixteen blocks: 25 operations each
@@ -56,11 +58,13 @@ def work_of(c: Counts, sh_bytes: int) -> dict[str, Work]:
         "blend": Work(22 * c.pairs, 6 * c.entries + LINE * c.visible + 12 * c.pixels),
         # the same but for the colour 19, along the gradient and what is left 4, inverse 3, ∂alpha 4, moments and sums 11;
         # nine sums over sixteen lanes an entry
-        "blend_backward": Work(41 * c.pairs + 9 * 15 * c.entries,
-                               (10 + LINE) * c.entries + LINE * c.visible + 2 * 12 * c.pixels),
+        "blend_backward": Work(
+            41 * c.pairs + 9 * 15 * c.entries, (10 + LINE) * c.entries + LINE * c.visible + 2 * 12 * c.pixels
+        ),
         # slots added up; slice and projection again, then backwards
-        "gaussian_backward": Work(16 * c.entries + 1100 * c.visible,
-                                  LINE * c.entries + (3 * GEOMETRY + 2 * LINE + 52) * c.visible),
+        "gaussian_backward": Work(
+            16 * c.entries + 1100 * c.visible, LINE * c.entries + (3 * GEOMETRY + 2 * LINE + 52) * c.visible
+        ),
     }
 
 

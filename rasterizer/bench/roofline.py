@@ -19,18 +19,34 @@ def write_roofline(path: Path, rates: Rates, measured: dict[str, tuple[dict[str,
     """measured: by workload, the work of each stage and the milliseconds it took on one thread."""
     figure, axes = plt.subplots(figsize=(7.5, 5))
     intensity = np.logspace(-1.5, 2.5, 200)
-    axes.plot(intensity, np.minimum(rates.operations, rates.bytes * intensity) / 1e9, color="black", lw=1.5,
-              label=f"roof: {rates.operations / 1e9:.0f} G operations/s, {rates.bytes / 1e9:.1f} GB/s")
+    axes.plot(
+        intensity,
+        np.minimum(rates.operations, rates.bytes * intensity) / 1e9,
+        color="black",
+        lw=1.5,
+        label=f"roof: {rates.operations / 1e9:.0f} G operations/s, {rates.bytes / 1e9:.1f} GB/s",
+    )
     colors = {}
     for marker, (workload, (work, milliseconds)) in zip(MARKERS, measured.items(), strict=False):
         for stage, stage_work in work.items():
             rate = stage_work.operations / (1e-3 * milliseconds[stage]) / 1e9
-            (point,) = axes.plot(stage_work.operations / stage_work.bytes, rate, marker, color=colors.get(stage), ms=7,
-                                 label=stage if stage not in colors else None)
+            (point,) = axes.plot(
+                stage_work.operations / stage_work.bytes,
+                rate,
+                marker,
+                color=colors.get(stage),
+                ms=7,
+                label=stage if stage not in colors else None,
+            )
             colors[stage] = point.get_color()
         axes.plot([], [], marker, color="grey", label=workload)
-    axes.set(xscale="log", yscale="log", xlabel="operations a byte moved", ylabel="10⁹ operations a second",
-             title="One thread against the roof")
+    axes.set(
+        xscale="log",
+        yscale="log",
+        xlabel="operations a byte moved",
+        ylabel="10⁹ operations a second",
+        title="One thread against the roof",
+    )
     axes.legend(fontsize=8, loc="lower right")
     axes.grid(alpha=0.3, which="both")
     path.parent.mkdir(parents=True, exist_ok=True)

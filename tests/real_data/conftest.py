@@ -8,8 +8,10 @@ from pathlib import Path
 import pytest
 
 LEGO = "the D-NeRF release's lego scene as DATA_DIR/dnerf/lego or DATA_DIR/lego"
-PHOTOGRAPHS = ("a folder of photographs as DATA_DIR/photographs, with the lens's K.txt in it or beside it (openMVG's "
-               "ImageDataset_SceauxCastle has both)")
+PHOTOGRAPHS = (
+    "a folder of photographs as DATA_DIR/photographs, with the lens's K.txt in it or beside it (openMVG's "
+    "ImageDataset_SceauxCastle has both)"
+)
 
 
 def data_dir() -> Path | None:

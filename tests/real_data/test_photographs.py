@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from pipeline.config import InitConfig
-from pipeline.sfm.__main__ import SUFFIXES, main, read_photographs
-from pipeline.sfm.photograph import Photograph, Reconstruction
-from pipeline.sfm.run import reconstruct
+from pipeline.config.schema import InitConfig
+from pipeline.data.sfm.__main__ import SUFFIXES, main, read_photographs
+from pipeline.data.sfm.photograph import Photograph, Reconstruction
+from pipeline.data.sfm.run import reconstruct
 
 pytestmark = pytest.mark.data
 
@@ -38,8 +38,9 @@ def found(photographs: list[Photograph], photograph_folder: Path) -> Reconstruct
     return reconstruct(photographs, CFG, 1.0, photograph_folder)
 
 
-def test_all_find_their_places_and_the_lens_is_the_calibrated_one(found, photographs, focal: float, downscale: int
-                                                                  ) -> None:
+def test_all_find_their_places_and_the_lens_is_the_calibrated_one(
+    found, photographs, focal: float, downscale: int
+) -> None:
     assert set(found.lenses) == {p.name for p in photographs} and found.photographs == len(photographs) - 1
     assert found.errors.mean() < 0.8 and len(found.points) > 500
     for lens in found.lenses.values():  # it was never told; a calibration by other photographs agrees to some per cent

@@ -20,26 +20,38 @@ MOUTH = np.array([0.0, 0.0, FLOOR + 0.30])  # where everything starts
 
 
 def build(rng: np.random.Generator) -> World:
-    floor = tiles(mottled((0.42, 0.38, 0.34), (0.66, 0.62, 0.56), 0.1, rng),
-                  mottled((0.30, 0.20, 0.18), (0.48, 0.34, 0.30), 0.1, rng), 0.24)
+    floor = tiles(
+        mottled((0.42, 0.38, 0.34), (0.66, 0.62, 0.56), 0.1, rng),
+        mottled((0.30, 0.20, 0.18), (0.48, 0.34, 0.30), 0.1, rng),
+        0.24,
+    )
     basin = sectors([mottled((0.20, 0.32, 0.45), (0.50, 0.66, 0.78), 0.1, rng), plain((0.85, 0.82, 0.75))] * 6)
-    bodies = [Body(Ring(0.0, 1.05, 0.04), Material(floor), rest((0, 0, FLOOR - 0.04))),
-              Body(Ring(0.24, 0.34, 0.13), Material(basin, specular=0.3), rest((0, 0, FLOOR + 0.13)))]
+    bodies = [
+        Body(Ring(0.0, 1.05, 0.04), Material(floor), rest((0, 0, FLOOR - 0.04))),
+        Body(Ring(0.24, 0.34, 0.13), Material(basin, specular=0.3), rest((0, 0, FLOOR + 0.13))),
+    ]
     for index in range(COUNT):
         # Starts spread evenly from just before the beginning to just before the end.
         birth = -0.08 + (index + 0.3 * rng.random()) * 1.0 / COUNT
         bodies.append(Body(*_thing(index, rng), _flight(birth, rng, 2.4 * index)))
-    return World(bodies=tuple(bodies), lights=(
-        Light((2.0, 1.6, 4.2), 0.35, steady(0.74, 0.70, 0.62)),
-        Light((-2.5, -2.5, 2.5), 0.4, steady(0.17, 0.20, 0.26), casts_shadow=False)))
+    return World(
+        bodies=tuple(bodies),
+        lights=(
+            Light((2.0, 1.6, 4.2), 0.35, steady(0.74, 0.70, 0.62)),
+            Light((-2.5, -2.5, 2.5), 0.4, steady(0.17, 0.20, 0.26), casts_shadow=False),
+        ),
+    )
 
 
 def _thing(index: int, rng: np.random.Generator) -> tuple[Shape, Material]:
     colours = ((0.90, 0.25, 0.18), (0.95, 0.70, 0.15), (0.20, 0.60, 0.85), (0.35, 0.72, 0.35), (0.72, 0.35, 0.75))
     vivid, pale = colours[index % len(colours)], (0.95, 0.92, 0.85)
     textures: tuple[Texture, ...] = (
-        checker(plain(vivid), plain(pale), 0.11), marble(vivid, pale, 0.08, rng),
-        stripes(plain(vivid), plain(pale), 0.07, (1, 0.5, 0.3)), mottled(vivid, pale, 0.08, rng))
+        checker(plain(vivid), plain(pale), 0.11),
+        marble(vivid, pale, 0.08, rng),
+        stripes(plain(vivid), plain(pale), 0.07, (1, 0.5, 0.3)),
+        mottled(vivid, pale, 0.08, rng),
+    )
     shapes: tuple[Shape, ...] = (Sphere(0.17), Box((0.13, 0.13, 0.13)), Ring(0.09, 0.18, 0.06))
     return shapes[index % len(shapes)], Material(textures[index % len(textures)], specular=0.3)
 
@@ -58,4 +70,5 @@ def _flight(birth: float, rng: np.random.Generator, heading: float) -> Motion:
         height = 4 * peak * 0.85 * age * (1 - 0.85 * age)  # it vanishes on its way down
         rotation = turn("z", heading) @ turn("y", spin * age)
         return Pose(MOUTH + age * away + [0.0, 0.0, height], rotation, scale=float(np.clip(left / SWELL, 0, 1)))
+
     return motion

@@ -14,8 +14,18 @@ from collections.abc import Callable
 import numpy as np
 
 from datasets.synthetic.shapes import Box, Dome, Rectangle, Ring, Sphere
-from datasets.synthetic.texture import (Colour, Texture, average, checker, marble, mosaic, mottled, plain, sectors,
-                                        stripes)
+from datasets.synthetic.texture import (
+    Colour,
+    Texture,
+    average,
+    checker,
+    marble,
+    mosaic,
+    mottled,
+    plain,
+    sectors,
+    stripes,
+)
 from datasets.synthetic.world import Body, Light, Material, Motion, Pose, World, rest, steady, turn
 
 TOP = -0.42  # height of the counter
@@ -31,22 +41,34 @@ RED, BLUE, GREEN, BROWN = (0.62, 0.16, 0.12), (0.14, 0.28, 0.52), (0.16, 0.36, 0
 
 def build(rng: np.random.Generator) -> World:
     still_rng, lively_rng = rng.spawn(2)
-    return World(bodies=(*_room(still_rng), *_things(still_rng), *_moving(lively_rng), *_flickering(lively_rng)),
-                 lights=(Light((-1.3, -2.2, 2.8), 0.25, steady(0.70, 0.67, 0.60)),
-                         Light((2.5, -2.5, 1.5), 0.4, steady(0.20, 0.22, 0.26), casts_shadow=False)),
-                 sky=(0.34, 0.35, 0.38), ground=(0.18, 0.16, 0.15))
+    return World(
+        bodies=(*_room(still_rng), *_things(still_rng), *_moving(lively_rng), *_flickering(lively_rng)),
+        lights=(
+            Light((-1.3, -2.2, 2.8), 0.25, steady(0.70, 0.67, 0.60)),
+            Light((2.5, -2.5, 1.5), 0.4, steady(0.20, 0.22, 0.26), casts_shadow=False),
+        ),
+        sky=(0.34, 0.35, 0.38),
+        ground=(0.18, 0.16, 0.15),
+    )
 
 
 # --- what stands still ----------------------------------------------------------------------------------------------
 
+
 def _room(rng: np.random.Generator) -> list[Body]:
     """Landscape, wall with window and pictures, floor, counter. Of these only the window's bars cast shadows."""
-    tiling = average(mosaic((0.45, 0.43, 0.40), (0.92, 0.88, 0.80), 0.30, rng),
-                     mottled((0.45, 0.42, 0.38), (0.98, 0.94, 0.88), 0.09, rng))
-    planks = average(stripes(mottled(BROWN, SAND, 0.08, rng), mottled((0.22, 0.13, 0.08), SAND, 0.12, rng), 0.25,
-                             (1, 0, 0)), mosaic((0.40, 0.28, 0.18), (0.70, 0.56, 0.40), 0.07, rng))
-    granite = average(mosaic((0.15, 0.15, 0.16), (0.80, 0.78, 0.74), 0.06, rng),
-                      marble((0.30, 0.29, 0.29), (0.88, 0.85, 0.80), 0.14, rng))
+    tiling = average(
+        mosaic((0.45, 0.43, 0.40), (0.92, 0.88, 0.80), 0.30, rng),
+        mottled((0.45, 0.42, 0.38), (0.98, 0.94, 0.88), 0.09, rng),
+    )
+    planks = average(
+        stripes(mottled(BROWN, SAND, 0.08, rng), mottled((0.22, 0.13, 0.08), SAND, 0.12, rng), 0.25, (1, 0, 0)),
+        mosaic((0.40, 0.28, 0.18), (0.70, 0.56, 0.40), 0.07, rng),
+    )
+    granite = average(
+        mosaic((0.15, 0.15, 0.16), (0.80, 0.78, 0.74), 0.06, rng),
+        marble((0.30, 0.29, 0.29), (0.88, 0.85, 0.80), 0.14, rng),
+    )
     left, low, right, high = WINDOW
     upright = turn("x", np.pi / 2)  # a rectangle's y becomes the world's z
     bodies = [
@@ -58,12 +80,19 @@ def _room(rng: np.random.Generator) -> list[Body]:
     ]
     wood = Material(average(stripes(plain(SAND), plain(BROWN), 0.03, (1, 0.3, 1)), mottled(BROWN, SAND, 0.04, rng)))
     x, z, half_x, half_z = (left + right) / 2, (low + high) / 2, (right - left) / 2, (high - low) / 2
-    for place, half in (((left, z), (0.05, half_z)), ((right, z), (0.05, half_z)), ((x, high), (half_x + 0.05, 0.05)),
-                        ((x, z), (0.025, half_z)), ((x, low), (half_x + 0.15, 0.06))):
+    for place, half in (
+        ((left, z), (0.05, half_z)),
+        ((right, z), (0.05, half_z)),
+        ((x, high), (half_x + 0.05, 0.05)),
+        ((x, z), (0.025, half_z)),
+        ((x, low), (half_x + 0.15, 0.06)),
+    ):
         bodies.append(Body(Box((half[0], 0.06, half[1])), wood, rest((place[0], WALL - 0.05, place[1]))))
-    for place, half, colours, size in (((2.15, 0.95), (0.38, 0.50), (BLUE, WHITE), 0.09),
-                                       ((3.1, 1.0), (0.35, 0.35), (RED, SAND), 0.07),
-                                       ((-2.65, 0.95), (0.40, 0.55), (GREEN, WHITE), 0.08)):
+    for place, half, colours, size in (
+        ((2.15, 0.95), (0.38, 0.50), (BLUE, WHITE), 0.09),
+        ((3.1, 1.0), (0.35, 0.35), (RED, SAND), 0.07),
+        ((-2.65, 0.95), (0.40, 0.55), (GREEN, WHITE), 0.08),
+    ):
         print_ = average(mosaic(*colours, size, rng), mosaic(INK, WHITE, 0.4 * size, rng))
         bodies.append(Body(Box((half[0], 0.02, half[1])), Material(print_), rest((place[0], WALL - 0.03, place[1]))))
     return bodies
@@ -71,14 +100,22 @@ def _room(rng: np.random.Generator) -> list[Body]:
 
 def _things(rng: np.random.Generator) -> list[Body]:
     """What stands on the counter."""
+
     def paper(dark: Colour, light: Colour, size: float) -> Material:
         return Material(average(mosaic(dark, light, size, rng), mosaic(INK, WHITE, 0.4 * size, rng)))
 
     def glaze(dark: Colour, light: Colour, size: float) -> Material:
         return Material(average(marble(dark, light, size, rng), mosaic(dark, light, 0.6 * size, rng)), specular=0.2)
 
-    def on_top(shape: Box | Ring | Sphere, material: Material, x: float, y: float, height: float, angle: float = 0.0,
-               above: float = 0.0) -> Body:
+    def on_top(
+        shape: Box | Ring | Sphere,
+        material: Material,
+        x: float,
+        y: float,
+        height: float,
+        angle: float = 0.0,
+        above: float = 0.0,
+    ) -> Body:
         """height: of the shape's centre above what it stands on, which is `above` the counter."""
         return Body(shape, material, rest((x, y, TOP + above + height), turn("z", angle)))
 
@@ -114,13 +151,18 @@ def _things(rng: np.random.Generator) -> list[Body]:
 def _landscape(rng: np.random.Generator) -> Texture:
     """Clouds above hills with fields: one colour a direction, in world units on a sphere of radius FAR."""
     skyline = _skyline(rng)
-    sky = average(mottled((0.25, 0.45, 0.72), (0.98, 0.98, 0.98), 26.0, rng),
-                  mottled((0.45, 0.60, 0.80), (1.00, 0.98, 0.96), 9.0, rng))
-    land = average(mottled((0.10, 0.20, 0.08), (0.62, 0.62, 0.36), 14.0, rng),
-                   mosaic((0.08, 0.12, 0.06), (0.80, 0.76, 0.56), 7.0, rng))
+    sky = average(
+        mottled((0.25, 0.45, 0.72), (0.98, 0.98, 0.98), 26.0, rng),
+        mottled((0.45, 0.60, 0.80), (1.00, 0.98, 0.96), 9.0, rng),
+    )
+    land = average(
+        mottled((0.10, 0.20, 0.08), (0.62, 0.62, 0.36), 14.0, rng),
+        mosaic((0.08, 0.12, 0.06), (0.80, 0.76, 0.56), 7.0, rng),
+    )
 
     def texture(points: np.ndarray) -> np.ndarray:
         return np.where(points[2] > skyline(points), sky(points), land(points))
+
     return texture
 
 
@@ -130,12 +172,16 @@ def _skyline(rng: np.random.Generator) -> Callable[[np.ndarray], np.ndarray]:
 
     def height(points: np.ndarray) -> np.ndarray:
         azimuth = np.arctan2(points[1], points[0])
-        return np.float32(14.0) + sum(np.float32(size) * np.sin(np.float32(n) * azimuth + np.float32(phase))
-                                      for n, size, phase in zip(cycles, heights, phases))
+        return np.float32(14.0) + sum(
+            np.float32(size) * np.sin(np.float32(n) * azimuth + np.float32(phase))
+            for n, size, phase in zip(cycles, heights, phases)
+        )
+
     return height
 
 
 # --- what changes: it casts no shadow, see film.py ------------------------------------------------------------------
+
 
 def _moving(rng: np.random.Generator) -> list[Body]:
     box = checker(mosaic(RED, WHITE, 0.04, rng), mosaic(INK, SAND, 0.05, rng), 0.12)
@@ -143,11 +189,15 @@ def _moving(rng: np.random.Generator) -> list[Body]:
     roll = stripes(mosaic(GREEN, WHITE, 0.04, rng), mosaic(INK, SAND, 0.03, rng), 0.07, (0, 0.5, 1))
     swinging = _swinging(rng)
     # The thread in pieces: each is looked for in the square about it, and one long piece would have a big one.
-    thread = [_lively(Box((0.012, 0.012, 0.1)), Material(plain(BROWN)), swinging(0.1 + 0.2 * piece))
-              for piece in range(5)]
-    return [_lively(Box((0.17, 0.17, 0.17)), Material(box), _tumbling(rng)),
-            _lively(Sphere(0.19), Material(ball, specular=0.3), swinging(1.15)),
-            _lively(Ring(0.0, 0.11, 0.16), Material(roll), _sliding(rng)), *thread]
+    thread = [
+        _lively(Box((0.012, 0.012, 0.1)), Material(plain(BROWN)), swinging(0.1 + 0.2 * piece)) for piece in range(5)
+    ]
+    return [
+        _lively(Box((0.17, 0.17, 0.17)), Material(box), _tumbling(rng)),
+        _lively(Sphere(0.19), Material(ball, specular=0.3), swinging(1.15)),
+        _lively(Ring(0.0, 0.11, 0.16), Material(roll), _sliding(rng)),
+        *thread,
+    ]
 
 
 def _lively(shape: Box | Ring | Sphere, material: Material, motion: Motion) -> Body:
@@ -162,6 +212,7 @@ def _tumbling(rng: np.random.Generator) -> Motion:
         angle = 2 * np.pi * time / 3.1 + phase[0]
         place = np.array([-0.45 + 0.30 * np.cos(angle), -0.10 + 0.15 * np.sin(angle), 0.22 + 0.08 * np.sin(2 * angle)])
         return Pose(place, turn("z", spin[0] * time + phase[1]) @ turn("x", spin[1] * time))
+
     return motion
 
 
@@ -173,7 +224,9 @@ def _swinging(rng: np.random.Generator) -> Callable[[float], Motion]:
         def motion(time: float) -> Pose:
             rotation = turn("y", 0.45 * np.sin(2 * np.pi * time / 1.9 + phase))
             return Pose(pivot + rotation @ np.array([0.0, 0.0, -distance]), rotation)
+
         return motion
+
     return at
 
 
@@ -184,6 +237,7 @@ def _sliding(rng: np.random.Generator) -> Motion:
     def motion(time: float) -> Pose:
         way = np.sin(2 * np.pi * time / 4.3 + phase)
         return Pose(np.array([0.30 + 0.42 * way, -0.54, TOP + 0.16]), turn("z", 1.5 * way))
+
     return motion
 
 
@@ -197,10 +251,13 @@ def _flickering(rng: np.random.Generator) -> list[Body]:
 
     def glow(colour: Colour, power: Callable[[float], float]) -> Material:
         return Material(dark, glow=lambda time: np.asarray(colour) * (0.2 + 0.8 * power(time)))
+
     shown = Material(screen, glow=lambda time: 0.6 * np.array([red(time), green(time), blue(time)]))
-    return [_lively(Sphere(0.10), glow((1.0, 0.40, 0.05), flame), burning),
-            _lively(Sphere(0.14), glow((1.0, 0.90, 0.60), bulb), rest((*LAMP, TOP + 0.68))),
-            _lively(Box((0.24, 0.01, 0.16)), shown, rest((SCREEN[0], SCREEN[1] - 0.025, TOP + 0.21)))]
+    return [
+        _lively(Sphere(0.10), glow((1.0, 0.40, 0.05), flame), burning),
+        _lively(Sphere(0.14), glow((1.0, 0.90, 0.60), bulb), rest((*LAMP, TOP + 0.68))),
+        _lively(Box((0.24, 0.01, 0.16)), shown, rest((SCREEN[0], SCREEN[1] - 0.025, TOP + 0.21))),
+    ]
 
 
 def _flicker(rng: np.random.Generator) -> Callable[[float], float]:

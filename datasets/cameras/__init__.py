@@ -1,0 +1,1 @@
+"""Cameras as files describe them: poses, intrinsics, lenses."""

@@ -1,0 +1,40 @@
+"""Image files, read whole or by their headers alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from datasets.scene import SceneError
+
+
+def common_size(paths: Sequence[Path]) -> tuple[int, int]:
+    """(width, height) of all images, from their headers."""
+    sizes = []
+    for path in paths:
+        try:
+            with Image.open(path) as image:
+                sizes.append(image.size)
+        except Exception as error:  # PIL raises many types for broken files
+            raise SceneError(path, "a readable image", str(error)) from None
+        if sizes[-1] != sizes[0]:
+            raise SceneError(
+                path, "{} x {} pixels as {}".format(*sizes[0], paths[0].name), "{} x {}".format(*sizes[-1])
+            )
+    return sizes[0]
+
+
+def read_rgba(path: Path) -> np.ndarray:
+    """(H, W, 4) uint8, straight alpha; 255 where the file has none."""
+    try:
+        with Image.open(path) as image:
+            mode = image.mode
+            rgba = np.asarray(image.convert("RGBA"))
+    except Exception as error:  # a truncated file shows only now
+        raise SceneError(path, "a readable image", str(error)) from None
+    if mode.startswith(("I", "F")):
+        raise SceneError(path, "8 bits a channel", f"image mode {mode}")
+    return rgba

@@ -1,0 +1,168 @@
+"""Between Hydra and the schema: registers it, turns a composed config into dataclasses, and errors into one line."""
+
+from __future__ import annotations
+
+import difflib
+import os
+import re
+import shlex
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import get_type_hints
+
+from hydra.core.config_store import ConfigStore
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException, OverrideParseException
+from omegaconf import DictConfig, OmegaConf
+
+from datasets.files.errors import clear
+from pipeline.config.schema import Config
+from pipeline.config.static_overrides import with_static_differences
+
+PATH_KEYS = ("scene.path", "scene.cache", "out")
+CONFIG_DIR = Path(__file__).resolve().parents[2] / "conf"
+
+
+def register_schema() -> None:
+    """Make `schema` of conf/config.yaml known to Hydra. Calling it again changes nothing."""
+    ConfigStore.instance().store(name="schema", node=Config)
+    OmegaConf.register_new_resolver("named_after_folder", named_after_folder, replace=True)
+
+
+def named_after_folder(family: str, path: str | None) -> str:
+    """A scene's name, `<family>/<folder>`, so that two scenes of one layout do not share a run folder.
+
+    Names are printed and make paths: dots in front (a hidden folder) and what cannot be printed are left out. Without a
+    path, `family` alone.
+    """
+    folder = clear(os.path.basename(os.path.abspath(os.path.expanduser(path)))).lstrip(".") if path else ""
+    return f"{family}/{folder}" if folder else family
+
+
+def to_config(composed: DictConfig) -> Config:
+    """The typed configuration of a run. ValueError, one line, where a key is unknown or a value out of range."""
+    known = set(known_keys()) | _keys_where_still()
+    for key in _keys_of(OmegaConf.to_container(composed, resolve=False)):
+        if key not in known:  # `+key=value` on the command line gets past Hydra's own check
+            raise ValueError(_unknown_key(key))
+    cfg = OmegaConf.to_object(composed)
+    with_static_differences(cfg)  # or they would be found wrong on the first scene where nothing moves
+    return cfg
+
+
+def config_of_tree(tree: dict) -> Config:
+    """The typed configuration of a run folder's config.yaml. Raises what `to_config` and OmegaConf raise."""
+    return to_config(OmegaConf.merge(OmegaConf.structured(Config), OmegaConf.create(tree)))
+
+
+def known_keys(schema: type = Config, prefix: str = "") -> list[str]:
+    """Every key of the schema, dotted: "train.rate.mean"."""
+    hints = get_type_hints(schema)
+    keys = []
+    for f in fields(schema):
+        keys.append(prefix + f.name)
+        if is_dataclass(hints[f.name]):
+            keys += known_keys(hints[f.name], f"{prefix}{f.name}.")
+    return keys
+
+
+def _keys_where_still() -> set[str]:
+    """`train.where_still` holds keys of `train`, but itself."""
+    keys = (key.removeprefix("train.") for key in known_keys() if key.startswith("train."))
+    return {f"train.where_still.{key}" for key in keys if key != "where_still"}
+
+
+def one_line(error: BaseException) -> str:
+    """What went wrong, for people: Hydra and OmegaConf spread it over several lines and chained exceptions."""
+    if isinstance(error, OSError) and error.filename is not None and error.strerror:
+        return f"{error.filename}: {error.strerror}"
+    chain = [error]
+    while chain[-1].__cause__ is not None:
+        chain.append(chain[-1].__cause__)
+    text = "\n".join(str(e) for e in chain)
+    where = re.search(r"In '([^']+)': \w+ raised", text)
+    return (f"conf/{where[1]}.yaml: " if where else "") + (_explained(text) or _joined(error))
+
+
+def _explained(text: str) -> str | None:
+    """The messages of Hydra and OmegaConf that a user meets, reworded; None if it is none of these."""
+    if found := re.search(r"Key '[^']*' (?:is )?not in[^\n]*\n\s*full_key: (\S+)", text):
+        return _unknown_key(found[1])
+    if found := re.search(r"Could not override '([^']+)'", text):
+        return _unknown_key(found[1])
+    if found := re.search(r"Could not find '([^']+)'", text):
+        group, _, option = found[1].partition("/") if not found[1].startswith("hydra/") else found[1].rpartition("/")
+        hint = "; is its package installed?" if group.startswith("hydra/") else _there_are(group)
+        return f"{group}={option}: no such option{hint}"
+    if found := re.search(r"You must specify '([^']+)'", text):
+        return f"{found[1]}: must be given" + _there_are(found[1])
+    if found := re.search(r"([^\n]+)\n\s*full_key: (\S+)", text):  # OmegaConf: a wrong type, null where it must not be
+        return f"{found[2]}: {found[1]}"
+    return None
+
+
+def _joined(error: BaseException) -> str:
+    if isinstance(error, OverrideParseException):
+        return f"{error.override}: not a key=value that Hydra can read" + _quoting(error.override)
+    lines = [line.strip() for line in str(error).splitlines() if not line.startswith("See https://hydra.cc")]
+    return "; ".join(filter(None, lines)) or type(error).__name__
+
+
+def quote_paths(arguments: list[str]) -> list[str]:
+    """Command line arguments, with paths in quotes where Hydra's grammar would stumble over a character of theirs."""
+
+    def quoted(argument: str) -> str:
+        key, _, value = argument.partition("=")
+        return _quoted(argument) if key in PATH_KEYS and value and not _can_be_read(argument) else argument
+
+    return [quoted(argument) for argument in arguments]
+
+
+def _quoting(override: str) -> str:
+    """How an override that cannot be read is typed in a shell, if its value is text that quotes make readable."""
+    quoted = _quoted(override)
+    return f"; as text it needs quotes: {shlex.quote(quoted)}" if "=" in override and _can_be_read(quoted) else ""
+
+
+def _quoted(override: str) -> str:
+    key, _, value = override.partition("=")
+    # For Hydra a backslash escapes only before a quote, of which the one that closes the value is one.
+    escaped = re.sub(r'(\\*)("|$)', lambda found: found[1] * 2 + ('\\"' if found[2] else ""), value)
+    return f'{key}="{escaped}"'
+
+
+def _can_be_read(override: str) -> bool:
+    try:
+        OverridesParser.create().parse_override(override)
+    except HydraException:
+        return False
+    return True
+
+
+def _keys_of(container: dict, prefix: str = "") -> Iterator[str]:
+    for name, value in container.items():
+        yield prefix + name
+        if isinstance(value, dict):
+            yield from _keys_of(value, f"{prefix}{name}.")
+
+
+def options(group: str) -> list[str]:
+    """What conf/<group> offers, nested ones too (Hydra lists the first level only)."""
+    folder = CONFIG_DIR / group
+    return sorted(str(file.relative_to(folder).with_suffix("")) for file in folder.rglob("*.yaml"))
+
+
+def _there_are(group: str) -> str:
+    found = options(group)
+    return f"; there are {', '.join(found)}" if found else ""
+
+
+def _unknown_key(key: str) -> str:
+    if key in _keys_where_still():
+        return f"{key}: not among this schedule's differences; add it as +{key}=..."
+    siblings = [known for known in known_keys() if known.count(".") == key.count(".")]
+    close = difflib.get_close_matches(key, siblings, n=1)
+    return f"{key}: no such key" + (
+        f"; did you mean {close[0]}?" if close else "; pipeline/config/schema.py lists them"
+    )

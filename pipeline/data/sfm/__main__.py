@@ -1,0 +1,80 @@
+"""`python -m pipeline.data.sfm FOLDER [--out DIR]`: cameras and points of a folder of photographs, poses unknown."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from datasets.files.errors import DataError
+from pipeline.config.schema import InitConfig
+from pipeline.data.sfm.photograph import Photograph
+from pipeline.data.sfm.run import reconstruct
+from pipeline.data.sfm.store import save
+from pipeline.terminal.closed_pipe import quiet_on_closed_pipe
+
+SUFFIXES = (".png", ".jpg", ".jpeg")
+
+
+@quiet_on_closed_pipe()
+def main(arguments: list[str] | None = None) -> int:
+    """The command; returns the exit status."""
+    parser = argparse.ArgumentParser(
+        prog="python -m pipeline.data.sfm",
+        description="Structure from motion of the "
+        "photographs in a folder: prints what it found, writes points, cameras, picture.",
+    )
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--out", type=Path, help="folder to make")
+    parser.add_argument("--downscale", type=int, default=1, help="read at 1/DOWNSCALE of the size (default: 1)")
+    for setting in fields(InitConfig):
+        if setting.name in ("seed", "max_features", "max_error_px", "min_track", "min_angle_deg", "min_points"):
+            parser.add_argument(
+                f"--{setting.name.replace('_', '-')}",
+                type=type(setting.default),
+                default=setting.default,
+                help="default: %(default)s",
+            )
+    options = vars(parser.parse_args(arguments))
+    folder, out, downscale = (options.pop(name) for name in ("folder", "out", "downscale"))
+    if out is not None and out.exists():
+        parser.error(f"--out {out}: expected a folder that does not exist")
+    try:
+        photographs = read_photographs(folder, downscale)
+        result = reconstruct(photographs, InitConfig(**options), 1.0, folder)
+    except (ValueError, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    summary = result.summary()
+    print(
+        f"{summary['registered']} of {len(photographs)} photographs, {summary['points']} points in "
+        f"{summary['mean_track_length']:.2f} photographs each, mean error {summary['mean_error_px']:.3f} px; "
+        f"{summary['seconds']:.0f} s"
+    )
+    if out is not None:
+        save(result, out)
+        print(f"written to {out}")
+    return 0
+
+
+def read_photographs(folder: Path, downscale: int = 1) -> list[Photograph]:
+    """Every image in `folder`, by name. ValueError, one line, if there is none or one can't be read."""
+    paths = sorted(path for path in folder.glob("*") if path.suffix.lower() in SUFFIXES)
+    if not paths:
+        raise ValueError(f"{folder}: expected photographs ({', '.join(SUFFIXES)}), found none")
+    photographs = []
+    for path in paths:
+        try:
+            with Image.open(path) as image:
+                photographs.append(Photograph(path.stem, np.asarray(image.convert("RGB").reduce(downscale))))
+        except Exception as error:  # PIL raises many types for broken files
+            raise DataError(path, "a readable image", str(error)) from None
+    return photographs
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,200 @@
+"""LPIPS (Zhang et al. 2018, version 0.1) without torchvision: the weighted distance between deep features.
+
+Two sets of weights a network: the convolutions of torchvision's ImageNet models (233 MB AlexNet, 528 MB VGG16) and
+the 6 kB linear heads of the LPIPS authors. They are looked for in torch.hub's cache (`torch.hub.get_dir()`, moved by
+TORCH_HOME) and otherwise downloaded there, checked by SHA-256. Where that fails there is no number but a reason.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import threading
+import urllib.error
+import urllib.request
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+CONNECT_SECONDS = 4.0  # longer than this an evaluation does not wait to learn that it is offline
+
+_HEADS_AT = (
+    "https://raw.githubusercontent.com/richzhang/PerceptualSimilarity/"
+    "082bb24f84c091ea94de2867d34c4544f68e0963/lpips/weights/v0.1/"
+)
+_BACKBONES_AT = "https://download.pytorch.org/models/"
+
+# file, beginning of its SHA-256, address
+_FILES = {
+    "alex": (
+        ("alexnet-owt-7be5be79.pth", "7be5be79", _BACKBONES_AT + "alexnet-owt-7be5be79.pth"),
+        ("lpips-v0.1-alex.pth", "df73285e", _HEADS_AT + "alex.pth"),
+    ),
+    "vgg": (
+        ("vgg16-397923af.pth", "397923af", _BACKBONES_AT + "vgg16-397923af.pth"),
+        ("lpips-v0.1-vgg.pth", "a78928a0", _HEADS_AT + "vgg.pth"),
+    ),
+}
+
+# Layers of torchvision's `features`, as (kind, out channels, kernel, stride, padding). "tap" is no layer: there the
+# features of the two images are compared.
+_ALEX = (
+    ("conv", 64, 11, 4, 2),
+    ("relu",),
+    ("tap",),
+    ("pool", 3),
+    ("conv", 192, 5, 1, 2),
+    ("relu",),
+    ("tap",),
+    ("pool", 3),
+    ("conv", 384, 3, 1, 1),
+    ("relu",),
+    ("tap",),
+    ("conv", 256, 3, 1, 1),
+    ("relu",),
+    ("tap",),
+    ("conv", 256, 3, 1, 1),
+    ("relu",),
+    ("tap",),
+)
+
+
+def _vgg_layers() -> tuple[tuple, ...]:
+    layers: list[tuple] = []
+    for block, (channels, convolutions) in enumerate(((64, 2), (128, 2), (256, 3), (512, 3), (512, 3))):
+        if block > 0:
+            layers.append(("pool", 2))
+        layers += [("conv", channels, 3, 1, 1), ("relu",)] * convolutions + [("tap",)]
+    return tuple(layers)
+
+
+_LAYERS = {"alex": _ALEX, "vgg": _vgg_layers()}
+
+# ImageNet's channel means and deviations, for images in [-1, 1].
+_SHIFT = torch.tensor([-0.030, -0.088, -0.188]).reshape(1, 3, 1, 1)
+_SCALE = torch.tensor([0.458, 0.448, 0.450]).reshape(1, 3, 1, 1)
+
+# Images smaller than this leave AlexNet's last layers without a pixel; both networks are held to it.
+SMALLEST_SIDE = 32
+
+
+class LpipsUnavailable(RuntimeError):
+    """Why there is no LPIPS, in one line."""
+
+
+class Lpips(nn.Module):
+    """`net`: alex or vgg. Called with two images (H, W, 3) in [0, 1], returns their distance."""
+
+    def __init__(self, net: str, backbone: dict[str, Tensor], heads: dict[str, Tensor]) -> None:
+        """backbone: torchvision's state dict ("features.<i>.weight"); heads: "lin<k>.model.1.weight" (1, C, 1, 1)."""
+        super().__init__()
+        self.slices, self.heads = nn.ModuleList(), []
+        layers: list[nn.Module] = []
+        channels, index = 3, 0
+        for kind, *shape in _LAYERS[net]:
+            if kind == "tap":
+                self.slices.append(nn.Sequential(*layers))
+                self.heads.append(heads[f"lin{len(self.heads)}.model.1.weight"].reshape(1, channels, 1, 1))
+                layers = []
+                continue
+            if kind == "conv":
+                out, kernel, stride, padding = shape
+                layer = nn.Conv2d(channels, out, kernel, stride, padding)
+                layer.load_state_dict({name: backbone[f"features.{index}.{name}"] for name in ("weight", "bias")})
+                layers.append(layer)
+                channels = out
+            elif kind == "relu":
+                layers.append(nn.ReLU())
+            else:
+                layers.append(nn.MaxPool2d(shape[0], stride=2))
+            index += 1
+        self.requires_grad_(False).eval()
+
+    @torch.inference_mode()
+    def forward(self, image: np.ndarray, truth: np.ndarray) -> float:
+        a, b = (_prepared(x) for x in (image, truth))
+        distance = 0.0
+        for layers, head in zip(self.slices, self.heads):
+            a, b = layers(a), layers(b)
+            difference = (_unit(a) - _unit(b)).square()
+            distance += float((head * difference).sum(dim=1).mean())
+        return distance
+
+
+def load(net: str) -> Lpips:
+    """LPIPS with its published weights, from the cache or the network. Raises LpipsUnavailable."""
+    loaded = []
+    for name, digest, url in _FILES[net]:
+        path = Path(torch.hub.get_dir()) / "checkpoints" / name
+        if not path.exists():
+            _download(url, path, digest)
+        elif not _sha256(path).startswith(digest):
+            raise LpipsUnavailable(f"{path}: expected SHA-256 {digest}…, found {_sha256(path)[:8]}…; delete it")
+        loaded.append(torch.load(path, map_location="cpu", weights_only=True))
+    return Lpips(net, *loaded)
+
+
+def _download(url: str, path: Path, digest: str) -> None:
+    problem = _unreachable(url)
+    if problem is None:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            torch.hub.download_url_to_file(url, str(path), hash_prefix=digest, progress=False)
+            return
+        except (OSError, RuntimeError) as error:
+            problem = _reason(error)
+    folder = str(path.parent).replace(str(Path.home()), "~")
+    raise LpipsUnavailable(
+        " ".join(
+            f"LPIPS weights {path.name} are neither in {folder} nor to be had from "
+            f"{url.split('/')[2]} ({problem}); put the file there, or leave LPIPS out by "
+            "evaluate.lpips=false".split()
+        )
+    )
+
+
+def _reason(error: BaseException) -> str:
+    """What lies behind an error of urllib, in the operating system's or the server's words."""
+    if isinstance(error, urllib.error.HTTPError):
+        return f"the server answers {error.code} {error.reason}"
+    reason = getattr(error, "reason", None)
+    if isinstance(reason, BaseException):
+        return _reason(reason)
+    return getattr(error, "strerror", None) or str(reason or error)
+
+
+def _unreachable(url: str) -> str | None:
+    """Why the first bytes of `url` do not come within CONNECT_SECONDS; None if they do.
+
+    In a thread of its own, because looking up a name knows no time limit.
+    """
+    outcome: list[str | None] = []
+
+    def ask() -> None:
+        try:
+            urllib.request.urlopen(urllib.request.Request(url, method="HEAD"), timeout=CONNECT_SECONDS).close()
+            outcome.append(None)
+        except (OSError, ValueError) as error:
+            outcome.append(_reason(error))
+
+    thread = threading.Thread(target=ask, daemon=True)
+    thread.start()
+    thread.join(CONNECT_SECONDS)
+    return outcome[0] if outcome else f"no answer in {CONNECT_SECONDS:g} s"
+
+
+def _sha256(path: Path) -> str:
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _prepared(image: np.ndarray) -> Tensor:
+    """(H, W, 3) in [0, 1] -> (1, 3, H, W) as the backbones were trained on."""
+    x = torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1), dtype=np.float32))[None]
+    return (2.0 * x - 1.0 - _SHIFT) / _SCALE
+
+
+def _unit(features: Tensor) -> Tensor:
+    """Each pixel's feature vector scaled to length 1."""
+    return features / (features.square().sum(dim=1, keepdim=True).sqrt() + 1e-10)

@@ -1,0 +1,164 @@
+"""The trained model: one float32 tensor per field of docs/method.md 1, and nothing a scene does not need.
+
+A model is a plain bag of tensors. Which tensors there are, and how wide, is its `ModelKind`: a static scene stores
+no time, a model without 4D rotation no right quaternion, a model without Fourier orders no coefficients for them.
+Two more parts exist only where a scene's open background is modelled: the label of the Gaussians on the sphere round
+the scene (background.py), or the environment map (environment.py).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from datasets.scene import Scene
+from pipeline.config.schema import Config
+from pipeline.model.environment_map import EnvironmentMap
+from rasterizer.gaussians import Gaussians, Motion
+
+OF_THE_WHOLE = ("environment",)  # what a model's state holds besides rows of Gaussians
+FIELDS = ("mean", "log_scale", "quat_left", "quat_right", "opacity_logit", "sh")
+
+
+@dataclass(frozen=True)
+class ModelKind:
+    """What a model is made of."""
+
+    motion: Motion  # static: 3D; separable: 4D without rotation into time; full: 4D
+    fourier_order: int  # 0 to 2; 0 when static
+    sh_degree: int  # 0 to 3
+
+    @property
+    def dims(self) -> int:
+        """3 (xyz) or 4 (xyzt)."""
+        return 3 if self.motion == "static" else 4
+
+    @property
+    def coefficients(self) -> int:
+        """Appearance coefficients a colour channel, (n+1)(l+1)²."""
+        return (self.fourier_order + 1) * (self.sh_degree + 1) ** 2
+
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """Field name -> shape of one Gaussian's row, in storage order."""
+        shapes = {
+            "mean": (self.dims,),
+            "log_scale": (self.dims,),
+            "quat_left": (4,),
+            "quat_right": (4,),
+            "opacity_logit": (),
+            "sh": (self.coefficients, 3),
+        }
+        if self.motion != "full":
+            del shapes["quat_right"]
+        return shapes
+
+
+def kind_of(scene: Scene, cfg: Config) -> ModelKind:
+    """The model a scene asks for, less what the ablation leaves out.
+
+    `ablation.static` overrides what the scene says of itself; a static model has no Fourier order whatever the
+    ablation says, because it has no time to vary with.
+    """
+    static = scene.is_static if cfg.ablation.static is None else cfg.ablation.static
+    if static:
+        return ModelKind("static", 0, cfg.ablation.sh_degree)
+    return ModelKind(
+        "full" if cfg.ablation.rotation_4d else "separable", cfg.ablation.fourier_order, cfg.ablation.sh_degree
+    )
+
+
+class Model:
+    """N Gaussians as float32 contiguous tensors by field name.
+
+    `parameters` is replaced row-wise by densification (see optimiser.py) and changed in place by Adam.
+    """
+
+    def __init__(
+        self,
+        kind: ModelKind,
+        parameters: dict[str, Tensor],
+        sphere: Tensor | None = None,
+        environment: EnvironmentMap | None = None,
+    ) -> None:
+        """sphere: (N,) bool, which Gaussians stand on the sphere round the scene; None: there is no sphere.
+
+        Raises ValueError naming the field whose presence, dtype or shape does not fit `kind`.
+        """
+        shapes = kind.shapes()
+        if set(parameters) != set(shapes):
+            raise ValueError(f"{kind.motion} model: expected fields {list(shapes)}, found {sorted(parameters)}")
+        n = parameters["mean"].shape[0]
+        for name, row in shapes.items():
+            tensor = parameters[name]
+            if tensor.dtype != torch.float32 or tuple(tensor.shape) != (n, *row):
+                raise ValueError(f"{name}: expected float32 {[n, *row]}, found {tensor.dtype} {list(tensor.shape)}")
+        if sphere is not None and (sphere.dtype != torch.bool or tuple(sphere.shape) != (n,)):
+            raise ValueError(f"sphere: expected bool {[n]}, found {sphere.dtype} {list(sphere.shape)}")
+        self.kind = kind
+        self.parameters = {name: parameters[name].contiguous() for name in shapes}
+        self.sphere = sphere
+        self.environment = environment
+
+    @classmethod
+    def from_gaussians(cls, gaussians: Gaussians) -> Model:
+        kind = ModelKind(gaussians.motion, gaussians.fourier_order, gaussians.sh_degree)
+        return cls(kind, gaussians.tensors())
+
+    def gaussians(self) -> Gaussians:
+        """As the rasterizer takes them: the same tensors (not copies)."""
+        return Gaussians(**{name: self.parameters.get(name) for name in FIELDS})
+
+    def copy(self) -> Model:
+        return Model.restored(self.kind, {name: tensor.clone() for name, tensor in self.state().items()})
+
+    def state(self) -> dict[str, Tensor]:
+        """All tensors by name (not copies), those of the background among them where there is one."""
+        state = dict(self.parameters)
+        if self.sphere is not None:
+            state["sphere"] = self.sphere
+        if self.environment is not None:
+            state["environment"] = self.environment.image
+        return state
+
+    @classmethod
+    def restored(cls, kind: ModelKind, state: dict[str, Tensor]) -> Model:
+        """The model whose `state()` this is."""
+        parameters = {name: tensor for name, tensor in state.items() if name not in ("sphere", *OF_THE_WHOLE)}
+        environment = EnvironmentMap(state["environment"]) if "environment" in state else None
+        return cls(kind, parameters, state.get("sphere"), environment)
+
+    def checked(self) -> Model:
+        """The model itself, if the rasterizer can take it: ValueError for a value that is not finite."""
+        if broken := self.first_non_finite():
+            raise ValueError(f"{broken[0]} of Gaussian {broken[1]}: expected a finite number, found NaN or Inf")
+        if self.environment is not None:
+            image = self.environment.image
+            if image.numel() == 0 or not torch.isfinite(image).all():
+                raise ValueError("environment: expected finite pixels, found NaN, Inf or none")
+        self.gaussians()
+        return self
+
+    def __len__(self) -> int:
+        return self.parameters["mean"].shape[0]
+
+    @property
+    def background(self) -> str:
+        """none, sphere or envmap, as the configuration calls it."""
+        return "envmap" if self.environment is not None else "none" if self.sphere is None else "sphere"
+
+    @property
+    def bytes(self) -> int:
+        """Size of the parameters, the environment's among them; with Adam's two moments it is three times this."""
+        gaussians = sum(tensor.numel() * tensor.element_size() for tensor in self.parameters.values())
+        return gaussians + (self.environment.bytes if self.environment else 0)
+
+    def first_non_finite(self) -> tuple[str, int] | None:
+        """(field, Gaussian index) of the first value that is NaN or Inf, or None."""
+        for name, tensor in self.parameters.items():
+            # One pass that allocates nothing: the sum of finite float32 values in float64 cannot overflow.
+            if not torch.isfinite(tensor.sum(dtype=torch.float64)):
+                rows = ~torch.isfinite(tensor.reshape(len(self), -1)).all(dim=1)
+                return name, int(rows.nonzero()[0])
+        return None

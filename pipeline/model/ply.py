@@ -1,0 +1,135 @@
+"""The model as a .ply file that viewers of 3D Gaussian Splatting open, and back without loss.
+
+A static model is exactly 3DGS's file. A 4D model adds properties such viewers skip: `t`, `scale_3` (log time scale),
+`rot_right_0..3`, and the coefficients of Fourier order n as `f_fourier<n>_*`; so does one with a sphere round the
+scene, `sphere`, 1 for its Gaussians and 0 for the others. An environment map is no Gaussian and is left out. Shown in
+such a viewer, a 4D model is the Gaussians' spatial part without conditioning on a time: right for checking an
+initialisation, a blur for motion.
+
+Lengths and times are the model's own, canonical ones: training starts from the file a run writes, and far from the
+origin float32 would lose what it needs. The run's canonical.json says how they follow from the world's.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+from pathlib import Path
+
+import numpy as np
+import torch
+from plyfile import PlyData, PlyElement
+
+from datasets.files.errors import DataError
+from pipeline.model.model import Model, ModelKind
+
+LONGEST_HEADER, LONGEST_LINE = 1000, 1000  # lines, bytes; a full model has 170 lines
+
+
+def save_ply(path: Path, model: Model) -> None:
+    """Write binary little-endian float32, one vertex a Gaussian, values before activation (as 3DGS does)."""
+    columns = {
+        name: model.parameters[field].reshape(len(model), -1)[:, index].numpy()
+        for name, field, index in _layout(model.kind)
+    }
+    if model.sphere is not None:
+        columns["sphere"] = model.sphere.numpy()
+    names = list(columns)
+    normals = names.index("f_dc_0")  # 3DGS stores unused normals before the colours
+    order = names[:normals] + ["nx", "ny", "nz"] + names[normals:]
+    vertices = np.zeros(len(model), dtype=[(name, "<f4") for name in order])
+    for name, column in columns.items():
+        vertices[name] = column
+    PlyData([PlyElement.describe(vertices, "vertex")], byte_order="<").write(str(path))
+
+
+def load_ply(path: Path) -> Model:
+    """Read a file of `save_ply` or of 3DGS. Raises ValueError naming the file and what is missing."""
+    vertices = _vertices(path)
+    present = set(vertices.dtype.names)
+    kind = _kind(path, present)
+    parameters = {
+        field: torch.zeros(len(vertices), int(np.prod(row, initial=1))) for field, row in kind.shapes().items()
+    }
+    for name, field, index in _layout(kind):
+        if name not in present:
+            raise DataError(path, f"a property {name} of a {kind.motion} model", "none")
+        parameters[field][:, index] = _column(vertices, name)
+    parameters = {field: parameters[field].reshape(len(vertices), *row) for field, row in kind.shapes().items()}
+    sphere = _column(vertices, "sphere") != 0 if "sphere" in present else None
+    try:
+        return Model(kind, parameters, sphere).checked()
+    except ValueError as error:
+        raise DataError(path, "the Gaussians of a model", str(error)) from None
+
+
+def _vertices(path: Path) -> np.ndarray:
+    """The rows of the file's element `vertex`, one at least."""
+    try:
+        _check_header(path)
+        vertices = PlyData.read(str(path))["vertex"].data
+    except Exception as error:  # plyfile and numpy raise many types for broken files
+        what = f"no element {error}" if isinstance(error, KeyError) else str(error)
+        raise DataError(path, "a .ply file with vertices", what) from None
+    if len(vertices) == 0:
+        raise DataError(path, "at least one Gaussian", "none")
+    return vertices
+
+
+def _check_header(path: Path) -> None:
+    """ValueError for a header that promises more than the file can hold, before plyfile takes memory for it, or lists:
+    a Gaussian has none, and plyfile reads them one by one."""
+    elements: list[list[int]] = []  # rows, properties of each
+    with open(path, "rb") as file:
+        for line in itertools.islice(iter(lambda: file.readline(LONGEST_LINE), b""), LONGEST_HEADER):
+            word, *rest = line.split() or [b""]
+            if word == b"end_header":
+                break
+            if word == b"element" and len(rest) == 2:
+                elements.append([int(rest[1]), 0])
+            elif word == b"property" and elements:
+                if rest[:1] == [b"list"]:
+                    raise ValueError("a list property")
+                elements[-1][1] += 1
+        else:
+            raise ValueError("no end_header")
+        size = file.seek(0, os.SEEK_END)
+    for rows, properties in elements:  # a value takes a byte at least
+        if not 0 <= rows * max(1, properties) <= size:
+            raise ValueError(f"a header that promises {rows} rows of {properties} values in {size} bytes")
+
+
+def _column(vertices: np.ndarray, name: str) -> torch.Tensor:
+    with np.errstate(over="ignore"):  # a double too large for float32 becomes infinite, and is refused as such
+        return torch.from_numpy(np.array(vertices[name], dtype=np.float32))
+
+
+def _kind(path: Path, present: set[str]) -> ModelKind:
+    rest = sum(name.startswith("f_rest_") for name in present)
+    degree = {0: 0, 9: 1, 24: 2, 45: 3}.get(rest)  # 3 ((l+1)² - 1)
+    if degree is None:
+        raise DataError(path, "0, 9, 24 or 45 properties f_rest_*", f"{rest}")
+    fourier = sum(f"f_fourier{n}_0" in present for n in (1, 2))
+    motion = "static" if "t" not in present else "full" if "rot_right_0" in present else "separable"
+    return ModelKind(motion, fourier, degree)
+
+
+def _layout(kind: ModelKind) -> list[tuple[str, str, int]]:
+    """(property, field, flat index in the field's row), in the file's order.
+
+    `sh` is stored (coefficient, channel); 3DGS's f_rest is channel major: all of red, then green, then blue.
+    """
+    per_order = (kind.sh_degree + 1) ** 2
+    layout = [(axis, "mean", i) for i, axis in enumerate("xyzt"[: kind.dims])]
+    layout += [(f"f_dc_{c}", "sh", c) for c in range(3)]
+    rest = [(k, c) for c in range(3) for k in range(1, per_order)]
+    layout += [(f"f_rest_{i}", "sh", 3 * k + c) for i, (k, c) in enumerate(rest)]
+    for n in range(1, kind.fourier_order + 1):
+        every = [(n * per_order + k, c) for c in range(3) for k in range(per_order)]
+        layout += [(f"f_fourier{n}_{i}", "sh", 3 * k + c) for i, (k, c) in enumerate(every)]
+    layout += [("opacity", "opacity_logit", 0)]
+    layout += [(f"scale_{i}", "log_scale", i) for i in range(kind.dims)]
+    layout += [(f"rot_{i}", "quat_left", i) for i in range(4)]
+    if kind.motion == "full":
+        layout += [(f"rot_right_{i}", "quat_right", i) for i in range(4)]
+    return layout

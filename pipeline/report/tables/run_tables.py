@@ -1,0 +1,140 @@
+"""Our own tables: verdicts, scenes and comparisons (their own modules), every run, where each number comes from."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pandas as pd
+
+from pipeline.presentation.table import Cell, Column, Row, Table, number, text
+from pipeline.report.tables.batches import batches
+from pipeline.report.tables.equal_time import equal_time
+from pipeline.report.tables.our_rows import gap_notes, left_out_notes
+from pipeline.report.tables.scene_tables import scene_tables
+from pipeline.report.tables.time_to_psnr import time_to_psnr
+from pipeline.report.tables.variants_study import studies
+from pipeline.report.tables.verdicts import verdicts
+from pipeline.runs.read.collect import Collection
+
+TRIAL_NOTE = (
+    "Trial of 4DSH: what time-varying colour gave held-out training views in a short training. Train s: the trial's "
+    "too."
+)
+
+
+def run_tables(collection: Collection, levels: tuple[float, ...] = ()) -> list[Table]:
+    """All, in reading order; those that there are no runs for are left out. levels: dB, see time_to_psnr."""
+    runs = collection.runs
+    compared = equal_time(collection), time_to_psnr(collection, levels), batches(collection)
+    found = [
+        verdicts(runs),
+        *scene_tables(collection),
+        *compared,
+        *studies(collection),
+        all_runs(runs),
+        provenance(runs),
+    ]
+    return [table for table in found if table is not None]
+
+
+def all_runs(runs: pd.DataFrame) -> Table:
+    """One row a run: quality and cost."""
+    filmed, tried = runs["final.flicker"].notna().any(), runs["trial.gain"].notna().any()
+    columns = (
+        Column("run", "Run", False),
+        Column("model", "Model", False, fold=True),
+        Column("final_psnr", "PSNR final", group="quality"),
+        Column("best_psnr", "PSNR best on test", group="quality"),
+        Column("best_iteration", "at iteration", group="quality"),
+        Column("final_ssim", "SSIM", group="quality"),
+        Column("final_ms_ssim", "MS-SSIM", group="quality"),
+        Column("final_dssim1", "DSSIM1", group="quality"),
+        Column("final_dssim2", "DSSIM2", group="quality"),
+        Column("final_lpips_alex", "LPIPS-Alex", group="quality"),
+        Column("final_lpips_vgg", "LPIPS-VGG", group="quality"),
+        *([Column("final_flicker", "Flicker, levels of 255", group="quality")] if filmed else []),
+        Column("fps_raster", "FPS raster", group="cost"),
+        Column("fps_render", "FPS render", group="cost"),
+        Column("iterations", "Iterations", fold=True, group="cost"),
+        Column("train_seconds", "Train s", group="cost"),
+        Column("n_gaussians", "Gaussians", group="cost"),
+        Column("n_alive", "alive/frame", group="cost"),
+        Column("model_mb", "Model MB", group="cost"),
+        Column("model_with_optimiser_mb", "+ optimiser MB", group="cost"),
+        Column("peak_rss_mb", "Peak RSS MB", group="cost"),
+        *([Column("trial", "Trial of 4DSH, dB", False, group="cost")] if tried else []),
+    )
+    source = {
+        "final_psnr": ("final.psnr", 2),
+        "best_psnr": ("best_on_test.psnr", 2),
+        "best_iteration": ("best_on_test.iteration", 0),
+        "final_ssim": ("final.ssim", 4),
+        "final_ms_ssim": ("final.ms_ssim", 4),
+        "final_dssim1": ("final.dssim1", 4),
+        "final_dssim2": ("final.dssim2", 4),
+        "final_lpips_alex": ("final.lpips_alex", 3),
+        "final_lpips_vgg": ("final.lpips_vgg", 3),
+        "final_flicker": ("final.flicker_levels", 2),
+        "fps_raster": ("final.fps_raster", 1),
+        "fps_render": ("final.fps_render", 1),
+        "iterations": ("iterations", 0),
+        "train_seconds": ("train_seconds", 1),
+        "n_gaussians": ("n_gaussians", 0),
+        "n_alive": ("n_alive_mean", 0),
+        "model_mb": ("model_mb", 1),
+        "model_with_optimiser_mb": ("model_with_optimiser_mb", 1),
+        "peak_rss_mb": ("peak_rss_mb", 0),
+    }
+    rows = tuple(
+        Row(
+            {
+                "run": text(row["run"]),
+                "model": text(row["ablation"]),
+                **{key: number(row[metric], decimals) for key, (metric, decimals) in source.items()},
+                "trial": _trial(row),
+            }
+        )
+        for row in runs.to_dict("records")
+    )
+    return Table(
+        "all_runs",
+        "Every run",
+        columns,
+        rows,
+        notes=(
+            *gap_notes(runs),
+            ("", "FPS raster: blending alone; FPS render: with slicing, sorting. Train s: without evaluation."),
+            *([("", TRIAL_NOTE)] if tried else []),
+            *left_out_notes(runs["ablation"]),
+        ),
+        over_seeds=False,
+    )
+
+
+def _trial(run: dict[str, Any]) -> Cell:
+    """What a run's trial said."""
+    if math.isnan(run["trial.gain"]):
+        return text("none")
+    said = "kept" if run["trial.kept"] else "left out"
+    return text(f"{run['trial.gain']:+.2f} ± {run['trial.standard_error']:.2f}: {said}")
+
+
+def provenance(runs: pd.DataFrame) -> Table:
+    """Machine, date, commit and command of every run."""
+    columns = tuple(
+        Column(key, header, False, fold=key in ("machine", "date", "git_commit"))
+        for key, header in (
+            ("run", "Run"),
+            ("machine", "Machine"),
+            ("date", "Date"),
+            ("git_commit", "Commit"),
+            ("command", "Command"),
+        )
+    )
+    return Table(
+        "provenance",
+        "Where the numbers come from",
+        columns,
+        tuple(Row({column.key: text(str(row[column.key])) for column in columns}) for row in runs.to_dict("records")),
+    )

@@ -1,0 +1,84 @@
+"""The folder a report is written to: the next report replaces what this one wrote, and touches nothing else.
+
+A list of the files stands beside them. A folder without one may hold a report of before there were such lists: it is
+known by what report.md or report.html begins with, and its files by their names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+LIST = "report_files.txt"
+_LIST_MARK = "# Written by python -m pipeline.report, which removes these files when it writes the next report here."
+_REPORT_MARKS = {
+    "report.md": "# Benchmark report",
+    "report.html": "<title>4D Gaussian Splatting: benchmark report</title>",
+}
+_NAMES = ("tables/*.md", "tables/*.csv", "tables/*.tex", "plots/*.svg", "strips/*.webp", *_REPORT_MARKS)
+
+
+def replace_report(out: Path, files: Mapping[str, bytes]) -> None:
+    """Writes `files` (path below `out` -> content) in the place of what an earlier report wrote there.
+
+    ValueError, one line, and nothing is changed, where a file that no report wrote stands in the way. A report that is
+    interrupted leaves a list of all that it may have written.
+    """
+    before = _of_earlier_report(out)
+    for name in (*files, LIST):
+        _refuse_foreign(out, name, before)
+    _write_list(out, before | files.keys())
+    for name in before:
+        (out / name).unlink(missing_ok=True)
+    for name, content in files.items():
+        (out / name).parent.mkdir(parents=True, exist_ok=True)
+        (out / name).write_bytes(content)
+    _write_list(out, files)
+    for folder in {(out / name).parent for name in before - files.keys()} - {out}:
+        if folder.is_dir() and not any(folder.iterdir()):
+            folder.rmdir()
+
+
+def _of_earlier_report(out: Path) -> set[str]:
+    """Paths below `out`, of files that are there."""
+    if _begins(out / LIST, _LIST_MARK):
+        # The list is a file like any other: no line of it reaches what a report does not write.
+        names = set(filter(_is_ours, (out / LIST).read_text(encoding="utf-8", errors="replace").splitlines()))
+    elif any(_begins(out / name, mark) for name, mark in _REPORT_MARKS.items()):
+        names = {path.relative_to(out).as_posix() for pattern in _NAMES for path in out.glob(pattern)}
+    else:
+        return set()
+    return {name for name in names if (out / name).is_file() or (out / name).is_symlink()}
+
+
+def _is_ours(name: str) -> bool:
+    """Does a report write files of that name?"""
+    return ".." not in name.split("/") and any(
+        name.count("/") == pattern.count("/") and fnmatchcase(name, pattern) for pattern in _NAMES
+    )
+
+
+def _refuse_foreign(out: Path, name: str, before: Iterable[str]) -> None:
+    path = out / name
+    for folder in path.parents[: len(path.relative_to(out).parts)]:
+        if folder.exists() and not folder.is_dir():
+            raise ValueError(f"{folder}: expected a folder or nothing, found a file; give another --out")
+    ours = name in before or (name == LIST and _begins(path, _LIST_MARK))
+    if not ours and (path.exists() or path.is_symlink()):
+        raise ValueError(
+            f"{path}: expected nothing or what an earlier report wrote, found another file; give another --out"
+        )
+
+
+def _write_list(out: Path, names: Iterable[str]) -> None:
+    out.mkdir(parents=True, exist_ok=True)
+    (out / LIST).write_text("\n".join([_LIST_MARK, *sorted(names), ""]), encoding="utf-8")
+
+
+def _begins(path: Path, mark: str) -> bool:
+    """Is `mark` among the file's first lines?"""
+    if not path.is_file():
+        return False
+    with path.open(encoding="utf-8", errors="replace") as file:
+        return mark in file.read(1000)

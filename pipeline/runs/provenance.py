@@ -1,0 +1,108 @@
+"""What a result was made with: versions, machine, commit, command; and how much memory it took."""
+
+from __future__ import annotations
+
+import os
+import platform
+import resource
+import subprocess
+from importlib import metadata
+from pathlib import Path
+
+from pipeline.runs.run_folder import now
+
+PACKAGES = (
+    "torch",
+    "numpy",
+    "scipy",
+    "scikit-image",
+    "pytorch-msssim",
+    "safetensors",
+    "hydra-core",
+    "opencv-contrib-python-headless",
+    "imageio-ffmpeg",
+    "pycolmap",
+)
+PROJECT_ROOT = Path(__file__).resolve().parents[2]
+
+
+def environment(command: str) -> dict:
+    """For environment.json. command: what the user typed.
+
+    `machine` is one readable line; `git_commit` ends in "-dirty" where tracked files were changed.
+    """
+    return {
+        "date": now(),
+        "command": command,
+        "git_commit": git_commit(),
+        "machine": machine_line(),
+        "cpu": cpu_model(),
+        "cores": usable_cores(),
+        "memory_gb": round(memory_gb(), 1),
+        "system": platform.platform(),
+        "versions": {"python": platform.python_version(), **{name: _version(name) for name in PACKAGES}},
+    }
+
+
+def machine_line() -> str:
+    return f"{cpu_model()}, {usable_cores()} cores, {memory_gb():.0f} GB"
+
+
+def cpu_model() -> str:
+    """The processor's name as the kernel knows it."""
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine() or "unknown processor"
+
+
+def usable_cores() -> int:
+    """Cores this process may run on."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def memory_gb() -> float:
+    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
+
+
+def git_commit() -> str:
+    """The commit of the program's checkout; "unknown" outside one."""
+    try:
+
+        def git(*arguments: str) -> str:
+            return subprocess.run(
+                ["git", "-C", str(PROJECT_ROOT), *arguments], capture_output=True, text=True, check=True, timeout=10
+            ).stdout.strip()
+
+        return git("rev-parse", "HEAD") + ("-dirty" if git("status", "--porcelain", "--untracked-files=no") else "")
+    except (OSError, subprocess.SubprocessError):
+        return "unknown"
+
+
+def reset_peak_memory() -> None:
+    """Let `peak_memory_mb` count from now; without effect where the kernel does not offer it."""
+    try:
+        Path("/proc/self/clear_refs").write_text("5")
+    except OSError:
+        pass
+
+
+def peak_memory_mb() -> float:
+    """Largest resident memory of this process since `reset_peak_memory`, in MB (10⁶ bytes)."""
+    try:
+        for line in Path("/proc/self/status").read_text().splitlines():
+            if line.startswith("VmHWM:"):
+                return int(line.split()[1]) * 1024 / 1e6
+    except OSError:
+        pass
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6
+
+
+def _version(package: str) -> str | None:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None

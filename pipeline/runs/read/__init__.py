@@ -1,0 +1,1 @@
+"""Run folders read back: one row a run, under names that tell models and settings apart."""

@@ -1,0 +1,120 @@
+"""Whose run a folder holds: told from its config.yaml and stages.json before anything in it is touched."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import yaml
+from omegaconf import OmegaConf
+
+from datasets.files.atomic_write import TEMPORARY
+from datasets.files.errors import DataError, clear, read_json
+
+# Keys that say where and how a run is made, not what it computes: a finished run may be repeated with others.
+FREE_KEYS = ("out", "threads", "resume", "scene.cache", "evaluate", "estimate")
+FILES = (
+    "config.yaml",
+    "environment.json",
+    "stages.json",
+    "log.jsonl",
+    "sfm.json",
+    "sfm.png",
+    "canonical.json",
+    "init.ply",
+    "checkpoint.safetensors",
+    "error_vs_time.csv",
+    "metrics.json",
+    "per_image.csv",
+    "renders",
+)
+UNFINISHED = tuple(f"{TEMPORARY}{name}" for name in FILES)  # what a run that was killed while it wrote leaves behind
+_GROUPS = ("scene", "train", "seed")  # of every run's config.yaml
+
+Resolve = Callable[[dict], dict]
+
+
+def refuse_foreign(path: Path) -> None:
+    """ValueError where `path` holds files that no run made: an out= must not write over somebody's folder."""
+    if not path.exists():
+        return
+    if not path.is_dir():
+        raise ValueError(f"{path}: expected a run folder or nothing, found a file; give another out=DIR")
+    entries = sorted(entry.name for entry in path.iterdir() if entry.name not in (".lock", *UNFINISHED))
+    strange = [name for name in entries if name not in FILES]
+    if entries and not _is_run(path):
+        found = (strange or entries)[0]
+        raise ValueError(
+            f"{path}: expected a run folder or an empty one, found {found}, which no run of this program "
+            "made; give another out=DIR"
+        )
+
+
+def refuse_other_run(path: Path, config: dict, resolve: Resolve = dict, ignored: tuple[str, ...] = ()) -> None:
+    """ValueError where `path` holds a run of other settings than `config`. ignored: keys, or groups of keys."""
+    if not (path / "config.yaml").exists() or not read_stages(path):
+        return  # nothing was made yet: a run that failed over a wrong path may be corrected
+    free = (*FREE_KEYS, *ignored)
+    there, asked = _comparable(resolve(read_config(path / "config.yaml")), free), _comparable(config, free)
+    differing = [key for key in {**there, **asked} if there.get(key) != asked.get(key)]
+    if differing:
+        first = differing[0]
+        others = clear(", ".join(differing[1:4])) + (", …" if len(differing) > 4 else "")
+        more = f" (and {others})" if differing[1:] else ""
+        raise ValueError(
+            f"{path}: holds another run, with {clear(f'{first}={there.get(first)}')} where "
+            f"{asked.get(first)} is asked for{more}; give another out=DIR, or resume=false to "
+            "replace it"
+        )
+
+
+def read_stages(path: Path) -> dict:
+    """Of a run folder: finished stage -> {"inputs": hash, "date", "values"}; empty where nothing was finished."""
+    path = path / "stages.json"
+    if not path.exists():
+        return {}
+    stages = read_json(path)
+    if not isinstance(stages, dict) or not all(
+        isinstance(record, dict) and isinstance(record.get("inputs"), str) and isinstance(record.get("values"), dict)
+        for record in stages.values()
+    ):
+        raise DataError(path, "a record of each finished stage", "another thing; resume=false starts the run anew")
+    return stages
+
+
+def read_config(path: Path, where: str | None = None) -> dict:
+    """config.yaml as plain dicts. DataError, which names `where` (None: the path), for what is no such file."""
+    try:
+        text = path.read_text(encoding="utf-8")
+        # No run writes aliases (*name), of which a few lines make a tree that fills the memory.
+        if any(isinstance(token, yaml.AliasToken) for token in yaml.scan(text)):
+            raise ValueError("an alias")
+        tree = OmegaConf.to_container(OmegaConf.create(text), resolve=False)
+    except Exception as error:  # yaml and OmegaConf raise unrelated types for unreadable files
+        raise DataError(where or path, "YAML", str(error)) from None
+    if not isinstance(tree, dict):
+        raise DataError(where or path, "keys and values", f"a {type(tree).__name__}")
+    return tree
+
+
+def _is_run(path: Path) -> bool:
+    """Whether a run of this program made what is in the folder: its config.yaml or, if that is damaged, stages.json
+    says so."""
+    try:
+        return set(_GROUPS) <= set(read_config(path / "config.yaml"))
+    except DataError:
+        return (path / "stages.json").exists()
+
+
+def _comparable(config: dict, free: tuple[str, ...], prefix: str = "") -> dict[str, Any]:
+    """Dotted key -> value, without those that are `free`."""
+    flat: dict[str, Any] = {}
+    for name, value in config.items():
+        key = f"{prefix}{name}"
+        if key in free:
+            continue
+        if key == "scene.path" and isinstance(value, str) and "\0" not in value:
+            value = str(Path(value).resolve())
+        flat |= _comparable(value, free, f"{key}.") if isinstance(value, dict) else {key: value}
+    return flat

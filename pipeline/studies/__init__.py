@@ -1,0 +1,1 @@
+"""Questions beyond a run's own numbers, one command each: python -m pipeline.studies.NAME."""

@@ -1,0 +1,56 @@
+"""PSNR against megabytes and against frames a second, a line a precision."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from typing import Protocol
+
+import matplotlib
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+
+from pipeline.report.write.plots import LIGHT, Theme
+
+_PANELS = (("megabytes", "MB on disk"), ("fps", "frames a second"))
+
+
+class Measured(Protocol):
+    fraction: float
+    precision: str
+    megabytes: float
+    psnr: float
+    fps: float
+
+
+def draw(points: Sequence[Measured], title: str, theme: Theme = LIGHT) -> str:
+    """SVG text; the same numbers give the same bytes."""
+    with matplotlib.rc_context({"svg.hashsalt": "compact", "font.family": "DejaVu Sans", "font.size": 9.5}):
+        figure = Figure(figsize=(9.6, 3.6), facecolor="white")
+        FigureCanvasSVG(figure)
+        panels = figure.subplots(
+            1, 2, sharey=True, gridspec_kw={"left": 0.07, "right": 0.985, "bottom": 0.14, "top": 0.86, "wspace": 0.08}
+        )
+        for axis, (name, label) in zip(panels, _PANELS, strict=True):
+            for precision, colour in zip(dict.fromkeys(p.precision for p in points), theme.ablations):
+                line = [p for p in points if p.precision == precision]
+                axis.plot(
+                    [getattr(p, name) for p in line], [p.psnr for p in line], "o-", ms=4, color=colour, label=precision
+                )
+            for p in (p for p in points if p.precision == points[-1].precision):
+                axis.annotate(
+                    f"{p.fraction:.0%}",
+                    (getattr(p, name), p.psnr),
+                    xytext=(3, -9),
+                    textcoords="offset points",
+                    fontsize=7,
+                    color=theme.ink,
+                )
+            axis.set(xlabel=label)
+            axis.grid(color=theme.faint, lw=0.7)
+        panels[0].set_ylabel("PSNR, dB, test views")
+        panels[0].legend(frameon=False)
+        figure.text(0.07, 0.93, title, fontsize=9, color=theme.ink)
+        buffer = io.StringIO()
+        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+    return buffer.getvalue()

@@ -1,0 +1,90 @@
+"""A case on every instruction set this machine has: how far the results lie apart, and whether threads change them.
+
+One source is compiled for each; what differs is how many numbers are added at once and where multiply and add are one
+operation, so results may differ by rounding and by no more.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import torch
+from torch import Tensor
+
+from pipeline.studies.kernel_stability.measure import full_scale, relative_error, weights_of
+from rasterizer import Frame, Gaussians, Gradients, RenderOutput, Request
+from rasterizer.kernel import available_isas, load_kernel
+from rasterizer.reference.discontinuities import away_from_jumps, smooth_pixels
+
+Tensors = dict[str, Tensor]  # by output or field
+
+
+@dataclass(frozen=True)
+class Spread:
+    """The largest difference between two instruction sets: images relative to full scale, gradients to the largest
+    of their tensor, away from jumps."""
+
+    isas: tuple[str, ...]
+    image: float
+    gradient: float
+    worst_field: str  # whose gradients lie farthest apart
+    changed_by_threads: tuple[str, ...]  # instruction sets that with 2 threads give other bits than with 1
+
+
+def measure_spread(gaussians: Gaussians, request: Request) -> Spread:
+    """Of float64 `gaussians` whose values float32 holds."""
+    isas = available_isas()
+    away = away_from_jumps(gaussians, request)
+    smooth = smooth_pixels(away, request)
+    single = away.to(torch.float32)
+    seen = Frame(1, load_kernel(isas[0])).render(single, request, differentiable=False)
+    scale, weights = full_scale(seen, request), weights_of(seen, request, smooth)
+    found = [images_and_gradients(isa, 1, single, request, weights) for isa in isas]
+    images = [{name: image * smooth for name, image in images.items()} for images, _ in found]
+    gradients = [by_field for _, by_field in found]
+    fields = {
+        name: largest_difference([g[name] for g in gradients], largest([g[name] for g in gradients]))
+        for name in gradients[0]
+    }
+    worst_field = max(fields, key=fields.get)
+    return Spread(
+        tuple(isas),
+        max(largest_difference([i[name] for i in images], scale[name]) for name in images[0]),
+        fields[worst_field],
+        worst_field,
+        tuple(isa for isa in isas if threads_change_bits(isa, gaussians.to(torch.float32), request, seen)),
+    )
+
+
+def images_and_gradients(
+    isa: str, threads: int, gaussians: Gaussians, request: Request, weights: Tensors
+) -> tuple[Tensors, Tensors]:
+    """The request's images, and ∂L/∂parameter for L = Σ weights · images, by the kernel for `isa`."""
+    kernel = load_kernel(isa)
+    frame, gradients = Frame(threads, kernel), Gradients.zeros_like(gaussians)
+    out = frame.render(gaussians, request)
+    frame.backward(gradients, **{f"d_{name}": weight.to(torch.float32) for name, weight in weights.items()})
+    sh = gradients.sh(threads, kernel=kernel)
+    return {name: getattr(out, name) for name in request.outputs}, gradients.dense() | {"sh": sh}
+
+
+def threads_change_bits(isa: str, gaussians: Gaussians, request: Request, like: RenderOutput) -> bool:
+    """Whether images or gradients differ at all between one thread and two, next to jumps too. like: shapes."""
+    ones = {name: torch.ones_like(getattr(like, name)) for name in request.outputs}
+    one, two = (images_and_gradients(isa, threads, gaussians, request, ones) for threads in (1, 2))
+    return any(not same_bits(a[name], b[name]) for a, b in zip(one, two, strict=True) for name in a)
+
+
+def same_bits(a: Tensor, b: Tensor) -> bool:
+    """As numbers NaN is not itself, and 0 is -0."""
+    return torch.equal(a.view(torch.int32), b.view(torch.int32))
+
+
+def largest(tensors: list[Tensor]) -> float:
+    return max([1e-30, *(tensor.abs().max().item() for tensor in tensors if tensor.numel())])
+
+
+def largest_difference(tensors: list[Tensor], scale: float) -> float:
+    """Between any two of them, over `scale`; infinite where one is not finite."""
+    return max([0.0, *(relative_error(a, b, scale) for a, b in combinations(tensors, 2))])

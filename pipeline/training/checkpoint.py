@@ -1,0 +1,211 @@
+"""One file from which a run continues as if it had never stopped.
+
+It is written as datasets/files/atomic_write.py does, so that at any moment, also after a kill, a power cut or on a full disk, the
+name holds either the old one or the new one, whole.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor
+
+from datasets.files.atomic_write import replacing
+from datasets.files.errors import DataError
+from pipeline.model.model import Model, ModelKind
+from pipeline.training.density.densification import Statistics
+from rasterizer.gaussians import MAX_FOURIER_ORDER, SH_DEGREES, Motion
+
+FILE_NAME = "checkpoint.safetensors"
+VERSION = 1
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """Everything the rest of a run depends on, besides its configuration and data."""
+
+    iteration: int  # the last one done
+    train_seconds: float  # evaluation excluded
+    seed: int
+    model: Model
+    step_count: int  # Adam's
+    moments: tuple[dict[str, Tensor], dict[str, Tensor]] | None  # None: dropped after the end of training
+    environment_moments: tuple[Tensor, Tensor] | None  # likewise, or the model has no environment
+    statistics: dict[str, Tensor]  # densification's, densify.Statistics.state()
+    sampler: dict  # sampling.BatchSampler.state()
+    split_generator: Tensor  # torch.Generator.get_state()
+    best: dict | None  # metrics and iteration of the best evaluation so far
+    best_model: Model | None
+
+
+def save(path: Path, checkpoint: Checkpoint) -> None:
+    """Write `path` durably. The same checkpoint gives the same bytes."""
+    c = checkpoint
+    tensors = {f"model.{name}": t for name, t in c.model.state().items()}
+    for order, moments in zip(("first", "second"), c.moments or ()):
+        tensors |= {f"{order}.{name}": t for name, t in moments.items()}
+    for order, moment in zip(("first", "second"), c.environment_moments or ()):
+        tensors[f"environment.{order}"] = moment
+    tensors |= {f"statistics.{name}": t for name, t in c.statistics.items()}
+    if c.best_model is not None:
+        tensors |= {f"best.{name}": t for name, t in c.best_model.state().items()}
+    tensors["sampler.order"] = torch.from_numpy(c.sampler["order"])
+    tensors["split_generator"] = c.split_generator
+    kind = c.model.kind
+    header = {
+        "version": VERSION,
+        "iteration": c.iteration,
+        "train_seconds": c.train_seconds,
+        "seed": c.seed,
+        "step_count": c.step_count,
+        "best": c.best,
+        "kind": [kind.motion, kind.fourier_order, kind.sh_degree],
+        "sampler": {key: c.sampler[key] for key in ("position", "generator")},
+    }
+    with replacing(path) as temporary:
+        try:
+            # A single metadata key: with several, safetensors writes them in an order that changes from run to run.
+            save_file(tensors, temporary, metadata={"state": json.dumps(header, sort_keys=True)})
+        except SafetensorError as error:
+            raise _os_error(error) from error
+
+
+def load(path: Path) -> Checkpoint:
+    """Read a checkpoint back. Raises ValueError, one line with the file's name, when it is not one."""
+    header, tensors = _read(path)
+    if header.get("version") != VERSION:
+        raise DataError(path, f"checkpoint version {VERSION}", str(header.get("version")))
+    with _named(path):
+        return _assembled(header, tensors)
+
+
+def load_model(path: Path) -> Model:
+    """The model of a checkpoint alone, without reading Adam's moments."""
+    header, tensors = _read(path, lambda name: name.startswith("model."))
+    state = {name.removeprefix("model."): tensor for name, tensor in tensors.items()}
+    with _named(path):
+        return _model(header, state)
+
+
+def _assembled(header: dict, tensors: dict[str, Tensor]) -> Checkpoint:
+    """Every part is tried as a resumed run will use it: a run must not find out hours later."""
+    groups: dict[str, dict[str, Tensor]] = {}
+    for name, tensor in tensors.items():
+        group, _, rest = name.partition(".")
+        groups.setdefault(group, {})[rest] = tensor
+    model = _model(header, groups["model"])
+    rows = {name: p.shape for name, p in model.parameters.items()}
+    moments = (groups["first"], groups["second"]) if "first" in groups else None
+    for moment in moments or ():
+        _require_floats(moment, rows)
+    environment = groups.get("environment")
+    if environment is not None:
+        image = model.environment.image.shape if model.environment is not None else None
+        _require_floats(environment, {"first": image, "second": image})
+    _require_floats(groups["statistics"], dict.fromkeys(Statistics.FIELDS, torch.Size([len(model)])))
+    sampler = dict(header["sampler"], order=tensors["sampler.order"].numpy())
+    order = sampler["order"]
+    if order.dtype != np.int64 or not np.array_equal(np.sort(order), np.arange(order.size)):
+        raise ValueError("sampler.order: expected a permutation")
+    _whole("sampler.position", sampler["position"], len(order))
+    np.random.default_rng().bit_generator.state = json.loads(sampler["generator"])
+    torch.Generator().set_state(tensors["split_generator"])
+    best = header["best"]
+    if best is not None:
+        _number("best.psnr", best["psnr"])
+        _whole("best.iteration", best["iteration"])
+    return Checkpoint(
+        iteration=_whole("iteration", header["iteration"]),
+        train_seconds=_number("train_seconds", header["train_seconds"]),
+        seed=_whole("seed", header["seed"]),
+        model=model,
+        step_count=_whole("step_count", header["step_count"]),
+        moments=moments,
+        environment_moments=(environment["first"], environment["second"]) if environment else None,
+        statistics=groups["statistics"],
+        sampler=sampler,
+        split_generator=tensors["split_generator"],
+        best=best,
+        best_model=_model(header, groups["best"]) if "best" in groups else None,
+    )
+
+
+def _model(header: dict, state: dict[str, Tensor]) -> Model:
+    motion, fourier_order, sh_degree = header["kind"]
+    if motion not in get_args(Motion):
+        raise ValueError(f"kind: expected one of {', '.join(get_args(Motion))}, found {motion!r}")
+    _whole("kind: Fourier order", fourier_order, 0 if motion == "static" else MAX_FOURIER_ORDER)
+    _whole("kind: SH degree", sh_degree, max(SH_DEGREES.values()))
+    return Model.restored(ModelKind(motion, fourier_order, sh_degree), state).checked()
+
+
+def _require_floats(tensors: dict[str, Tensor], shapes: dict[str, torch.Size | None]) -> None:
+    for name in {**shapes, **tensors}:
+        found = tensors.get(name)
+        if found is None or found.dtype != torch.float32 or found.shape != shapes.get(name):
+            raise ValueError(
+                f"{name}: expected float32 {list(shapes.get(name) or [])}, found "
+                f"{found if found is None else (found.dtype, list(found.shape))}"
+            )
+        if not torch.isfinite(found.sum(dtype=torch.float64)):
+            raise ValueError(f"{name}: NaN or Inf")
+
+
+def _whole(name: str, value: object, largest: int = 2**53) -> int:
+    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value <= largest:
+        raise ValueError(f"{name}: expected an integer in 0..{largest}, found {value!r}")
+    return value
+
+
+def _number(name: str, value: object) -> float:
+    if not isinstance(value, (int, float)) or isinstance(value, bool) or not math.isfinite(value):
+        raise ValueError(f"{name}: expected a finite number, found {value!r}")
+    return value
+
+
+@contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """What is wrong with a checkpoint's parts, in one line with its name."""
+    try:
+        yield
+    except (KeyError, IndexError, TypeError, AttributeError, ValueError, ArithmeticError, RuntimeError) as error:
+        what = f"no {error}" if isinstance(error, KeyError) else str(error)
+        raise DataError(path, "a checkpoint of this program", what) from None
+
+
+def _read(path: Path, wanted: Callable[[str], bool] = lambda name: True) -> tuple[dict, dict[str, Tensor]]:
+    """The header, and the tensors whose names are wanted."""
+    try:
+        with safe_open(path, framework="pt") as file:
+            header = json.loads((file.metadata() or {})["state"])
+            tensors = {name: file.get_tensor(name) for name in file.keys() if wanted(name)}
+    except FileNotFoundError:
+        raise
+    except Exception as error:  # safetensors, json and torch raise many types for broken files
+        raise DataError(path, "a checkpoint of this program", str(error)) from None
+    if not isinstance(header, dict):
+        raise DataError(path, "a checkpoint of this program", f"a header that is a {type(header).__name__}")
+    return header, tensors
+
+
+def _os_error(error: SafetensorError) -> OSError:
+    """What the operating system said, which safetensors passes on in words: "… (os error 28)"."""
+    code = re.search(r"os error (\d+)", str(error))
+    return OSError(int(code[1]), os.strerror(int(code[1]))) if code else OSError(str(error))
+
+
+def saved_iteration(path: Path) -> int:
+    """The last iteration that a checkpoint holds, from its header alone."""
+    return _whole("iteration", _read(path, wanted=lambda name: False)[0].get("iteration"))

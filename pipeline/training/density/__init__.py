@@ -1,0 +1,1 @@
+"""How the set of Gaussians changes: densification, opacity resets, pruning."""

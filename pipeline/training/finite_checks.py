@@ -1,0 +1,90 @@
+"""Stops a run at the first number that is not one, saying where, so that it costs no further time.
+
+The checks are one pass over what the iteration has just written; the search for the culprit runs only once they fail.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import torch
+from torch import Tensor
+
+from pipeline.model.model import Model
+from rasterizer import Gradients
+
+
+class NonFiniteError(FloatingPointError):
+    """A loss, a gradient or a parameter became NaN or Inf. The last checkpoint on disk is from before."""
+
+
+def check_loss(loss: float, iteration: int, view: str, model: Model) -> None:
+    """After each view."""
+    if not math.isfinite(loss):
+        broken = _broken(model)
+        cause = f"NaN or Inf in {broken}" if broken else "the model is finite"
+        raise NonFiniteError(f"iteration {iteration}, view {view}: expected a finite loss, found {loss}; {cause}")
+
+
+def check_gradients(
+    gradients: Gradients,
+    iteration: int,
+    views: Sequence[str],  # names of the batch
+    gradients_of: Callable[[int], Gradients],  # position in the batch -> gradients of that view alone
+    threads: int = 1,
+) -> None:
+    """After each batch, before the optimiser sees it."""
+    if gradients.all_finite(threads):
+        return
+    for position, view in enumerate(views):
+        found = first_non_finite(gradients_of(position))
+        if found is not None:
+            field, index = found
+            raise NonFiniteError(
+                f"iteration {iteration}, view {view}: expected finite gradients, "
+                f"found NaN or Inf in that of {field} of Gaussian {index}"
+            )
+    field, index = first_non_finite(gradients)
+    raise NonFiniteError(
+        f"iteration {iteration}, views {', '.join(views)}: expected finite gradients, "
+        f"found NaN or Inf in the sum over the batch of {field} of Gaussian {index}"
+    )
+
+
+def check_model(model: Model, iteration: int) -> None:
+    """Before a checkpoint is written: a broken model must not replace a good one."""
+    broken = _broken(model)
+    if broken is not None:
+        raise NonFiniteError(
+            f"iteration {iteration}: expected finite parameters, found NaN or Inf in {broken}; "
+            "not written to the checkpoint"
+        )
+
+
+def first_non_finite(gradients: Gradients) -> tuple[str, int] | None:
+    """(field, Gaussian index) of the first NaN or Inf, or None."""
+    for name, tensor in gradients.dense().items():
+        row = _first_bad_row(tensor)
+        if row is not None:
+            return name, row
+    for view in gradients.views:
+        row = _first_bad_row(view.gradient)
+        if row is not None:
+            return "sh", int(view.visible[row])
+    return None
+
+
+def _broken(model: Model) -> str | None:
+    """Where the first parameter is that is NaN or Inf, in words, or None."""
+    found = model.first_non_finite()
+    if found is not None:
+        return f"{found[0]} of Gaussian {found[1]}"
+    if model.environment is not None and not torch.isfinite(model.environment.image).all():
+        return "the environment map"
+    return None
+
+
+def _first_bad_row(tensor: Tensor) -> int | None:
+    rows = (~torch.isfinite(tensor.reshape(len(tensor), -1)).all(dim=1)).nonzero()
+    return int(rows[0]) if len(rows) else None

@@ -1,0 +1,1 @@
+"""What the optimiser minimises: the photometric loss, and the terms some schedules add."""

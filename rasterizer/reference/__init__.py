@@ -1,0 +1,1 @@
+"""The reference implementation of the rasterizer: plain PyTorch, any dtype."""

@@ -1,0 +1,279 @@
+"""The readable twin of the C++ kernel: 4D Gaussian Splatting's rasterizer in plain PyTorch.
+
+One function per equation of the method, in any floating-point type and differentiable by autograd. Every
+pixel meets every Gaussian in view, so it is slow and for small scenes only: it is the truth the kernel is
+tested against. Read it from top to bottom: slice the 4D Gaussians at a time, project the slices, then
+colour (`reference_sh.py`) and blend (`reference_blend.py`) them.
+
+Letters: N Gaussians, V of them in view. μ mean, s scale, R rotation, M = R diag(s), Σ = M Mᵀ, t time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from rasterizer.arguments import Request, check_finite
+from rasterizer.camera import Camera
+from rasterizer.gaussians import Gaussians
+from rasterizer.output import RenderOutput
+from rasterizer.reference.blend import MIN_PRESENCE, Splats, blend
+from rasterizer.reference.sh import sh_color
+
+FRUSTUM_MARGIN = 1.3  # the perspective's linearisation degenerates far outside the image (3DGS)
+DILATION = 0.3  # px²: no splat thinner than about a pixel, so that none falls between pixel centres (3DGS)
+LARGEST_EXPONENT = 80.0  # e^80 is 5e34: float32 holds it and its inverse
+LARGEST_INVERSE = 1e30  # of a quaternion's length, in gradients
+FEATURE_CHANNELS = {"color": 3, "depth": 1, "flow": 2, "stats": 2}  # what Σ w · is taken of
+
+
+# ---- The 4D Gaussian and its slice at a time ---------------------------------------------------------------
+
+
+def normalise_quaternion(quat: Tensor) -> Tensor:
+    """Unit quaternions (N, 4); a zero quaternion is read as the identity (1, 0, 0, 0) and gets no gradient.
+
+    Dividing by the largest component first keeps the squares from under- or overflowing. The result does not
+    depend on that divisor, so it is treated as a constant. The gradient is as large as 1/|q|, which is cut off at
+    1e30: for a denormal quaternion float32 could not hold it.
+    """
+    largest = quat.detach().abs().amax(dim=-1, keepdim=True)
+    identity = torch.tensor([1, 0, 0, 0], dtype=quat.dtype, device=quat.device)
+    quat = torch.where(largest > 0, quat / torch.where(largest > 0, largest, 1), identity)
+    norm = quat.norm(dim=-1, keepdim=True)
+    unit = quat / norm
+    passed = (largest * norm.detach() * LARGEST_INVERSE).clamp(max=1)
+    return torch.where(passed < 1, unit.detach() + passed * (unit - unit.detach()), unit)
+
+
+def rotation_4d(quat_left: Tensor, quat_right: Tensor) -> Tensor:
+    """R = L(ql) R(qr) (N, 4, 4), docs/method.md 1: v -> ql v qr, for v = (x, y, z, t) = x + yi + zj + tk."""
+    a, b, c, d = normalise_quaternion(quat_left).unbind(-1)
+    p, q, r, s = normalise_quaternion(quat_right).unbind(-1)
+    left = torch.stack([a, -b, -c, -d, b, a, -d, c, c, d, a, -b, d, -c, b, a], dim=-1).reshape(-1, 4, 4)
+    right = torch.stack([p, -q, -r, -s, q, p, s, -r, r, -s, p, q, s, r, -q, p], dim=-1).reshape(-1, 4, 4)
+    return left @ right
+
+
+def rotation_3d(quat: Tensor) -> Tensor:
+    """The rotation matrices (N, 3, 3) of quaternions (w, x, y, z), as in 3D Gaussian Splatting."""
+    w, x, y, z = normalise_quaternion(quat).unbind(-1)
+    return torch.stack(
+        [
+            1 - 2 * (y * y + z * z),
+            2 * (x * y - w * z),
+            2 * (x * z + w * y),
+            2 * (x * y + w * z),
+            1 - 2 * (x * x + z * z),
+            2 * (y * z - w * x),
+            2 * (x * z - w * y),
+            2 * (y * z + w * x),
+            1 - 2 * (x * x + y * y),
+        ],
+        dim=-1,
+    ).reshape(-1, 3, 3)
+
+
+def scaled_axes(gaussians: Gaussians) -> Tensor:
+    """M = R diag(s), so that Σ = M Mᵀ (docs/method.md 1): (N, 4, 4), or (N, 3, 3) for a static model.
+
+    Without 4D rotation, R turns space alone and leaves time: Σ is block diagonal and nothing moves.
+    """
+    if gaussians.motion == "full":
+        rotation = rotation_4d(gaussians.quat_left, gaussians.quat_right)
+    else:
+        rotation = rotation_3d(gaussians.quat_left)
+        if gaussians.motion == "separable":
+            rotation = F.pad(rotation, (0, 1, 0, 1))
+            rotation = rotation + torch.diag(rotation.new_tensor([0, 0, 0, 1]))
+    return rotation * gaussians.log_scale.exp()[:, None, :]
+
+
+@dataclass(frozen=True)
+class Slice:
+    """The Gaussians at one time: 3D Gaussians with covariance A Aᵀ, each present to the degree p(t)."""
+
+    mean: Tensor  # (N, 3) μ(t), world
+    factor: Tensor  # (N, 3, 4) A, or (N, 3, 3) for a static model
+    presence: Tensor  # (N,) p(t) in [0, 1]
+    velocity: Tensor  # (N, 3) dμ(t)/dt, world units a second
+    variance_t: Tensor | None  # (N,) Σtt; None for a static model
+
+
+def slice_in_time(gaussians: Gaussians, time: float) -> Slice:
+    """Condition the 4D Gaussians on the time (docs/method.md 1.1).
+
+    p(t) = exp(-½ (t-μt)²/Σtt) and μ(t) = μ_xyz + Σ_xyz,t Σtt⁻¹ (t-μt), a straight line. The textbook's
+    conditional covariance Σ_xyz - Σ_xyz,t Σtt⁻¹ Σ_t,xyz cancels catastrophically where the motion is fast.
+    With m_t the time row of M and v = m_t/|m_t| it is A Aᵀ, A = M_xyz (I - v vᵀ), positive semi-definite by
+    construction.
+    """
+    axes = scaled_axes(gaussians)
+    if gaussians.motion == "static":
+        ones = torch.ones_like(gaussians.opacity_logit)
+        return Slice(gaussians.mean, axes, ones, torch.zeros_like(gaussians.mean), None)
+    space, time_row = axes[:, :3], axes[:, 3]
+    sigma_t = time_row.norm(dim=-1)  # √Σtt = |m_t|
+    v = time_row / sigma_t[:, None]
+    along_v = torch.einsum("nij,nj->ni", space, v)  # M_xyz v = Σ_xyz,t / |m_t|
+    velocity = along_v / sigma_t[:, None]
+    elapsed = time - gaussians.mean[:, 3]
+    return Slice(
+        mean=gaussians.mean[:, :3] + velocity * elapsed[:, None],
+        factor=space - along_v[:, :, None] * v[:, None, :],
+        presence=torch.exp(-0.5 * (elapsed / sigma_t) ** 2),
+        velocity=velocity,
+        variance_t=sigma_t**2,
+    )
+
+
+# ---- Projection --------------------------------------------------------------------------------------------
+
+
+def world_to_camera(points: Tensor, camera: Camera) -> Tensor:
+    """World points (N, 3) in the camera's frame: x right, y down, z forward."""
+    pose = torch.tensor(camera.world_to_cam, dtype=points.dtype, device=points.device)
+    return points @ pose[:3, :3].T + pose[:3, 3]
+
+
+def project_point(point_cam: Tensor, camera: Camera) -> Tensor:
+    """Pixel positions (N, 2) of camera-frame points (N, 3): (fx x/z + cx, fy y/z + cy)."""
+    x, y, z = point_cam.unbind(-1)
+    return torch.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], dim=-1)
+
+
+def project_factor(factor: Tensor, mean_cam: Tensor, camera: Camera) -> Tensor:
+    """B = J W A (N, 2, 3 or 4), so that B Bᵀ is the slice's covariance on the image in px² (EWA splatting).
+
+    W is the camera's rotation and J the Jacobian of the perspective at the mean. Inside J alone, x/z and y/z
+    are clamped to 1.3 × the half field of view on each side of the principal point (docs/method.md 1.2).
+    """
+    x, y, z = mean_cam.unbind(-1)
+    u = (x / z).clamp(-FRUSTUM_MARGIN * camera.cx / camera.fx, FRUSTUM_MARGIN * (camera.width - camera.cx) / camera.fx)
+    v = (y / z).clamp(-FRUSTUM_MARGIN * camera.cy / camera.fy, FRUSTUM_MARGIN * (camera.height - camera.cy) / camera.fy)
+    zero = torch.zeros_like(z)
+    jacobian = torch.stack(
+        [camera.fx / z, zero, -camera.fx * u / z, zero, camera.fy / z, -camera.fy * v / z], dim=-1
+    ).reshape(-1, 2, 3)
+    rotation = torch.tensor(camera.world_to_cam[:3, :3], dtype=factor.dtype, device=factor.device)
+    return jacobian @ (rotation @ factor)
+
+
+def ellipse(projected_factor: Tensor) -> Tensor:
+    """The covariance Σ2d = B Bᵀ + 0.3 I of B (N, 2, K) as what blending needs of it: (k, V, C) (N, 3), with
+
+        dᵀ Σ2d⁻¹ d = (dx + k dy)²/V + dy²/C,   C = cyy,   k = -cxy/C,   V = det/C.
+
+    Nothing in it cancels, where dᵀ Σ2d⁻¹ d of a needle as long as the scene is wide loses all digits, its gradient
+    even in float64. The determinant is taken by Cauchy and Binet, det(B Bᵀ) = Σ_i<j (B_0i B_1j - B_0j B_1i)²: a
+    sum of squares, where the familiar cxx cyy - cxy² cancels for long streaks.
+    """
+    row0, row1 = projected_factor.unbind(1)
+    first, second = torch.combinations(torch.arange(row0.shape[1])).unbind(1)  # column pairs i < j
+    minors = row0[:, first] * row1[:, second] - row0[:, second] * row1[:, first]
+    norm_x, norm_y = (row0 * row0).sum(1), (row1 * row1).sum(1)
+    along = norm_y + DILATION
+    lean = -(row0 * row1).sum(1) / along
+    # det/C, each term divided before it is added: det itself may overflow
+    across = ((minors / along.sqrt()[:, None]) ** 2).sum(1) + DILATION * (norm_x + along) / along
+    return torch.stack([lean, across, along], dim=-1)
+
+
+# ---- All of it ---------------------------------------------------------------------------------------------
+
+
+@torch.no_grad()
+def blending_order(gaussians: Gaussians, request: Request, min_presence: float = MIN_PRESENCE) -> Tensor:
+    """Rows (V,) of the Gaussians with p(t) >= 0.05 and depth z > near, nearest first; equal depths by row."""
+    sliced = slice_in_time(gaussians, request.time)
+    depth = world_to_camera(sliced.mean, request.camera)[:, 2]
+    taking_part = torch.nonzero((sliced.presence >= min_presence) & (depth > request.near)).squeeze(1)
+    return taking_part[torch.argsort(depth[taking_part], stable=True)]
+
+
+def colors(gaussians: Gaussians, sliced: Slice, request: Request) -> Tensor:
+    """RGB (N, 3) of the slices as the camera sees them, from the coefficients up to the orders asked for."""
+    order = gaussians.fourier_order if request.fourier_order is None else request.fourier_order
+    degree = gaussians.sh_degree if request.sh_degree is None else request.sh_degree
+    stored = gaussians.sh.unflatten(1, (gaussians.fourier_order + 1, (gaussians.sh_degree + 1) ** 2))
+    position = torch.tensor(request.camera.position, dtype=sliced.mean.dtype, device=sliced.mean.device)
+    direction = F.normalize(sliced.mean - position, dim=-1)
+    elapsed = None if gaussians.motion == "static" else request.time - gaussians.mean[:, 3]
+    return sh_color(stored[:, : order + 1, : (degree + 1) ** 2], direction, elapsed, request.duration)
+
+
+def displacement(sliced: Slice, request: Request) -> Tensor:
+    """proj(μ(t+δ)) - proj(μ(t)) (N, 2), pixels; zero where the near plane is passed meanwhile."""
+    camera = request.camera
+    now = world_to_camera(sliced.mean, camera)
+    later = world_to_camera(sliced.mean + sliced.velocity * request.flow_dt, camera)
+    later = torch.where(later[:, 2:] > request.near, later, now)
+    return project_point(later, camera) - project_point(now, camera)
+
+
+def opacity(logit: Tensor) -> Tensor:
+    """sigmoid(logit) (N,); beyond ±80 it changes no more, as its gradient is too small for float32.
+
+    torch.sigmoid's own gradient, σ (1 - σ), is zero from 37 on, where 1 - σ is no longer seen in float64.
+    """
+    return F.logsigmoid(logit.clamp(-LARGEST_EXPONENT, LARGEST_EXPONENT)).exp()
+
+
+def make_splats(gaussians: Gaussians, request: Request, min_presence: float = MIN_PRESENCE) -> Splats:
+    """Slice, project and colour the Gaussians in view; features as asked, in FEATURE_CHANNELS order."""
+    index = blending_order(gaussians, request, min_presence)
+    rows = {name: tensor[index] for name, tensor in gaussians.tensors().items()}
+    gaussians = Gaussians(**{"quat_right": None, **rows})
+    sliced = slice_in_time(gaussians, request.time)
+    mean_cam = world_to_camera(sliced.mean, request.camera)
+    features = [mean_cam[:, :0]]  # none, so that there is something to join
+    if "color" in request.outputs:
+        features.append(colors(gaussians, sliced, request))
+    if "depth" in request.outputs:
+        features.append(mean_cam[:, 2:])
+    if "flow" in request.outputs:
+        features.append(displacement(sliced, request))
+    if "stats" in request.outputs:
+        features.append(torch.stack([gaussians.mean[:, 3], sliced.variance_t], dim=-1))
+    return Splats(
+        index=index,
+        center=project_point(mean_cam, request.camera),
+        ellipse=ellipse(project_factor(sliced.factor, mean_cam, request.camera)),
+        opacity=opacity(gaussians.opacity_logit) * sliced.presence,
+        features=torch.cat(features, dim=-1),
+    )
+
+
+def rasterize(
+    gaussians: Gaussians,
+    camera: Camera,
+    time: float = 0.0,
+    duration: float = 1.0,
+    background: Sequence[float] = (0.0, 0.0, 0.0),
+    outputs: Sequence[str] = ("color",),
+    flow_dt: float | None = None,
+    near: float = 0.2,
+    sh_degree: int | None = None,
+    fourier_order: int | None = None,
+) -> RenderOutput:
+    """The Gaussians seen by the camera at the time; `RenderOutput` says what each of `outputs` is.
+
+    `arguments.Request` says what the arguments are. Raises ValueError, in one line, for a parameter or
+    argument that is not finite, out of range or missing.
+    """
+    request = Request(camera, time, duration, background, outputs, flow_dt, near, sh_degree, fourier_order)
+    request.check_against(gaussians)
+    check_finite(gaussians)
+    sums, transmittance = blend(make_splats(gaussians, request), camera)
+    named = [name for name in FEATURE_CHANNELS if name in request.outputs]
+    images = dict(zip(named, sums.split([FEATURE_CHANNELS[name] for name in named])))
+    if "color" in request.outputs:
+        behind = torch.tensor(request.background, dtype=sums.dtype, device=sums.device)
+        images["color"] = images["color"] + transmittance * behind[:, None, None]
+    if "alpha" in request.outputs:
+        images["alpha"] = 1 - transmittance[None]
+    return RenderOutput(**{"color": None, **images})

@@ -1,0 +1,249 @@
+"""Every file under conf/ composes to a valid configuration, and what a user gets wrong is named in one line."""
+
+from __future__ import annotations
+
+import functools
+import os
+import subprocess
+import sys
+from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
+
+import pytest
+from hydra import compose, initialize_config_dir
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import OmegaConf, flag_override
+
+from pipeline.config.compose import CONFIG_DIR, known_keys, one_line, register_schema, to_config
+from pipeline.config.schema import Config
+
+ROOT = CONFIG_DIR.parent
+register_schema()
+
+
+def options(group: str) -> list[str]:
+    folder = CONFIG_DIR / group
+    return sorted(str(file.relative_to(folder).with_suffix("")) for file in folder.rglob("*.yaml"))
+
+
+@functools.cache
+def config_of(*overrides: str) -> Config:
+    with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
+        return to_config(compose("config", overrides=list(overrides)))
+
+
+@functools.cache
+def run_of(*overrides: str) -> Config:
+    """A run of a sweep: its file may ask Hydra what was chosen."""
+    with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
+        composed = compose("config", overrides=list(overrides), return_hydra_config=True)
+    HydraConfig.instance().set_config(composed)
+    with flag_override(composed, ["struct", "readonly"], False):
+        del composed["hydra"]
+    return to_config(composed)
+
+
+def complaint(*overrides: str) -> str:
+    with pytest.raises(Exception) as caught:
+        config_of(*overrides)
+    line = one_line(caught.value)
+    assert "\n" not in line
+    return line
+
+
+@pytest.mark.parametrize("scene", options("scene"))
+def test_every_scene(scene: str) -> None:
+    cfg = config_of(f"scene={scene}")
+    assert cfg.scene.name == scene
+    assert cfg.out == f"results/runs/{scene}/full/paper/seed0"
+
+
+@pytest.mark.parametrize("family", ["dnerf", "plenoptic", "video"])
+@pytest.mark.parametrize(
+    "path, folder",
+    [("/data/jug", "jug"), ("jug/", "jug"), ("a/../b c", "b c"), (".hidden", "hidden"), ("/data/Küche", "Küche")],
+)
+def test_a_scene_is_named_after_its_folder(family: str, path: str, folder: str) -> None:
+    cfg = config_of(f"scene={family}", f'scene.path="{path}"')
+    assert cfg.scene.name == f"{family}/{folder}" and cfg.out == f"results/runs/{family}/{folder}/full/paper/seed0"
+    assert config_of(f"scene={family}", f'scene.path="{path}"', "scene.name=mine").scene.name == "mine"
+
+
+@pytest.mark.parametrize("train", options("train"))
+def test_every_schedule(train: str) -> None:
+    cfg = config_of("scene=dnerf", f"train={train}")
+    assert cfg.train.name == train
+    assert cfg.train.densify.stop <= cfg.train.iterations
+    assert all(at <= cfg.train.iterations for at in cfg.train.fourier_at)
+
+
+@pytest.mark.parametrize("ablation", options("ablation"))
+def test_every_ablation(ablation: str) -> None:
+    assert config_of("scene=dnerf", f"ablation={ablation}").ablation.name == ablation
+
+
+@pytest.mark.parametrize("scene", options("release"))
+def test_every_scene_of_the_release(scene: str) -> None:
+    cfg = config_of(f"scene={scene}", "train=release")
+    assert (cfg.train.name, cfg.scene.name) == ("release", scene)
+
+
+@pytest.mark.parametrize("experiment", options("experiment"))
+def test_every_experiment_and_every_run_of_it(experiment: str) -> None:
+    with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
+        hydra = compose("config", overrides=[f"experiment={experiment}", "scene=dnerf"], return_hydra_config=True).hydra
+        assert hydra.mode.name == "MULTIRUN"
+        sweep = OmegaConf.to_container(hydra.sweeper.params)
+        longest = max(len(values.split(",")) for values in sweep.values())
+    for i in range(longest):  # each value of each swept key at least once
+        chosen = [f"{key}={values.split(',')[i % len(values.split(','))]}" for key, values in sweep.items()]
+        run_of(f"experiment={experiment}", *chosen)
+    text = (CONFIG_DIR / "experiment" / f"{experiment}.yaml").read_text()
+    assert f"python -m pipeline experiment={experiment}\n" in text, "opens with the command that runs it"
+
+
+@pytest.mark.parametrize("variant", options("variant"))
+def test_every_variant_is_one_change_in_a_folder_of_its_own(variant: str) -> None:
+    chosen = ("experiment=training_curves", "scene=synthetic/wheel", "seed=1")
+    base = {"alone": "alone/as_it_is", "without": "without/nothing"}.get(variant.partition("/")[0], "fast")
+    cfg, usual = run_of(*chosen, f"variant={variant}"), run_of(*chosen, f"variant={base}")
+    assert cfg.out == f"results/runs/training_curves/synthetic/wheel/{variant}/seed1"
+    if variant.endswith("_start"):  # a schedule's first iterations, and nothing else of it
+        whole = config_of("scene=synthetic/wheel", f"train={variant.removesuffix('_start')}").train
+        assert replace(cfg.train, name=whole.name, iterations=whole.iterations, eval_every=whole.eval_every) == whole
+        assert cfg.train.iterations % whole.densify.opacity_reset_every != 0
+    else:
+        assert len(changes(cfg.train, usual.train) | changes(cfg.ablation, usual.ablation)) == (variant != base)
+
+
+def changes(one: object, other: object) -> set[str]:
+    """Fields, those inside fields too, with other values; a name is not one."""
+    found = set()
+    for f in fields(one):
+        a, b = getattr(one, f.name), getattr(other, f.name)
+        if is_dataclass(a):
+            found |= changes(a, b)
+        elif a != b and f.name != "name":
+            found.add(f.name)
+    return found
+
+
+@pytest.mark.parametrize("launcher", ["local", "joblib"])
+def test_launchers(launcher: str) -> None:
+    assert config_of("scene=dnerf", f"launcher={launcher}").threads == (1 if launcher == "joblib" else 0)
+
+
+def test_slurm_launcher() -> None:
+    assert config_of("scene=dnerf", "launcher=slurm").threads == 0  # a job has its cores to itself
+
+
+def test_a_launcher_whose_package_is_missing() -> None:
+    line = complaint("scene=dnerf", "hydra/launcher=ray")  # Hydra has such a plugin; it is not installed here
+    assert "ray: no such option; is its package installed?" in line
+
+
+def test_defaults_are_the_papers() -> None:
+    cfg = config_of("scene=dnerf")  # numbers: docs/method.md 2, the last column
+    assert (cfg.train.iterations, cfg.train.batch, cfg.scene.init_points) == (30_000, 4, 100_000)
+    assert cfg.train == Config().train
+
+
+@pytest.mark.parametrize(
+    "scene, batch, points",
+    [  # docs/method.md 2.1
+        ("bouncingballs", 2, 100_000),
+        ("hellwarrior", 1, 100_000),
+        ("hook", 8, 300_000),
+        ("jumpingjacks", 16, 300_000),
+        ("lego", 2, 100_000),
+        ("mutant", 8, 300_000),
+        ("standup", 8, 300_000),
+        ("trex", 24, 300_000),
+    ],
+)
+def test_release_differs_from_scene_to_scene(scene: str, batch: int, points: int) -> None:
+    train = config_of(f"scene=dnerf/{scene}", "train=release").train
+    assert (train.batch, train.init_points) == (batch, points)
+    assert train.rigid_weight == (1.0 if scene == "lego" else 0.0)
+    schedule = (train.iterations, train.rate.decay_iterations, train.densify.every, train.densify.stop)
+    assert schedule == ((20_000, 15_000, 200, 10_000) if scene == "bouncingballs" else (30_000, 30_000, 100, 15_000))
+    assert train.init_box == [-1.3, 1.3] and not train.densify.use_time_gradient
+
+
+def test_the_command_line_wins_over_every_file() -> None:
+    assert config_of("scene=dnerf/trex", "train=release", "train.batch=3").train.batch == 3
+
+
+@pytest.mark.parametrize(
+    "override, expected",
+    [
+        ("train.iteratons=5", "train.iteratons: no such key; did you mean train.iterations?"),
+        ("+train.iteratons=5", "train.iteratons: no such key; did you mean train.iterations?"),
+        ("train.rate.mea=5", "train.rate.mea: no such key; did you mean train.rate.mean?"),
+        ("trian=fast", "trian: no such key; did you mean train?"),
+        ("train=fats", "train=fats: no such option; there are best, fast, "),
+        ("scene=dnerf/legs", "scene=dnerf/legs: no such option; there are dnerf, "),
+        ("train.iterations=many", "train.iterations: Value 'many' of type 'str' could not be converted to Integer"),
+        ("train.iterations=null", "train.iterations: field 'train.iterations' is not Optional"),
+        ("train.iterations=[1", "train.iterations=[1: not a key=value that Hydra can read"),
+        ("train.iterations=0", "train.iterations: expected at least 1, found 0"),
+        ("train.batch=-2", "train.batch: expected at least 1, found -2"),
+        ("train.ssim_weight=nan", "train.ssim_weight: expected in [0, 1], found nan"),
+        ("train.sampler=best", "train.sampler: expected pairs, views_at_one_time or times_of_one_view, found 'best'"),
+        ("train.resolution_steps=[{until: 2}]", "train.resolution_steps.until: expected in (0, 1], found 2.0"),
+        ("train.densify.prune_opacity=1", "train.densify.prune_opacity: expected in (0, 1), found 1.0"),
+        ("train.rate.scale=-1", "train.rate.scale: expected >= 0, found -1.0"),
+        (
+            "scene.background=[0, 0]",
+            "scene.background: expected auto, black, white or three values in [0, 1], found [0, 0]",
+        ),
+        (
+            "scene.background=grey",
+            "scene.background: expected auto, black, white or three values in [0, 1], found 'grey'",
+        ),
+        (
+            "scene.background=[0, 0, 2]",
+            "scene.background: expected auto, black, white or three values in [0, 1], found [0, 0",
+        ),
+        ("scene.init_box=[1, -1]", "scene.init_box: expected [low, high] with low < high, found [1.0, -1.0]"),
+        ("ablation.fourier_order=3", "ablation.fourier_order: expected 0 to 2, found 3"),
+        ("evaluate.renders=-5", "evaluate.renders: expected >= -1 (-1: all), found -5"),
+        ("threads=-1", "threads: expected >= 0 (0: all), found -1"),
+        ("seed=-1", "seed: expected >= 0, found -1"),
+    ],
+)
+def test_mistakes_are_named_in_one_line(override: str, expected: str) -> None:
+    scene = [] if override.startswith("scene=") else ["scene=dnerf"]
+    assert complaint(*scene, override).startswith(expected)
+
+
+def test_no_scene() -> None:
+    assert complaint().startswith("scene: must be given; there are dnerf, ")
+
+
+def test_a_typo_in_a_file_names_file_and_key(tmp_path: Path) -> None:
+    (tmp_path / "train").mkdir()
+    (tmp_path / "train" / "mine.yaml").write_text("iteratons: 5\n")
+    line = complaint("scene=dnerf", "train=mine", f"hydra.searchpath=[file://{tmp_path}]")
+    assert line == "conf/train/mine.yaml: train.iteratons: no such key; did you mean train.iterations?"
+
+
+def test_known_keys_are_the_schemas() -> None:
+    keys = known_keys()
+    assert {"scene.path", "train.rate.mean_final", "train.densify.stop", "evaluate.lpips", "out"} <= set(keys)
+    assert len(keys) == len(set(keys))
+
+
+@pytest.mark.parametrize("arguments", [["scene=dnerf", "train.iteratons=5"], ["scene=dnerf", "scene.path=not/there"]])
+def test_a_failing_command(arguments: list[str], tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "pipeline", *arguments],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"},
+    )
+    assert done.returncode == 1
+    assert done.stderr.startswith("error: ") and done.stderr.count("\n") == 1
+    assert "Traceback" not in done.stderr
+    assert sorted(tmp_path.glob("*")) in ([], [tmp_path / "results"])  # at most our own run folder

@@ -1,0 +1,111 @@
+"""What a run works on: which scenes get points from structure from motion, and what refined poses change."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets.canonical import canonical_of
+from datasets.plenoptic import open_plenoptic
+from datasets.synthetic import build_scene
+from pipeline.config.schema import Config, InitConfig, SceneConfig
+from pipeline.data.prepare import Prepared, near_depth, prepare, training_photographs
+from rasterizer import Camera
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("prepare") / "scene"
+    return build_scene(folder, scene="counter", seed=2, size=160, cameras=5, frames=2)
+
+
+def prepared(folder: Path, **init) -> Prepared:
+    cfg = Config(
+        scene=SceneConfig(
+            name="plenoptic", reader="plenoptic", path=str(folder), downscale=2, cache=str(folder.parent / "cache")
+        ),
+        init=InitConfig(min_points=10, max_features=1000, **init),
+        threads=1,
+    )
+    return prepare(cfg, lambda line: None)
+
+
+def test_points_come_from_whole_frames_whatever_size_is_trained_at(folder: Path) -> None:
+    data = prepared(folder)
+    assert data.scene.train[0].camera.width == 80
+    assert all(lens.camera.width == 160 for lens in data.cloud.lenses.values())
+    assert set(data.cloud.lenses) == {"cam01", "cam02", "cam03", "cam04"}  # cam00 is held out
+    assert (data.sfm_folder / "sfm.png").is_file()
+
+
+def test_structure_from_motion_gets_the_first_frames_of_the_training_cameras(folder: Path) -> None:
+    posed = open_plenoptic(folder, name="counter", downscale=1, cache=folder.parent / "cache")
+    photographs = training_photographs(posed)
+    assert [p.name for p in photographs] == ["cam01", "cam02", "cam03", "cam04"]  # cam00 is held out
+    for photograph in photographs:
+        np.testing.assert_array_equal(photograph.image, posed.first_images()[photograph.name])
+        assert photograph.camera is posed.cameras[photograph.name]
+
+
+def test_random_points_need_none_of_it(folder: Path) -> None:
+    data = prepared(folder, source="random")
+    assert data.cloud is None and data.sfm_folder is None and len(data.scene.train) == 8
+
+
+def test_refined_poses_are_what_is_trained_with(folder: Path) -> None:
+    given, refined = prepared(folder), prepared(folder, refine_poses=True)
+    for before, after in zip(given.scene.train, refined.scene.train):
+        name = after.name.removeprefix("train/")[:5]
+        pose = refined.cloud.lenses[name].camera.world_to_cam
+        np.testing.assert_array_equal(after.camera.world_to_cam, pose)
+        assert 0 < np.abs(pose - before.camera.world_to_cam).max() < 0.05
+    for before, after in zip(given.scene.test, refined.scene.test):  # no image of theirs may move them in the world
+        np.testing.assert_array_equal(after.camera.world_to_cam[:3, :3], before.camera.world_to_cam[:3, :3])
+        np.testing.assert_allclose(
+            refined.canonical.inverse.points(after.camera.position),
+            given.canonical.inverse.points(before.camera.position),
+            atol=1e-12,
+        )
+
+
+def test_it_is_all_in_canonical_coordinates(folder: Path) -> None:
+    data = prepared(folder)
+    assert not data.canonical.is_identity  # its rig stands 3 from what it looks at
+    positions = np.unique([view.camera.position for view in data.scene.train], axis=0)
+    assert np.linalg.norm(positions, axis=1).mean() == pytest.approx(4.0)
+    for camera in (lens.camera for lens in data.cloud.lenses.values()):  # points and cameras belong together
+        depths = data.cloud.points @ camera.world_to_cam[2, :3] + camera.world_to_cam[2, 3]
+        assert 1 < np.median(depths) < 10 and (depths > 0).all()
+    assert canonical_of(data.scene).is_identity
+
+
+@pytest.mark.parametrize(("scale", "shift"), [(1e3, 0.0), (1e-3, 0.0), (1.0, 1e4)])
+def test_another_unit_or_origin_gives_the_same_points(folder: Path, tmp_path: Path, scale: float, shift: float) -> None:
+    """What COLMAP finds too, whose solvers stop at differences that are small in no unit but theirs."""
+    other = shutil.copytree(folder, tmp_path / "other")
+    rows = np.load(other / "poses_bounds.npy")
+    rows[:, 3:15:5] = rows[:, 3:15:5] * scale + shift  # the matrix's fourth column of five, row by row
+    rows[:, 15:] *= scale
+    np.save(other / "poses_bounds.npy", rows)
+    one, two = prepared(folder), prepared(other)
+    for a, b in zip(one.scene.train + one.scene.test, two.scene.train + two.scene.test):
+        np.testing.assert_allclose(b.camera.world_to_cam, a.camera.world_to_cam, atol=1e-9)
+        assert b.time == a.time
+    assert two.scene.unit == pytest.approx(one.scene.unit) and two.scene.extent == pytest.approx(one.scene.extent)
+    np.testing.assert_allclose(two.cloud.points, one.cloud.points, atol=1e-6)
+    np.testing.assert_array_equal(two.cloud.colors, one.cloud.colors)
+
+
+def test_photographs_of_one_camera_have_no_structure_from_motion() -> None:
+    cfg = Config(scene=SceneConfig(name="dnerf", reader="dnerf", path="anywhere"), init=InitConfig(source="sfm"))
+    with pytest.raises(ValueError, match="init.source: expected auto or random for dnerf"):
+        prepare(cfg, print)
+
+
+def test_the_near_depth_is_the_one_a_twentieth_of_the_points_lie_before() -> None:
+    points = np.stack([np.zeros(101), np.zeros(101), np.linspace(1, 101, 101)], axis=1)
+    points = np.concatenate([points, [[0, 0, -5]]])  # behind the camera: not seen
+    assert near_depth(points, [Camera(8, 8, 8, 8, 4, 4, np.eye(4))]) == pytest.approx(6.0)

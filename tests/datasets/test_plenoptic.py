@@ -1,0 +1,323 @@
+"""The Plenoptic Video reader: frames, times, cameras and splits of small real videos, and every bad input."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from plenoptic_folder import (
+    FOCAL,
+    FRAMES,
+    HEIGHT,
+    NEAR,
+    RATE,
+    WIDTH,
+    inside,
+    picture,
+    pose_row,
+    write_camera,
+    write_folder,
+)
+
+from datasets import Scene, SceneError, load_scene
+from datasets.plenoptic import read_plenoptic
+from datasets.plenoptic.frame_store import StoredFrame
+from pipeline.config.schema import SceneConfig
+
+# Levels of 255, inside a block: the rounding to limited range and back is 1 to 2, the rest is what x264 takes at crf 1.
+CODEC = 4
+
+
+@pytest.fixture(scope="session")
+def filmed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_folder(tmp_path_factory.mktemp("filmed"))
+
+
+@pytest.fixture
+def folder(filmed: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(filmed, tmp_path / "scene")
+
+
+def read(folder: Path, **options: object) -> Scene:
+    given = dict(name="plenoptic/toy", downscale=1, cache=folder.parent / "cache", threads=2, say=lambda text: None)
+    return read_plenoptic(folder, **{**given, **options})
+
+
+# --- what is read ---------------------------------------------------------------------------------------------------
+
+
+def test_frames_are_those_filmed_in_order_and_in_rgb(folder: Path) -> None:
+    scene = read(folder)
+    assert len(scene.train) == 2 * FRAMES and len(scene.test) == FRAMES
+    for view in scene.train + scene.test:
+        camera, frame = view.name.split("/cam")[1].split("_")
+        truth = picture(int(camera), int(frame))
+        assert isinstance(view.image, StoredFrame)
+        error = np.abs(inside(np.asarray(view.image)).astype(int) - inside(truth))
+        assert error.max() <= CODEC, view.name
+
+
+def test_names_times_and_splits(folder: Path) -> None:
+    scene = read(folder)
+    assert [view.name for view in scene.test] == [f"test/cam00_{frame:04d}" for frame in range(FRAMES)]
+    assert scene.train[0].name == "train/cam01_0000" and scene.train[-1].name == f"train/cam02_{FRAMES - 1:04d}"
+    assert [view.time for view in scene.test] == pytest.approx([frame / RATE for frame in range(FRAMES)], rel=1e-12)
+    assert (scene.time_start, scene.duration, scene.frame_rate) == (0.0, pytest.approx(FRAMES / RATE), RATE)
+    assert not scene.is_static and scene.source == folder and scene.background == (0.0, 0.0, 0.0)
+
+
+def test_cameras_are_those_of_the_poses(folder: Path) -> None:
+    scene = read(folder)
+    camera = scene.train[0].camera
+    assert (camera.width, camera.height, camera.fx, camera.fy) == (WIDTH, HEIGHT, FOCAL, FOCAL)
+    assert (camera.cx, camera.cy) == (WIDTH / 2, HEIGHT / 2)
+    np.testing.assert_allclose(camera.position, [1, 0, -4], atol=1e-12)
+    assert scene.unit == 0.75 * NEAR
+    assert scene.extent == pytest.approx(1.1 * 0.5)  # training cameras at x = 1 and 2
+    low, high = scene.init_box
+    assert low[2] <= -4 and high[2] >= 6  # the cameras, and z = -4 + 10 at their far bound
+
+
+def test_half_resolution_is_the_mean_of_blocks_and_the_camera_knows(folder: Path) -> None:
+    full, half = read(folder), read(folder, downscale=2)
+    for a, b in zip(full.test, half.test):
+        blocks = np.asarray(a.image, dtype=float).reshape(HEIGHT // 2, 2, WIDTH // 2, 2, 3).mean(axis=(1, 3))
+        np.testing.assert_allclose(np.asarray(b.image), blocks, atol=0.5)  # rounded once
+    camera = half.test[0].camera
+    assert (camera.width, camera.height, camera.fx, camera.cx) == (WIDTH // 2, HEIGHT // 2, FOCAL / 2, WIDTH / 4)
+
+
+def test_pixels_that_fill_no_block_are_left_out_and_the_camera_knows(folder: Path) -> None:
+    full, fifth = read(folder), read(folder, downscale=5)  # 64 = 12 · 5 + 4, 48 = 9 · 5 + 3
+    whole = np.asarray(full.test[0].image, dtype=float)[:45, :60].reshape(9, 5, 12, 5, 3).mean(axis=(1, 3))
+    np.testing.assert_allclose(np.asarray(fifth.test[0].image), whole, atol=0.501)
+    camera = fifth.test[0].camera
+    assert (camera.width, camera.height) == (12, 9)
+    assert (camera.cx, camera.cy) == pytest.approx((WIDTH / 2 / 5, HEIGHT / 2 / 5))  # not the middle of what is left
+
+
+def test_some_frames_from_the_middle(folder: Path) -> None:
+    everything, some = read(folder), read(folder, first_frame=2, frames=3)
+    assert [view.name for view in some.test] == ["test/cam00_0002", "test/cam00_0003", "test/cam00_0004"]
+    assert [view.time for view in some.test] == pytest.approx([0, 1 / RATE, 2 / RATE])
+    assert some.duration == pytest.approx(3 / RATE)
+    for found, view in zip(some.test, everything.test[2:]):
+        assert np.array_equal(np.asarray(found.image), np.asarray(view.image))
+
+
+def test_cameras_may_be_dropped_and_others_held_out_and_nothing_is_decoded_anew(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "scene", (0, 1, 2, 3))
+    read(folder)
+    (store,) = (folder.parent / "cache").iterdir()
+    written = {path: path.stat().st_mtime_ns for path in store.glob("cam*")}
+    scene = read(folder, test_cameras=[2], drop_cameras=[0])
+    assert {view.name[:11] for view in scene.train} == {"train/cam01", "train/cam03"}
+    assert {view.name[:10] for view in scene.test} == {"test/cam02"}
+    assert {path: path.stat().st_mtime_ns for path in store.glob("cam*")} == written
+
+
+def test_numbers_may_have_gaps_and_belong_to_names(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "scene", (1, 4, 10))
+    scene = read(folder, test_cameras=[4])
+    assert {view.name[:10] for view in scene.test} == {"test/cam04"}
+    np.testing.assert_allclose(scene.test[0].camera.position, [4, 0, -4], atol=1e-12)
+    np.testing.assert_allclose(scene.train[-1].camera.position, [10, 0, -4], atol=1e-12)
+
+
+def test_videos_of_other_lengths_do_where_enough_frames_are_common(folder: Path) -> None:
+    write_camera(folder / "cam02.mp4", 2, FRAMES + 2)
+    assert len(read(folder, frames=FRAMES).train) == 2 * FRAMES
+
+
+def test_2997_frames_a_second_are_taken_for_30(folder: Path) -> None:
+    write_camera(folder / "cam02.mp4", 2, FRAMES, 30_000 / 1001)
+    assert len(read(folder).train) == 2 * FRAMES
+
+
+@pytest.mark.parametrize("reader", ["plenoptic", "synthetic"])
+def test_a_config_names_it(folder: Path, reader: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    if reader == "synthetic":
+        import datasets.synthetic as synthetic
+
+        def make_scene(name: str, cache: str, **options: object) -> Path:
+            assert (name, options["cameras"], options["frames"], options["size"]) == ("counter", 3, FRAMES, WIDTH)
+            return folder
+
+        monkeypatch.setattr(synthetic, "make_scene", make_scene)
+    name = {"plenoptic": "plenoptic", "synthetic": "synthetic/counter"}[reader]
+    path = str(folder) if reader == "plenoptic" else None
+    cfg = SceneConfig(
+        name=name,
+        reader=reader,
+        path=path,
+        cache=str(folder.parent / "cache"),
+        downscale=2,
+        cameras=3,
+        size=WIDTH,
+        frames=FRAMES,
+        test_cameras=[1],
+    )
+    scene = load_scene(cfg, say=lambda text: None)
+    assert scene.name == name and scene.train[0].image.shape == (HEIGHT // 2, WIDTH // 2, 3)
+    assert {view.name[:10] for view in scene.test} == {"test/cam01"}
+
+
+def test_opencv_is_loaded_only_where_there_are_videos() -> None:
+    code = "import sys, datasets, datasets.dnerf, datasets.plenoptic.frame_store; sys.exit('cv2' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0
+
+
+# --- bad input ---------------------------------------------------------------------------------------------
+
+
+def poses(change: Callable[[np.ndarray], object]) -> Callable[[Path], None]:
+    def damage(folder: Path) -> None:
+        table = np.load(folder / "poses_bounds.npy")
+        changed = change(table)
+        np.save(folder / "poses_bounds.npy", table if changed is None else changed)
+
+    return damage
+
+
+def setting(column: int, value: float, row: int = 1) -> Callable[[Path], None]:
+    return poses(lambda table: table.__setitem__((row, column), value))
+
+
+def cut(part: float) -> Callable[[Path], None]:
+    """Leaves the index, which comes first, and `part` of the frames."""
+
+    def damage(folder: Path) -> None:
+        path = folder / "cam01.mp4"
+        content = path.read_bytes()
+        begin = content.index(b"mdat")
+        path.write_bytes(content[: begin + int(part * (len(content) - begin))])
+
+    return damage
+
+
+def film(*arguments: object, **options: int) -> Callable[[Path], None]:
+    return lambda folder: write_camera(folder / "cam01.mp4", 1, *arguments, **options)
+
+
+DROP = r"scene\.drop_cameras=\[1\] leaves camera 1 out"
+POSES = r"poses_bounds\.npy"
+BAD_INPUT: dict[str, tuple[Callable[[Path], object], dict, str]] = {
+    "no videos": (lambda f: [path.unlink() for path in f.glob("*")], {}, "expected cam00.mp4 … and .* found neither"),
+    "not a folder": (lambda f: (shutil.rmtree(f), f.write_text("")), {}, "Plenoptic Video layout, found a file"),
+    "nothing": (lambda f: shutil.rmtree(f), {}, "expected a folder in the Plenoptic Video layout, found nothing there"),
+    "not a video": (
+        lambda f: (f / "cam01.mp4").write_text("hello"),
+        {},
+        rf"cam01\.mp4: expected a video, found a file that cannot be opened as one; {DROP}",
+    ),
+    "empty video": (lambda f: (f / "cam01.mp4").write_bytes(b""), {}, rf"cam01\.mp4: expected a video, found .*{DROP}"),
+    "a video without frames": (cut(0.05), {}, rf"cam01\.mp4: expected a length, a rate and a first frame .*{DROP}"),
+    "truncated": (
+        cut(0.6),
+        {},
+        rf"cam01\.mp4: expected 6 frames as its header promises, found \d, a truncated "
+        rf"video; {DROP}",
+    ),
+    "other size": (
+        film(width=80),
+        {},
+        rf"cam01\.mp4: expected 64 x 48 pixels as cam00\.mp4, found 80 x 48: "
+        rf"unsynchronised; {DROP}",
+    ),
+    "other rate": (
+        film(FRAMES, 25),
+        {},
+        rf"cam01\.mp4: expected 30 frames a second as cam00\.mp4, found 25: "
+        rf"unsynchronised; {DROP}",
+    ),
+    "later start": (
+        film(FRAMES, RATE, "-output_ts_offset", "0.1"),
+        {},
+        rf"cam01\.mp4: expected a first frame at 0 frames as cam00\.mp4, found a first frame at 3: "
+        rf"unsynchronised; {DROP}",
+    ),
+    "fewer frames": (
+        film(FRAMES - 2),
+        {},
+        rf"cam01\.mp4: expected 6 frames as cam00\.mp4, found 4: unsynchronised; "
+        rf"{DROP}",
+    ),
+    "fewer frames than another was dropped": (
+        film(FRAMES - 2),
+        {"drop_cameras": [2], "test_cameras": [1]},
+        r"scene\.drop_cameras=\[1,2\] leaves camera 1 out",
+    ),
+    "first frame beyond the end": (
+        lambda f: None,
+        {"first_frame": FRAMES},
+        "scene.first_frame: expected below the 6 frames of each camera, found 6",
+    ),
+    "too small for the downscale": (lambda f: None, {"downscale": 49}, r"at least 49 pixels a side .* found 64 x 48"),
+    "no such test camera": (
+        lambda f: None,
+        {"test_cameras": [7]},
+        "scene.test_cameras: expected cameras among 0, 1, 2, found 7",
+    ),
+    "no such camera to drop": (
+        lambda f: None,
+        {"drop_cameras": [13]},
+        "scene.drop_cameras: expected cameras among 0, 1, 2, found 13",
+    ),
+    "test camera dropped": (
+        lambda f: None,
+        {"drop_cameras": [0]},
+        "scene.drop_cameras: expected no camera of scene.test_cameras, found 0 in both",
+    ),
+    "nothing to train on": (
+        lambda f: None,
+        {"test_cameras": [0, 1], "drop_cameras": [2]},
+        "one camera to train on, found 3 cameras, of which 2 held out and 1 dropped",
+    ),
+    "one camera twice": (
+        lambda f: shutil.copy(f / "cam01.mp4", f / "cam1.mp4"),
+        {},
+        "expected one name a camera, found several with number 1",
+    ),
+    "one place to train from": (setting(3, 2.0), {}, "two places or more .* found 12 at one place"),
+    "no poses": (lambda f: (f / "poses_bounds.npy").unlink(), {}, rf"{POSES}: expected a file \(.*scene=video\)"),
+    "poses not an array": (lambda f: (f / "poses_bounds.npy").write_text("hello"), {}, f"{POSES}: expected a numpy"),
+    "poses empty": (lambda f: (f / "poses_bounds.npy").write_bytes(b""), {}, f"{POSES}: expected a numpy array"),
+    "poses 16 wide": (poses(lambda t: t[:, :16]), {}, rf"{POSES}: expected .* one row of 17 .* float64 \(3, 16\)"),
+    "poses of words": (poses(lambda t: t.astype(str)), {}, rf"{POSES}: expected numbers"),
+    "one pose too few": (poses(lambda t: t[:2]), {}, f"{POSES}: expected 3 poses, one a video in the folder, found 2"),
+    "pose NaN": (setting(3, float("nan")), {}, rf"{POSES}: row 1 \(cam01\): expected finite numbers, found NaN or Inf"),
+    "pose scaled": (setting(5, 1.2), {}, rf"{POSES}: row 1 \(cam01\): expected a rigid pose"),
+    "pose mirrored": (setting(1, -1.0), {}, rf"{POSES}: row 1 .* a rigid pose .* det R -1"),
+    "focal zero": (setting(14, 0.0), {}, rf"{POSES}: row 1 \(cam01\): expected .* focal length > 0, found 48, 64, 0"),
+    "other shape": (setting(9, 100.0), {}, rf"{POSES}: row 1 .*expected the videos' 64 x 48 pixels .* found 100 x 48"),
+    "near negative": (setting(15, -1.0), {}, rf"{POSES}: row 1 \(cam01\): expected .* found near -1, far 10"),
+    "near beyond far": (setting(15, 11.0), {}, rf"{POSES}: row 1 \(cam01\): .* found near 11, far 10"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_INPUT)
+def test_bad_input_is_refused_with_one_line(folder: Path, case: str, capfd: pytest.CaptureFixture[str]) -> None:
+    damage, options, message = BAD_INPUT[case]
+    damage(folder)
+    with pytest.raises(SceneError, match=message) as caught:
+        read(folder, **options)
+    assert "\n" not in str(caught.value) and str(folder) in str(caught.value)
+    assert capfd.readouterr() == ("", "")  # the decoder's own complaints do not come before it
+    if case != "truncated":  # which only decoding shows
+        assert not (folder.parent / "cache").exists()
+
+
+def test_a_camera_that_is_dropped_may_be_bad_in_every_way(folder: Path) -> None:
+    (folder / "cam01.mp4").write_text("hello")
+    setting(0, float("nan"))(folder)
+    write_camera(folder / "cam03.mp4", 3)
+    table = np.load(folder / "poses_bounds.npy")
+    np.save(folder / "poses_bounds.npy", np.vstack([table, pose_row(3)]))
+    scene = read(folder, drop_cameras=[1])
+    assert {view.name[:11] for view in scene.train} == {"train/cam02", "train/cam03"}
+    assert scene.train[-1].camera.position[0] == pytest.approx(3)

@@ -1,0 +1,89 @@
+"""What any scene must satisfy, whatever layout it came from."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets.scene import Scene, SceneError, View, camera_extent, validate_scene
+from rasterizer.camera import Camera
+
+
+def camera_at(x: float, y: float, z: float, width: int = 6, height: int = 4) -> Camera:
+    world_to_cam = np.eye(4)
+    world_to_cam[:3, 3] = -x, -y, -z
+    return Camera(width, height, 5.0, 5.0, width / 2, height / 2, world_to_cam)
+
+
+def view(name: str, x: float = 0.0, time: float = 0.0, width: int = 6) -> View:
+    return View(camera_at(x, 0.0, 4.0, width), time, np.zeros((4, width, 3), dtype=np.uint8), name)
+
+
+def scene(**changes: object) -> Scene:
+    fields = dict(
+        name="toy",
+        train=(view("train/a", -1.0, 0.0), view("train/b", 1.0, 1.0)),
+        test=(view("test/a", 0.5, 0.5),),
+        duration=1.0,
+        time_start=0.0,
+        background=(0.0, 0.0, 0.0),
+        extent=1.1,
+        init_box=(-1.2, 1.2),
+        source=Path("toy"),
+    )
+    return Scene(**{**fields, **changes})
+
+
+def test_a_sound_scene_passes_unchanged() -> None:
+    sound = scene()
+    assert validate_scene(sound) is sound
+    assert sound.time_end == 1.0
+    assert not sound.is_static
+
+
+def test_a_scene_of_one_time_is_static() -> None:
+    assert scene(train=(view("a", -1.0, 0.3), view("b", 1.0, 0.3)), test=(view("c", 0.0, 0.3),)).is_static
+
+
+def test_extent_is_that_of_3dgs() -> None:
+    cameras = [camera_at(0, 0, 0), camera_at(3, 0, 0), camera_at(0, 3, 0)]  # centre (1, 1, 0), farthest √5 away
+    assert camera_extent(cameras) == pytest.approx(1.1 * 5**0.5, rel=1e-12)
+
+
+def test_extent_does_not_depend_on_where_the_world_is() -> None:
+    cameras = [camera_at(x + 100, 7, -3) for x in (0, 1, 5)]
+    assert camera_extent(cameras) == pytest.approx(1.1 * 3.0, rel=1e-12)  # centre 2, farthest 5
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"train": ()}, "at least one train view, found none"),
+        ({"test": ()}, "at least one test view, found none"),
+        ({"duration": 0.0}, "duration > 0, found start 0.0, duration 0.0"),
+        ({"duration": float("nan")}, "duration nan"),
+        ({"background": (0.0, 2.0, 0.0)}, r"three values in \[0, 1\], found \(0.0, 2.0, 0.0\)"),
+        ({"init_box": (1.0, -1.0)}, r"low < high, found \(1.0, -1.0\)"),
+        ({"extent": 0.0}, "two places or more .* found 2 at one place"),
+        ({"test": (view("test/a", time=1.5),)}, r"test/a: expected a time in \[0, 1\], found 1.5"),
+        ({"test": (view("test/a", time=float("nan")),)}, "test/a: expected a time .* found nan"),
+        ({"test": (view("test/a", width=8),)}, "6 x 4 pixels as train/a, found 8 x 4"),
+        ({"test": (view("train/a"),)}, "each view's name once, found train/a twice"),
+        (
+            {"test": (replace(view("test/a"), image=np.zeros((4, 5, 3), dtype=np.uint8)),)},
+            r"test/a: expected an image of uint8 \(4, 6, 3\)",
+        ),
+        ({"test": (replace(view("test/a"), image=np.zeros((4, 6, 3), dtype=np.float32)),)}, "found float32"),
+    ],
+)
+def test_a_scene_that_cannot_be_trained_on_is_refused(changes: dict, message: str) -> None:
+    with pytest.raises(SceneError, match=message) as caught:
+        validate_scene(scene(**changes))
+    assert "\n" not in str(caught.value)
+
+
+def test_an_error_stays_on_one_line() -> None:
+    assert str(SceneError("a.json", "one line", "two\n  lines")) == "a.json: expected one line, found two lines"

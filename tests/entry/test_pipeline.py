@@ -1,0 +1,238 @@
+"""The whole chain by its command line: what a run leaves, that it is not made twice, that it survives a kill."""
+
+from __future__ import annotations
+
+import csv
+import json
+import time
+from pathlib import Path
+
+import pytest
+import yaml
+from shell import Shell, result
+
+TINY = (
+    "scene=synthetic/wheel",
+    "train=smoke",
+    "scene.size=48",
+    "scene.train_views=8",
+    "scene.test_views=3",
+    "threads=1",
+    "evaluate.lpips=false",
+)
+
+
+@pytest.fixture(scope="module")
+def shell(tmp_path_factory) -> Shell:
+    return Shell(tmp_path_factory.mktemp("pipeline"))
+
+
+@pytest.fixture(scope="module")
+def finished(shell: Shell) -> Path:
+    """The folder of a run that ended well."""
+    out, err = shell.fresh(*TINY)
+    assert err == "" and "PSNR" in out and "python -m pipeline.report results/runs" in out
+    return shell.folder / "results/runs/synthetic/wheel/full/smoke/seed0"
+
+
+@pytest.fixture(scope="module")
+def run_argument(shell: Shell, finished: Path) -> str:
+    """As a user would type it."""
+    return str(finished.relative_to(shell.folder))
+
+
+def read_csv(path: Path) -> list[dict[str, str]]:
+    with open(path) as file:
+        return list(csv.DictReader(file))
+
+
+def test_a_run_folder_is_complete(finished: Path) -> None:
+    assert {path.name for path in finished.iterdir() if path.name != ".lock"} == {
+        "config.yaml",
+        "environment.json",
+        "stages.json",
+        "log.jsonl",
+        "init.ply",
+        "checkpoint.safetensors",
+        "error_vs_time.csv",
+        "metrics.json",
+        "per_image.csv",
+        "renders",
+    }
+    assert len(list((finished / "renders").glob("*.png"))) == 9  # 3 test views, 3 pictures each
+
+
+def test_metrics(finished: Path) -> None:
+    metrics = json.loads((finished / "metrics.json").read_text())
+    for model in ("final", "best_on_test"):
+        assert {
+            "psnr",
+            "ssim",
+            "ms_ssim",
+            "dssim1",
+            "dssim2",
+            "lpips_alex",
+            "lpips_vgg",
+            "lpips_note",
+            "fps_raster",
+            "fps_render",
+        } <= set(metrics[model])
+    assert metrics["best_on_test"]["psnr"] >= metrics["final"]["psnr"] - 1e-4  # chosen by float32 sums in another order
+    assert {
+        "n_gaussians",
+        "n_alive_mean",
+        "train_seconds",
+        "peak_rss_mb",
+        "model_mb",
+        "model_with_optimiser_mb",
+        "iterations",
+        "scene",
+        "ablation",
+        "train",
+        "seed",
+    } <= set(metrics)
+    assert (metrics["scene"], metrics["ablation"], metrics["train"], metrics["seed"]) == (
+        "synthetic/wheel",
+        "full",
+        "smoke",
+        0,
+    )
+    assert metrics["iterations"] == 60
+    # 161 float32 a Gaussian of the full model: mean 4, scale 4, rotations 8, opacity 1, colour 48 · 3.
+    assert metrics["model_mb"] == pytest.approx(metrics["n_gaussians"] * 161 * 4 / 1e6)
+    assert metrics["model_with_optimiser_mb"] == pytest.approx(3 * metrics["model_mb"])
+
+
+def test_what_a_trial_leaves_out_the_model_does_not_hold(tmp_path: Path) -> None:
+    """Orders that come in after the end show nothing."""
+    shell, asked = Shell(tmp_path), (*TINY, "train.trial=0.5", "train.fourier_at=[80,80]", "out=run")
+    out, _ = shell(*asked)
+    assert "trial: without colours that change with time, 30 iterations; 6 training views, 2 judge" in out
+    assert "+0.00 ± 0.00 dB: left out" in out and "synthetic/wheel · full, 4DSH left out · smoke · seed 0" in out
+    folder = tmp_path / "run"
+    metrics = json.loads((folder / "metrics.json").read_text())
+    assert metrics["trial"]["kept"] is False and metrics["trial"]["gain"] == 0
+    assert metrics["model"] == {"motion": "full", "fourier_order": 0, "sh_degree": 3}
+    # 65 float32 a Gaussian: mean 4, scale 4, rotations 8, opacity 1, colour 16 · 3.
+    assert metrics["model_mb"] == pytest.approx(metrics["n_gaussians"] * 65 * 4 / 1e6)
+    first = float(read_csv(folder / "error_vs_time.csv")[0]["train_seconds"])
+    assert metrics["train_seconds"] > first > metrics["trial"]["seconds"] > 0  # its seconds are training's
+    assert all(f"{stage}: already done" in shell(*asked)[0] for stage in ("trial", "init", "train", "evaluate"))
+
+
+def test_per_image_rows_average_to_the_metrics(finished: Path) -> None:
+    rows = [row for row in read_csv(finished / "per_image.csv") if row["model"] == "final"]
+    assert len(rows) == 3
+    metrics = json.loads((finished / "metrics.json").read_text())
+    assert sum(float(row["psnr"]) for row in rows) / 3 == pytest.approx(metrics["final"]["psnr"])
+
+
+def test_the_curve_ends_with_the_run(finished: Path) -> None:
+    rows = read_csv(finished / "error_vs_time.csv")
+    assert [int(row["iteration"]) for row in rows] == [20, 40, 60]
+    seconds = [float(row["train_seconds"]) for row in rows]
+    assert seconds == sorted(seconds)
+    metrics = json.loads((finished / "metrics.json").read_text())
+    # The two evaluations add up the pixels in different orders.
+    assert float(rows[-1]["psnr"]) == pytest.approx(metrics["final"]["psnr"], abs=1e-4)
+
+
+def test_what_a_run_was_made_with(finished: Path) -> None:
+    environment = json.loads((finished / "environment.json").read_text())
+    assert environment["command"].startswith("python -m pipeline scene=synthetic/wheel train=smoke")
+    assert environment["versions"]["torch"] and environment["machine"] and environment["git_commit"]
+    config = yaml.safe_load((finished / "config.yaml").read_text())
+    assert config["out"] == "results/runs/synthetic/wheel/full/smoke/seed0" and config["train"]["iterations"] == 60
+
+
+def test_nothing_else_is_written(finished: Path, shell: Shell) -> None:
+    assert [path.name for path in shell.folder.iterdir()] == ["results"]
+    assert sorted(path.name for path in (shell.folder / "results").iterdir()) == ["cache", "runs"]
+
+
+def test_doing_it_again_does_nothing(finished: Path, shell: Shell) -> None:
+    kept = ("init.ply", "checkpoint.safetensors", "metrics.json", "log.jsonl", "environment.json", "stages.json")
+    before = {name: (finished / name).stat().st_mtime_ns for name in kept}
+    out, _ = shell(*TINY)
+    assert all(f"{stage}: already done" in out for stage in ("init", "train", "evaluate"))
+    assert {name: (finished / name).stat().st_mtime_ns for name in kept} == before
+
+
+def test_other_settings_of_the_evaluation_repeat_only_that(finished: Path, shell: Shell) -> None:
+    out, _ = shell(*TINY, "evaluate.renders=0", "evaluate.best_on_test=false")
+    assert "train: already done" in out and "evaluate: already done" not in out
+    shell(*TINY)  # as it was, for the other tests
+
+
+def test_another_run_in_the_same_folder_is_refused(finished: Path, shell: Shell) -> None:
+    _, err = shell(*TINY, "train.batch=1", status=1)
+    assert err.count("\n") == 1
+    assert "holds another run, with train.batch=2 where 1 is asked for" in err and "resume=false" in err
+
+
+def test_other_data_in_the_same_folder_is_refused(finished: Path, shell: Shell) -> None:
+    cached = next((shell.folder / "results/cache").rglob("train/*.png"))
+    before = cached.read_bytes()
+    other = next(path for path in sorted(cached.parent.glob("*.png")) if path.read_bytes() != before)
+    cached.write_bytes(other.read_bytes())
+    try:
+        _, err = shell(*TINY, status=1)
+    finally:
+        cached.write_bytes(before)
+    assert err.count("\n") == 1 and "made from other data" in err
+
+
+def test_killed_and_started_again_it_ends_the_same(finished: Path, shell: Shell) -> None:
+    folder = shell.folder / "killed"
+    command = shell.start(*TINY, "out=killed")
+    while not (folder / "checkpoint.safetensors").exists():
+        assert command.is_running(), command.wait()
+        time.sleep(0.01)
+    command.kill()
+    shell(*TINY, "out=killed")
+    assert result(folder) == result(finished)
+    curves = [
+        [(row["iteration"], row["psnr"]) for row in read_csv(run / "error_vs_time.csv")] for run in (folder, finished)
+    ]
+    assert curves[0] == curves[1]
+
+
+def test_a_sweep_goes_on_after_a_run_that_fails(shell: Shell) -> None:
+    out, err = shell("-m", *TINY, "ablation=no_4dsh,static", "scene.size=4,48", "train.iterations=20", status=1)
+    assert err.count("error: scene.size: expected 8 to 4096, found 4") == 2
+    for ablation in ("no_4dsh", "static"):
+        assert (shell.folder / f"results/runs/synthetic/wheel/{ablation}/smoke/seed0/metrics.json").exists()
+
+
+def test_a_sweep_side_by_side(shell: Shell) -> None:
+    shell.fresh("-m", *TINY, "launcher=joblib", "hydra.launcher.n_jobs=2", "seed=1,2", "train.iterations=20")
+    runs = [shell.folder / f"results/runs/synthetic/wheel/full/smoke/seed{seed}" for seed in (1, 2)]
+    first, second = (json.loads((run / "metrics.json").read_text()) for run in runs)
+    assert first["final"]["psnr"] != second["final"]["psnr"]
+    command = json.loads((runs[0] / "environment.json").read_text())["command"]
+    assert "scene=synthetic/wheel" in command and "seed=1" in command
+
+
+def test_a_finished_run_is_made_smaller(shell: Shell, run_argument: str) -> None:
+    out, err = shell(run_argument, module="pipeline.studies.compression")
+    assert err == "" and "Quality against size and speed" in out
+    assert {path.name for path in (shell.folder / "results/compact").iterdir()} == {
+        "compact.md",
+        "compact.svg",
+        "compact.safetensors",
+    }
+
+
+def test_seen_against_unseen_of_a_finished_run(shell: Shell, run_argument: str) -> None:
+    out, err = shell(run_argument, module="pipeline.studies.overfitting")
+    assert err == "" and "held out" in out
+    assert {path.name for path in (shell.folder / "results/generalisation").iterdir()} == {
+        "generalisation.svg",
+        "moment.webp",
+    }
+
+
+@pytest.mark.parametrize("module", ["pipeline.studies.compression", "pipeline.studies.overfitting"])
+def test_a_folder_without_a_run_is_refused_in_one_line(shell: Shell, module: str) -> None:
+    out, err = shell("nowhere", module=module, status=1)
+    assert out == "" and err.startswith("nowhere: expected a ") and err.count("\n") == 1

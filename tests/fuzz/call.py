@@ -1,0 +1,139 @@
+"""A call of `rasterize` as JSON, so that it can be kept: plain values, and what tensors of a seed become.
+
+    {"count": 17, "motion": "full", "fourier_order": 2, "sh_degree": 3, "seed": 0,
+     "edits": [["log_scale", "row", 3, 1e20], ["sh", "form", 0, "strided"], …],
+     "camera": {"width": 20, …, "distance": 4.0}, "arguments": {"time": 0.5, …}}
+
+An argument that JSON has no word for is {"numpy": type, "value": x} or {"tensor": values}.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from fuzz.models import model_of
+from rasterizer import Camera, Gaussians
+
+FIELDS = tuple(Gaussians.__dataclass_fields__)
+VALUES = ("all", "row", "entry", "times")  # what an edit sets to a number, or multiplies by it
+FORMS = (
+    "gradient",
+    "offset",
+    "strided",
+    "expanded",
+    "negated",
+    "sparse",
+    "double",
+    "half",
+    "whole",
+    "numpy",
+    "list",
+    "none",
+    "scalar",
+    "deeper",
+    "shorter",
+    "wider",
+    "meta",
+)  # what an edit makes of a tensor
+
+
+def plain_call() -> dict[str, Any]:
+    return {
+        "count": 17,
+        "motion": "full",
+        "fourier_order": 2,
+        "sh_degree": 3,
+        "seed": 0,
+        "edits": [],
+        "camera": {"width": 20, "height": 17, "fx": 20.0, "fy": 21.0, "cx": 10.0, "cy": 8.0, "distance": 4.0},
+        "arguments": {
+            "time": 0.5,
+            "duration": 1.0,
+            "background": [0.1, 0.2, 0.3],
+            "outputs": ["color", "depth"],
+            "flow_dt": 0.1,
+            "near": 0.2,
+            "sh_degree": None,
+            "fourier_order": None,
+            "threads": 1,
+        },
+    }
+
+
+def gaussians_of(call: dict[str, Any]) -> Gaussians:
+    """As the call describes them; raises what Gaussians raises."""
+    orders = 0 if call["motion"] == "static" else call["fourier_order"]
+    model = model_of(call["motion"], orders, call["sh_degree"], call["count"], call["seed"])
+    parts: dict[str, Any] = {name: model.parameters.get(name) for name in FIELDS}
+    parts["log_scale"] = 0.3 * parts["log_scale"] - 1.5  # small enough to be told apart
+    for name, kind, place, value in call["edits"]:
+        if isinstance(parts[name], Tensor):
+            parts[name] = _formed(parts[name], value) if kind == "form" else _valued(parts[name], kind, place, value)
+    return Gaussians(**parts)
+
+
+def _valued(tensor: Tensor, kind: str, place: int, value: float) -> Tensor:
+    tensor = tensor.clone()
+    if tensor.numel() and kind == "entry":
+        tensor.view(-1)[place % tensor.numel()] = value
+    elif tensor.numel() and kind == "row":
+        tensor[place % len(tensor)] = value
+    elif kind == "all":
+        tensor.fill_(value)
+    elif kind == "times":
+        tensor *= value
+    return tensor
+
+
+def _formed(tensor: Tensor, form: str) -> Any:
+    if form == "offset":  # contiguous, but not where memory is aligned
+        return torch.cat([tensor.new_zeros(1), tensor.reshape(-1)])[1:].view(tensor.shape)
+    if form == "strided":
+        return torch.stack([tensor, tensor], dim=-1)[..., 0]
+    made = {
+        "gradient": lambda: tensor.requires_grad_(),
+        "expanded": lambda: tensor[:1].expand_as(tensor),
+        "negated": lambda: torch._neg_view(tensor),
+        "sparse": lambda: tensor.to_sparse(),
+        "double": tensor.double,
+        "half": tensor.half,
+        "whole": tensor.int,
+        "numpy": tensor.numpy,
+        "list": tensor.tolist,
+        "none": lambda: None,
+        "scalar": lambda: tensor.sum(),
+        "deeper": lambda: tensor[None],
+        "shorter": lambda: tensor[:-1],
+        "wider": lambda: torch.cat([tensor, tensor[..., :1]], dim=-1),
+        "meta": lambda: tensor.to("meta"),
+    }
+    return made[form]()
+
+
+def camera_of(call: dict[str, Any]) -> Camera:
+    """At `distance` before the Gaussians' middle, turned by an angle of its own, unless it says what pose it has."""
+    described = {name: decoded(value) for name, value in call["camera"].items()}
+    distance = described.pop("distance")
+    if "world_to_cam" not in described:
+        pose = np.eye(4)
+        pose[:3, :3] = [[0.8, 0.0, 0.6], [0.0, 1.0, 0.0], [-0.6, 0.0, 0.8]]
+        pose[2, 3] = distance
+        described["world_to_cam"] = pose
+    return Camera(**described)
+
+
+def arguments_of(call: dict[str, Any]) -> dict[str, Any]:
+    return {name: decoded(value) for name, value in call["arguments"].items()}
+
+
+def decoded(value: Any) -> Any:
+    """What JSON could not say."""
+    if isinstance(value, dict) and "numpy" in value:
+        return np.dtype(value["numpy"]).type(value["value"])
+    if isinstance(value, dict) and "tensor" in value:
+        return torch.tensor(value["tensor"])
+    return value

@@ -1,0 +1,1 @@
+"""Changes to files that a reader should survive."""

@@ -1,0 +1,58 @@
+"""pipeline/run_folder.py: the run folder that a resumed run goes on in."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+from hypothesis.strategies import SearchStrategy
+
+from fuzz.edits.bytes import changed_files, edit_text
+from fuzz.edits.json import edit_json
+from fuzz.target import REFUSED, Changes, Files, Target, check_line, read_files, require, valid_or_refused
+from pipeline.runs.run_folder import CURVE_COLUMNS, RunFolder
+
+CONFIG = {"seed": 0, "scene": {"name": "toy", "path": "data", "init_box": [-1.2, 1.2]}, "train": {"name": "fast"}}
+NEXT = 5  # the iteration it goes on from
+
+
+def example() -> Files:
+    with tempfile.TemporaryDirectory() as temporary:
+        with RunFolder(Path(temporary) / "run", CONFIG) as run:
+            for iteration in (2, 4, 6):
+                run.log({"event": "train", "iteration": iteration})
+                run.append_error_vs_time({"train_seconds": 0.5, "iteration": iteration, "psnr": 20.0})
+            run.finish("init", "ab12", n_gaussians=3)
+        files = read_files(Path(temporary) / "run")
+    return {name: content for name, content in files.items() if name != ".lock"}
+
+
+def changes(files: Files) -> SearchStrategy[Changes]:
+    return changed_files(files, {".json": edit_json, ".yaml": edit_text, ".csv": edit_text, ".jsonl": edit_text})
+
+
+def check(folder: Path) -> str:
+    with valid_or_refused(folder) as outcome:
+        try:
+            run = RunFolder(folder, CONFIG)
+        except ValueError as error:
+            if "holds another run" not in str(error):
+                raise
+            check_line(str(error), str(folder), "resume=false")
+            return REFUSED
+        with run:
+            run.truncate_after(NEXT)
+            require(all(isinstance(row, dict) for row in run.log_rows()), "a line of log.jsonl that is no object")
+            if run.curve.exists():
+                header, *lines = run.curve.read_text().splitlines()
+                require(
+                    header == ",".join(CURVE_COLUMNS)
+                    and all(line.count(",") == header.count(",") and int(line.split(",")[1]) <= NEXT for line in lines),
+                    "a curve with other lines",
+                )
+            if run.inputs_of("init") is not None:
+                require(isinstance(run.values_of("init"), dict), "a stage without values")
+    return outcome[0]
+
+
+TARGET = Target("run", "a run folder that is gone on in: config.yaml, stages.json, log.jsonl", example, changes, check)

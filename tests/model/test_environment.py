@@ -1,0 +1,112 @@
+"""The environment map against a loop over pixels, its gradient against the definition of an adjoint."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from builders import camera_looking_at, generator
+from torch import Tensor
+
+from pipeline.model.environment_map import EnvironmentMap
+from rasterizer import Camera
+
+HEIGHT = 12
+# From anywhere: only the direction counts. The seam is at -z, the poles at ±y.
+CAMERAS = {
+    target: camera_looking_at((0.3, -0.2, 0.5), target=target, focal=20.0)
+    for target in [(0.0, 0.0, 9.0), (0.4, 0.1, -9.0), (9.0, 1.0, 1.0), (0.3, 9.0, 0.6), (0.2, -9.0, 0.4)]
+}
+
+
+def naive_look_up(image: Tensor, camera: Camera) -> Tensor:
+    """(3, H, W) float64: the docstring of environment.py, pixel by pixel."""
+    image, out = image.double(), torch.zeros(3, camera.height, camera.width, dtype=torch.float64)
+    height, width = image.shape[1:]
+    for row in range(camera.height):
+        for column in range(camera.width):
+            ray = [(column + 0.5 - camera.cx) / camera.fx, (row + 0.5 - camera.cy) / camera.fy, 1.0]
+            x, y, z = np.linalg.inv(camera.world_to_cam[:3, :3]) @ (ray / np.linalg.norm(ray))
+            i = (math.atan2(x, z) / (2 * math.pi) + 0.5) * width - 0.5  # a texel's centre is at a whole number
+            j = min(max((math.asin(y) / math.pi + 0.5) * height - 0.5, 0.0), height - 1.0)
+            left, above = math.floor(i), math.floor(j)
+            for near, texel_column in ((1 - (i - left), left), (i - left, left + 1)):
+                for close, texel_row in ((1 - (j - above), above), (j - above, min(above + 1, height - 1))):
+                    out[:, row, column] += near * close * image[:, texel_row, texel_column % width]
+    return out
+
+
+def random_map(seed: int, height: int = HEIGHT) -> EnvironmentMap:
+    return EnvironmentMap(torch.rand(3, height, 2 * height, generator=generator(seed)))
+
+
+@pytest.mark.parametrize("camera", CAMERAS.values(), ids=[str(target) for target in CAMERAS])
+def test_look_up_is_bilinear_by_direction(camera: Camera) -> None:
+    environment = random_map(0)
+    found = environment.look_up(environment.grid(camera))
+    # A pixel next to a pole is 0.05 from it: there float32 (6e-8) turns azimuth by 1e-6 rad or so, 5e-6 of a texel,
+    # and texels differ by up to 1.
+    torch.testing.assert_close(found.double(), naive_look_up(environment.image, camera), rtol=0, atol=1e-5)
+
+
+def test_where_the_axes_of_the_world_are() -> None:
+    picture = torch.zeros(3, 100, 200)
+    picture[0], picture[1] = torch.arange(200) + 0.5, (torch.arange(100) + 0.5)[:, None]  # column, row of each texel
+    environment = EnvironmentMap(picture)
+
+    def seen(*direction: float) -> list[float]:
+        camera = camera_looking_at((0.0, 0.0, 0.0), width=1, height=1, target=direction)
+        return environment.look_up(environment.grid(camera))[:2, 0, 0].tolist()
+
+    assert seen(0, 0, 1) == pytest.approx([100, 50], abs=1e-3)  # float32 of values up to 200
+    assert seen(1, 0, 0) == pytest.approx([150, 50], abs=1e-3)
+    assert seen(-1, 0, 0) == pytest.approx([50, 50], abs=1e-3)
+    assert seen(1, math.sqrt(2), 1) == pytest.approx([125, 75], abs=1e-3)
+    assert seen(1e-4, 1, 1e-4)[1] == pytest.approx(99.5, abs=1e-3), "clamped at the centre of the last row"
+    for side in (-1e-9, 1e-9):  # halfway between columns 199 and 0, where 1e-5 of a texel makes 0.002
+        assert seen(side, 0, -1)[0] == pytest.approx(100, abs=1e-2)
+
+
+@pytest.mark.parametrize("camera", CAMERAS.values(), ids=[str(target) for target in CAMERAS])
+def test_the_gradient_is_the_adjoint_of_the_look_up(camera: Camera) -> None:
+    """⟨look_up(E), d⟩ = ⟨E, gradient(d)⟩ for any E, as looking up is linear in E; and it adds."""
+    environment, other = random_map(1), random_map(2)
+    d_colors = torch.rand(3, camera.height, camera.width, generator=generator(3))
+    start = torch.randn(3, HEIGHT, 2 * HEIGHT, generator=generator(4))
+    gradient = start.clone()
+    environment.add_gradient(gradient, environment.grid(camera), d_colors)
+    left = (naive_look_up(other.image, camera) * d_colors).sum()
+    right = (other.image.double() * (gradient - start)).sum()
+    # 5000 positive terms, each good to 1e-5 (see above)
+    assert left.item() == pytest.approx(right.item(), rel=1e-5)
+
+
+def test_the_number_of_threads_does_not_matter() -> None:
+    camera, before = camera_looking_at((0, 0, 0), 300, 300, target=(0, 0, 1)), torch.get_num_threads()
+    d_colors, found = torch.randn(3, 300, 300, generator=generator(5)), []
+    try:
+        for threads in (1, 2, 3):
+            torch.set_num_threads(threads)
+            environment = random_map(6, 40)
+            grid, gradient = environment.grid(camera), torch.zeros_like(environment.image)
+            environment.add_gradient(gradient, grid, d_colors)
+            found.append((environment.look_up(grid), gradient))
+    finally:
+        torch.set_num_threads(before)
+    for other in found[1:]:
+        assert all(torch.equal(a, b) and a.any() for a, b in zip(found[0], other))
+
+
+def test_a_copy_is_its_own() -> None:
+    environment = EnvironmentMap.grey(3)
+    assert torch.equal(environment.image, torch.full((3, 3, 6), 0.5)) and environment.bytes == 3 * 3 * 6 * 4
+    environment.copy().image.zero_()
+    assert environment.image.all()
+
+
+def test_another_shape_is_refused() -> None:
+    for image in (torch.zeros(3, 4, 9), torch.zeros(4, 8), torch.zeros(3, 4, 8, dtype=torch.float64)):
+        with pytest.raises(ValueError, match=r"environment: expected float32 \[3, h, 2h\], found"):
+            EnvironmentMap(image)

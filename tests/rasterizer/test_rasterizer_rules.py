@@ -1,0 +1,219 @@
+"""The rules of docs/method.md 1 on the compiled kernel, one small scene each, and the identities every rasterizer
+must keep.
+
+Float32 against float64 or work by hand: 3e-5 of an image's largest value, as in `test_rasterizer.py`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from builders import generator, off_centre_camera, random_gaussians, render, render_and_gradients, rotated_world
+
+from rasterizer import Camera, Gaussians, Request, rasterize
+from rasterizer.reference import render as reference
+from rasterizer.reference.discontinuities import away_from_jumps, smooth_pixels
+
+MOTIONS = ("full", "separable", "static")
+IMAGE_TOLERANCE = 3e-5
+
+
+def make_request(**changes) -> Request:
+    return replace(Request(off_centre_camera(), time=0.45, duration=0.8, background=(0.3, 0.6, 0.1)), **changes)
+
+
+def one_gaussian(mean: tuple[float, ...], log_scale: float = -1.5, color: float = 1.0) -> Gaussians:
+    """A static (3 coordinates) or separable (4) round Gaussian, nearly opaque, of one grey."""
+    sh = torch.full((1, 1, 3), (color - 0.5) * 2 * math.sqrt(math.pi))
+    return Gaussians(
+        torch.tensor([mean]).float(),
+        torch.full((1, len(mean)), log_scale),
+        torch.tensor([[1.0, 0, 0, 0]]),
+        None,
+        torch.tensor([4.0]),
+        sh,
+    )
+
+
+def join(*parts: Gaussians) -> Gaussians:
+    return Gaussians(
+        **{"quat_right": None, **{name: torch.cat([p.tensors()[name] for p in parts]) for name in parts[0].tensors()}}
+    )
+
+
+def front_camera(width: int = 31, height: int = 23) -> Camera:
+    return Camera(width, height, 40.0, 40.0, width / 2, height / 2, np.eye(4))
+
+
+def test_coincident_depths_blend_in_the_order_of_their_rows():
+    """All on the plane z = 3, exact in float32: the order is that of the rows in both programs."""
+    gaussians = random_gaussians(60, "static", generator(13), log_scale=(-2.5, -1.5))
+    gaussians.mean[:, :2] *= 0.7
+    gaussians.mean[:, 2] = 3.0
+    request = make_request(camera=front_camera())
+    smooth = smooth_pixels(gaussians, request)
+    expected = render(reference.rasterize, gaussians, request)
+    found = render(rasterize, gaussians.to(torch.float32), request)
+    assert smooth.float().mean() > 0.9
+    assert ((found.color - expected.color).abs() * smooth).max() < IMAGE_TOLERANCE * expected.color.max()
+    first, second = one_gaussian((0, 0, 3), color=1.0), one_gaussian((0, 0, 3), color=0.0)
+    center = (slice(None), 11, 15)
+    assert (rasterize(join(first, second), front_camera()).color[center] > 0.9).all()
+    assert (rasterize(join(second, first), front_camera()).color[center] < 0.1).all()
+
+
+def test_the_near_plane_cuts():
+    gaussians = one_gaussian((0, 0, 0.5))
+    assert rasterize(gaussians, front_camera(), near=0.4, outputs=("alpha",)).alpha.max() > 0.9
+    for near in (0.5, 0.6):  # z > near, strictly
+        assert rasterize(gaussians, front_camera(), near=near, outputs=("alpha",)).alpha.max() == 0
+
+
+def test_a_gaussian_far_from_its_time_contributes_nothing():
+    """p(t) = 0.05 at √(2 ln 20) = 2.4477 standard deviations."""
+    sigma = math.exp(-1.5)
+    for deviations, present in ((2.44, True), (2.455, False)):
+        gaussians = one_gaussian((0, 0, 3, 0.5))
+        weights = {"alpha": torch.ones(1, 23, 31)}
+        request = make_request(camera=front_camera(), time=0.5 + deviations * sigma, outputs=("alpha",))
+        out, gradients = render_and_gradients(rasterize, gaussians, request, weights)
+        assert (out.alpha.max() > 0).item() is present
+        assert any(gradient.abs().max() > 0 for gradient in gradients.values()) is present
+
+
+def test_alpha_is_capped_and_the_cap_passes_no_gradient():
+    gaussians = replace(one_gaussian((0, 0, 3), log_scale=3.0), opacity_logit=torch.tensor([9.0]))
+    weights = {"alpha": torch.ones(1, 23, 31)}
+    out, gradients = render_and_gradients(
+        rasterize, gaussians, make_request(camera=front_camera(), outputs=("alpha",)), weights
+    )
+    torch.testing.assert_close(out.alpha, torch.full((1, 23, 31), 0.99), rtol=0, atol=1e-6)
+    assert gradients["opacity_logit"].item() == 0 and gradients["mean"].abs().max() == 0
+
+
+def test_colour_is_clamped_at_zero_and_the_clamp_passes_no_gradient():
+    gaussians = one_gaussian((0, 0, 3))
+    gaussians.sh[0, 0] = torch.tensor([-3.0, 0.0, 3.0])
+    request = make_request(camera=front_camera(), background=(0, 0, 0))
+    out, gradients = render_and_gradients(rasterize, gaussians, request, {"color": torch.ones(3, 23, 31)})
+    assert out.color[0].max() == 0 and out.color[2].max() > 1
+    assert gradients["sh"][0, 0, 0] == 0 and gradients["sh"][0, 0, 1] > 0 and gradients["sh"][0, 0, 2] > 0
+
+
+def test_a_zero_quaternion_is_the_identity():
+    gaussians = random_gaussians(20, "full", generator(14)).to(torch.float32)
+    zero, one = torch.zeros(20, 4), torch.tensor([1.0, 0, 0, 0]).repeat(20, 1)
+    images = [
+        rasterize(replace(gaussians, quat_left=q, quat_right=q), off_centre_camera(), time=0.5).color
+        for q in (zero, one)
+    ]
+    assert torch.equal(*images)
+    _, gradients = render_and_gradients(
+        rasterize, replace(gaussians, quat_left=zero), make_request(), {"color": torch.ones(3, 37, 45)}
+    )
+    assert gradients["quat_left"].abs().max() == 0 and torch.isfinite(gradients["quat_right"]).all()
+
+
+# ---- Identities --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_a_world_rotated_with_its_camera_looks_the_same(motion: str):
+    request = make_request(outputs=("color", "depth"))
+    gaussians = away_from_jumps(random_gaussians(50, motion, generator(15), sh_degree=0), request)
+    turned, camera = rotated_world(gaussians, request.camera, torch.tensor([0.3, -0.5, 0.7, 0.4], dtype=torch.float64))
+    before = render(rasterize, gaussians.to(torch.float32), request)
+    after = render(rasterize, turned.to(torch.float32), replace(request, camera=camera))
+    smooth = smooth_pixels(gaussians, request)
+    assert ((after.color - before.color).abs() * smooth).max() < IMAGE_TOLERANCE
+    assert ((after.depth - before.depth).abs() * smooth).max() < IMAGE_TOLERANCE * before.depth.max()
+
+
+@pytest.mark.parametrize("motion", ["full", "separable"])
+def test_a_4d_gaussian_without_motion_is_the_static_one_at_any_time(motion: str):
+    """Its deviation in time is 1e4 durations: float32 must not let that leak into space."""
+    static = away_from_jumps(random_gaussians(50, "static", generator(16)), make_request())
+    count = len(static)
+    pad = lambda t, value: torch.cat([t, torch.full((count, 1), value, dtype=t.dtype)], dim=1)  # noqa: E731
+    timed = replace(static, mean=pad(static.mean, 0.5), log_scale=pad(static.log_scale, math.log(1e4)))
+    if motion == "full":
+        # One turn of space alone, and the same one for the static model, from a 4D pair that keeps t: l k r
+        # = k.
+        identity, camera = (torch.tensor([1.0, 0, 0, 0], dtype=torch.float64).repeat(count, 1), off_centre_camera())
+        as_4d = replace(timed, quat_left=identity, quat_right=identity)
+        left = torch.tensor([0.3, -0.5, 0.7, 0.4], dtype=torch.float64)
+        timed = replace(
+            as_4d,
+            **{name: getattr(rotated_world(as_4d, camera, left)[0], name) for name in ("quat_left", "quat_right")},
+        )
+        static = replace(
+            static, quat_left=rotated_world(replace(static, quat_left=identity), camera, left)[0].quat_left
+        )
+    expected = rasterize(static.to(torch.float32), off_centre_camera(), background=(0.3, 0.6, 0.1)).color
+    smooth = smooth_pixels(static, make_request())
+    for instant in (0.0, 0.5, 3.0):
+        found = rasterize(timed.to(torch.float32), off_centre_camera(), time=instant, background=(0.3, 0.6, 0.1)).color
+        # cos(2πn (t-μt)/T) of coefficients that are not there: the static model has Fourier order 0.
+        assert ((found - expected).abs() * smooth).max() < IMAGE_TOLERANCE
+
+
+def test_flow_is_the_displacement_of_an_opaque_gaussian_that_moves():
+    """A turn by θ in the x-t plane moves at sinθ cosθ (sx² - st²)/(sin²θ sx² + cos²θ st²) along x."""
+    theta, sx, st, depth, delta, elapsed = 0.5, 0.2, 0.6, 4.0, 0.15, 0.1
+    speed = (
+        math.sin(theta)
+        * math.cos(theta)
+        * (sx**2 - st**2)
+        / ((math.sin(theta) * sx) ** 2 + (math.cos(theta) * st) ** 2)
+    )
+    turn = torch.tensor([[math.cos(theta / 2), 0, 0, math.sin(theta / 2)]])
+    gaussians = Gaussians(
+        torch.tensor([[0.0, 0, depth, 0.5]]),
+        torch.tensor([[sx, 0.2, 0.2, st]]).log(),
+        turn,
+        turn,
+        torch.tensor([6.0]),
+        torch.zeros(1, 1, 3),
+    )
+    out = rasterize(
+        gaussians, front_camera(), time=0.5 + elapsed, outputs=("flow", "alpha", "depth", "stats"), flow_dt=delta
+    )
+    covered = out.alpha[0] > 0.5
+    assert covered.sum() > 4
+    flow, mean_depth = (out.flow[:, covered] / out.alpha[:, covered], out.depth[:, covered] / out.alpha[:, covered])
+    torch.testing.assert_close(flow[0], torch.full_like(flow[0], 40 * speed * delta / depth), rtol=1e-4, atol=0)
+    torch.testing.assert_close(flow[1], torch.zeros_like(flow[1]), rtol=0, atol=1e-4)
+    torch.testing.assert_close(mean_depth, torch.full_like(mean_depth, depth), rtol=1e-5, atol=0)
+    # the centre of the visible mass lies where the motion has brought it: x = speed × elapsed
+    column = (out.alpha[0].sum(0) * (torch.arange(31) + 0.5)).sum() / out.alpha[0].sum()
+    assert abs(column - (15.5 + 40 * speed * elapsed / depth)) < 0.05
+    variance = (math.sin(theta) * sx) ** 2 + (math.cos(theta) * st) ** 2
+    stats = out.stats[:, covered] / out.alpha[:, covered]
+    torch.testing.assert_close(stats, torch.tensor([[0.5], [variance]]).expand_as(stats), rtol=1e-4, atol=0)
+
+
+def test_flow_that_would_pass_the_near_plane_is_left_out():
+    """The moving Gaussian of the test above, seen along its path: it comes towards the camera."""
+    theta = 0.5
+    turn = torch.tensor([[math.cos(theta / 2), 0, 0, math.sin(theta / 2)]])
+    gaussians = Gaussians(
+        torch.tensor([[0.0, 0.1, 0.1, 0.5]]),
+        torch.tensor([[0.05, 0.2, 0.2, 0.6]]).log(),
+        turn,
+        turn,
+        torch.tensor([6.0]),
+        torch.zeros(1, 1, 3),
+    )
+    sideways = np.array([[0.0, 0, -1, 1], [0, 1, 0, 0], [1, 0, 0, 1], [0, 0, 0, 1]])  # looks along x, from x = -1
+    camera = Camera(31, 23, 40.0, 40.0, 15.5, 11.5, sideways)
+    for delta, expect_flow in ((0.1, True), (1000.0, False), (-1000.0, True)):
+        request = make_request(camera=camera, time=0.5, outputs=("flow",), flow_dt=delta)
+        truth = render(reference.rasterize, gaussians.to(torch.float64), request).flow
+        found, gradients = render_and_gradients(rasterize, gaussians, request, {"flow": torch.ones(2, 23, 31)})
+        torch.testing.assert_close(found.flow, truth.float(), rtol=1e-3, atol=1e-4)
+        assert (truth.abs().max() > 1e-3).item() is expect_flow
+        assert all(torch.isfinite(gradient).all() for gradient in gradients.values())

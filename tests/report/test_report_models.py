@@ -1,0 +1,211 @@
+"""The model that was trained, not the one that was asked for, is what tables name and compare."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import get_args
+
+import pytest
+from report_runs import write_run
+
+from pipeline.presentation.seeds import verdict
+from pipeline.report.__main__ import main
+from pipeline.report.compare.comparisons import comparisons
+from pipeline.report.tables.equal_time import equal_time
+from pipeline.report.tables.paper_tables import paper_tables
+from pipeline.report.tables.summary import summarise
+from pipeline.report.tables.variants_study import studies
+from pipeline.report.tables.verdicts import verdicts
+from pipeline.runs.read import model_labels as models
+from pipeline.runs.read.collect import MOTIONS, collect
+from pipeline.runs.read.variants import name_variants
+from rasterizer.gaussians import Motion
+
+LEFT_OUT = {"trial": {"gain": 0.0, "standard_error": 0.1, "kept": False}}  # a run of before `model` was written
+KEPT = {"trial": {"gain": 1.0, "standard_error": 0.1, "kept": True}}
+
+
+def model(motion: str = "full", fourier_order: int = 2, sh_degree: int = 3) -> dict:
+    return {"model": {"motion": motion, "fourier_order": fourier_order, "sh_degree": sh_degree}}
+
+
+def labels(root: Path) -> list[str]:
+    return list(name_variants(collect(root)).runs["ablation"])
+
+
+def test_motions_are_those_of_a_model() -> None:
+    assert set(MOTIONS) == set(get_args(Motion))
+
+
+@pytest.mark.parametrize(
+    "asked, settings, said, label",
+    [
+        ("full", "", {}, "full"),
+        ("full", "", LEFT_OUT, "full, 4DSH left out"),
+        ("full", "", KEPT, "full"),
+        ("full", "", model(), "full"),
+        ("full", "", model(fourier_order=0), "full, 4DSH left out"),
+        ("full", "", model(fourier_order=0) | LEFT_OUT, "full, 4DSH left out"),
+        ("full", "", model("static", 0), "full"),  # a static scene: there is no time for colours to vary with
+        ("no_4drot", "  rotation_4d: false\n", model("separable", 0), "no_4drot, 4DSH left out"),
+        ("no_4drot", "  rotation_4d: false\n", model("separable"), "no_4drot"),
+        ("no_4dsh", "  fourier_order: 0\n", model(fourier_order=0), "no_4dsh"),  # it was not to have them
+        ("no_4dsh", "", model(fourier_order=0), "no_4dsh"),  # a run without its settings
+        ("static", "  rotation_4d: false\n  fourier_order: 0\n  static: true\n", model("static", 0), "static"),
+        # What a command changed under an ablation's name, also if all runs of that name have it.
+        ("full", "  fourier_order: 1\n", {}, "full (fourier_order=1)"),
+        ("full", "  fourier_order: 1\n", model(fourier_order=1), "full (fourier_order=1)"),
+        ("full", "  fourier_order: 1\n", model(fourier_order=0), "full, 4DSH left out"),  # whatever was left out
+        ("full", "  fourier_order: 0\n", model(fourier_order=0), "full (fourier_order=0)"),  # nobody selected
+        ("full", "  sh_degree: 1\n", model(fourier_order=0, sh_degree=1), "full, 4DSH left out (sh_degree=1)"),
+        ("full", "  fourier_order: 1\n", model("static", 0), "full"),  # means nothing where nothing moves
+        ("full", "  static: true\n", model("static", 0), "full (static=True)"),
+        ("mine", "  rotation_4d: false\n", model("separable"), "mine"),  # a name that conf/ablation does not have
+        ("mine", "", model(fourier_order=0), "mine"),
+        ("mine", "  fourier_order: 2\n", model(fourier_order=0), "mine, 4DSH left out"),
+    ],
+)
+def test_a_run_is_called_after_its_trained_model(tmp_path, asked: str, settings: str, said: dict, label: str) -> None:
+    for seed in range(2):
+        write_run(tmp_path, "synthetic/wheel", asked, seed=seed, ablation_settings=settings, **said)
+    assert labels(tmp_path) == [label] * 2
+
+
+def test_one_schedule_may_keep_colours_with_one_seed_and_not_with_another(tmp_path) -> None:
+    write_run(tmp_path, "synthetic/lamp", seed=0, psnr=30.0, **KEPT)
+    write_run(tmp_path, "synthetic/lamp", seed=1, psnr=20.0, **LEFT_OUT)
+    collection = name_variants(collect(tmp_path))
+    assert list(collection.runs["ablation"]) == ["full", "full, 4DSH left out"]
+    assert [(h.model, h.psnr) for h in summarise(collection).headlines] == [
+        ("full", "30.00"),
+        ("full, 4DSH left out", "20.00"),
+    ]
+    (figure,) = comparisons(collection)
+    assert (figure.title, [line.label for line in figure.lines]) == (
+        "synthetic/lamp: ablation, fast",
+        ["full", "full, 4DSH left out"],
+    )
+
+
+@pytest.mark.parametrize(
+    "said, key",
+    [
+        ({"model": 3}, "model: expected an object, found 3"),
+        (model("moving"), "model.motion: expected static, separable, full, found 'moving'"),
+        (
+            {"model": {"motion": "full", "fourier_order": "two", "sh_degree": 3}},
+            "model.fourier_order: expected a finite",
+        ),
+    ],
+)
+def test_a_model_that_makes_no_sense_breaks_the_run(tmp_path, said: dict, key: str) -> None:
+    write_run(tmp_path, "synthetic/wheel")
+    write_run(tmp_path, "synthetic/wheel", seed=1, **said)
+    found = collect(tmp_path)
+    assert len(found.runs) == 1 and key in found.left_out[0]
+
+
+# --- comparisons ------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "label, compared_with",
+    [
+        ("full", None),
+        ("full, 4DSH left out", None),
+        ("no_4dsh", "full"),
+        ("no_4drot", "full"),
+        ("no_4drot, 4DSH left out", "full, 4DSH left out"),
+        ("full (fourier_order=1)", "full"),
+        ("no_4drot (sh_degree=1)", "full (sh_degree=1)"),
+        ("no_4drot, 4DSH left out (sh_degree=1)", "full, 4DSH left out (sh_degree=1)"),
+    ],
+)
+def test_like_is_compared_with_like(label: str, compared_with: str | None) -> None:
+    assert models.reference(label) == compared_with
+
+
+def test_an_ablation_is_not_compared_with_a_model_that_lacks_more(tmp_path) -> None:
+    for seed in range(3):
+        write_run(tmp_path, "synthetic/lamp", "full", seed=seed, psnr=30.0 + 0.1 * seed, **LEFT_OUT)
+        write_run(tmp_path, "synthetic/lamp", "no_4dsh", seed=seed, psnr=30.0 + 0.1 * seed)
+    collection = name_variants(collect(tmp_path))
+    assert verdict(collection.runs, "synthetic/lamp", "no_4dsh", "fast", "final.psnr") is None
+    assert [row.cells["verdict"].text for row in verdicts(collection.runs).rows] == ["no run of full"] * 2
+    assert summarise(collection).holdings == ()
+
+
+def test_both_without_time_varying_colour_are_compared_and_called_so(tmp_path, capsys) -> None:
+    for seed in range(3):
+        for ablation, psnr in (("full", 30.0), ("no_4drot", 25.0)):
+            write_run(
+                tmp_path / "runs", "synthetic/wheel", ablation, seed=seed, psnr=psnr + 0.1 * seed, images=2, **LEFT_OUT
+            )
+    main([str(tmp_path / "runs")])
+    out, page, text = (
+        capsys.readouterr().out,
+        *((tmp_path / "report" / name).read_text() for name in ("report.html", "report.md")),
+    )
+    for said in (out, page, text):
+        assert "no_4drot, 4DSH left out" in said and "selection by validation left time-varying colour out" in said
+        # Nowhere is such a model called by its ablation alone, but in what a user typed and in paths.
+        assert not re.search(r"(<b>|\| |<td[^>]*>)(full|no_4drot)( *\||</b>|</td>)", said)
+    assert "worse than full, 4DSH left out: full − ablation = 5.00 dB" in out
+    assert "worse, as it should be" in out
+
+
+# --- schedules, which may select -------------------------------
+
+
+def selecting(root: Path, train: str = "fast", **said) -> None:
+    for seed in range(2):
+        write_run(root, "dnerf/lego", train=train, seed=seed, psnr=30.0 + (train != "fast") + seed, **said)
+
+
+def test_schedules_are_compared_by_what_was_asked_for(tmp_path) -> None:
+    selecting(tmp_path, **LEFT_OUT)
+    selecting(tmp_path, "paper")
+    collection = name_variants(collect(tmp_path))
+    (figure,) = comparisons(collection)
+    assert [line.label for line in figure.lines] == ["fast, 4DSH left out", "paper"]
+    table = equal_time(collection)
+    assert [(row.cells["train"].text, row.cells["ablation"].text) for row in table.rows] == [
+        ("fast", "full, 4DSH left out"),
+        ("paper", "full"),
+    ]
+    assert models.LEFT_OUT_NOTE in table.notes
+
+
+def test_a_study_says_where_colours_were_left_out(tmp_path) -> None:
+    selecting(tmp_path, **LEFT_OUT)
+    selecting(tmp_path, "fast (batch=1)")
+    selecting(tmp_path, "fast (batch=2)", **LEFT_OUT)
+    (table,) = studies(name_variants(collect(tmp_path)))
+    assert {row.cells["change"].text: row.cells["mean"].value for row in table.rows} == {"batch=1": 1, "batch=2": 1}
+    said = "out of models of: the schedule as it is (dnerf/lego); batch=2 (dnerf/lego)"
+    assert any(said in note for _, note in table.notes)
+
+
+def test_a_mean_of_the_papers_table_says_for_which_scenes_colours_were_left_out(tmp_path) -> None:
+    write_run(tmp_path, "dnerf/lego", seed=0, psnr=26.0, **LEFT_OUT)
+    write_run(tmp_path, "dnerf/lego", seed=1, psnr=28.0, **KEPT)
+    write_run(tmp_path, "dnerf/hook", seed=0, psnr=30.0, **KEPT)
+    (table,) = paper_tables(name_variants(collect(tmp_path)))
+    final = next(row for row in table.rows if row.kind == "ours")
+    assert final.cells["scenes"].text == "mean of 2 of 8" and final.cells["psnr"].value == 28.5
+    assert any("out of the models of lego (1 of 2 runs)." in note for _, note in table.notes)
+
+
+def test_table_3_keeps_models_that_lack_more_apart(tmp_path) -> None:
+    for scene in ("plenoptic/flame_salmon", "plenoptic/cut_roasted_beef"):
+        write_run(tmp_path, scene, psnr=29.0, **LEFT_OUT)
+        write_run(tmp_path, scene, "no_4dsh", psnr=28.0)
+    table = next(t for t in paper_tables(name_variants(collect(tmp_path))) if t.slug == "table3_ablation")
+    ours = [(row.cells["ablation"].text, row.cells["mean_psnr"].text) for row in table.rows if row.kind == "ours"]
+    assert ours == [
+        ("no_4dsh", "28.00"),
+        ("no_4dsh", "28.25"),
+        ("full, 4DSH left out", "29.00"),
+        ("full, 4DSH left out", "29.25"),
+    ]

@@ -1,0 +1,103 @@
+"""What changes of a schedule are worth: differences, errors and ratios by hand."""
+
+from __future__ import annotations
+
+import math
+
+import pandas as pd
+import pytest
+
+from pipeline.presentation.table_files import comma_separated, markdown
+from pipeline.report.tables.variants_study import studies
+from pipeline.runs.read.collect import Collection
+
+
+def rows(train: str, scene: str, psnrs: list[float], seconds: float = 10.0) -> list[dict]:
+    return [
+        {
+            "scene": scene,
+            "ablation": "full",
+            "train": train,
+            "seed": seed,
+            "final.psnr": psnr,
+            "final.ssim": psnr / 100,
+            "model_mb": 1.0,
+            "train_seconds": seconds,
+            "n_gaussians": 100.0,
+            "final.fps_render": 50.0,
+        }
+        for seed, psnr in enumerate(psnrs)
+    ]
+
+
+def collection(*parts: list[dict]) -> Collection:
+    return Collection(pd.DataFrame(sum(parts, [])), pd.DataFrame(), {}, (), ())
+
+
+def test_a_change_is_compared_scene_by_scene_over_common_seeds() -> None:
+    (table,) = studies(
+        collection(
+            rows("fast", "synthetic/wheel", [20.0, 22.0, 24.0]),
+            rows("fast", "synthetic/lamp", [30.0, 30.0]),
+            rows("fast (dropout=0.1)", "synthetic/wheel", [23.0, 23.0], seconds=20.0),
+            rows("fast (dropout=0.1)", "synthetic/lamp", [31.0, 31.0], seconds=5.0),
+            rows("fast (batch=2)", "synthetic/wheel", [20.0, 22.0, 24.0]),
+        )
+    )
+    first, second = table.rows
+    assert first.cells["change"].text == "dropout=0.1"  # the best mean first
+    wheel, mean = first.cells["synthetic/wheel"], first.cells["mean"]
+    # Seeds 0 and 1: 23 against 21 ± √2, whose standard error is √2/√2.
+    assert (wheel.value, wheel.std) == (pytest.approx(2.0), pytest.approx(1.0))
+    assert (mean.value, mean.std) == (pytest.approx(1.5), pytest.approx(0.5))
+    assert (first.cells["ssim"].value, first.cells["ssim"].std) == (pytest.approx(0.015), pytest.approx(0.005))
+    assert first.cells["train_seconds"].value == pytest.approx(math.sqrt(2.0 * 0.5))  # geometric
+    assert second.cells["mean"].value == 0.0 and second.cells["synthetic/lamp"].text == ""
+    assert "+2.00 ± 1.00" in markdown(table)
+
+
+def test_one_variant_alone_is_no_study() -> None:
+    assert (
+        studies(collection(rows("fast", "synthetic/wheel", [20.0]), rows("fast (batch=2)", "synthetic/wheel", [20.0])))
+        == []
+    )
+
+
+def test_variants_without_the_schedule_as_it_is_are_no_study() -> None:
+    assert (
+        studies(
+            collection(
+                rows("fast (batch=4)", "synthetic/wheel", [20.0]), rows("fast (batch=2)", "synthetic/wheel", [20.0])
+            )
+        )
+        == []
+    )
+
+
+def test_one_seed_has_no_error() -> None:
+    (table,) = studies(
+        collection(
+            rows("fast", "synthetic/wheel", [20.0]),
+            rows("fast (batch=2)", "synthetic/wheel", [21.0]),
+            rows("fast (batch=4)", "synthetic/wheel", [21.5]),
+        )
+    )
+    assert table.rows[0].cells["mean"].text == "+1.50" and table.rows[0].cells["mean"].std is None
+    assert "nan" not in comma_separated(table).lower()
+
+
+def test_a_change_of_the_scene_is_none_of_the_schedule() -> None:
+    small = "scene.downscale=4, scene.test_cameras=[5, 6]"
+    (table,) = studies(
+        collection(
+            rows("fast", "dnerf/lego", [20.0]),
+            rows("fast (batch=2)", "dnerf/lego", [20.5]),
+            rows(f"fast ({small})", "dnerf/lego", [30.0]),
+            rows(f"fast ({small}, batch=2)", "dnerf/lego", [31.0]),
+            rows(f"fast ({small}, batch=4)", "dnerf/lego", [33.0]),
+        )
+    )
+    of_two = {row.cells["change"].text: row.cells for row in table.rows}
+    assert set(of_two) == {"batch=2", "batch=4"}
+    assert of_two["batch=2"]["dnerf/lego"].value == 0.5
+    assert of_two["batch=2"][f"dnerf/lego ({small})"].value == 1.0 and of_two["batch=2"]["mean"].value == 0.75

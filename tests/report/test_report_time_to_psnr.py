@@ -1,0 +1,61 @@
+"""Seconds to a PSNR: read off made-up curves by hand."""
+
+from __future__ import annotations
+
+import pandas as pd
+import pytest
+
+from pipeline.presentation.table_files import markdown
+from pipeline.report.tables.time_to_psnr import levels_of, seconds_to, time_to_psnr
+from pipeline.runs.read.collect import Collection
+
+
+def curve(points: list[tuple[float, float]], run: str = "a", train: str = "fast") -> pd.DataFrame:
+    rows = [{"train_seconds": s, "iteration": i, "psnr": p, "n_gaussians": 1} for i, (s, p) in enumerate(points)]
+    return pd.DataFrame(rows).assign(run=run, scene="synthetic/wheel", ablation="full", train=train, seed=0)
+
+
+def collection(*curves: pd.DataFrame) -> Collection:
+    return Collection(pd.DataFrame(), pd.concat(curves, ignore_index=True), {}, (), ())
+
+
+@pytest.mark.parametrize(
+    "level, expected",
+    [
+        (10.0, 1.0),  # above it from the first evaluation on
+        (21.0, 15.0),  # half-way between 20 dB at 10 s and 22 dB at 20 s
+        (22.0, 20.0),
+        (24.0, 35.0),  # the curve falls in between: 18 dB at 30 s, 30 dB at 40 s
+        (30.5, None),
+    ],
+)
+def test_when_a_curve_first_passes_a_level(level: float, expected: float | None) -> None:
+    found = seconds_to(curve([(1, 12), (10, 20), (20, 22), (30, 18), (40, 30)]), level)
+    assert found == (None if expected is None else pytest.approx(expected))
+
+
+def test_levels_follow_the_best_curve_of_the_scene() -> None:
+    assert levels_of(pd.concat([curve([(1, 25.9)]), curve([(1, 23.0)])])) == (21, 23, 24, 25)
+
+
+def test_who_never_gets_there_is_written_as_such() -> None:
+    table = time_to_psnr(
+        collection(
+            curve([(0, 20), (10, 30)], "a"), curve([(0, 20), (30, 30)], "b"), curve([(0, 20), (10, 24)], "c", "slow")
+        ),
+        levels=(25.0,),
+    )
+    fast, slow = table.rows
+    assert fast.cells["seconds"].value == pytest.approx(10.0) and fast.cells["seconds"].std == pytest.approx(50**0.5)
+    assert fast.cells["reached"].text == "2 of 2"
+    assert slow.cells["seconds"].text == "never reached" and slow.cells["reached"].text == "0 of 1"
+    assert "never reached" in markdown(table)
+
+
+def test_a_seed_that_fails_is_not_averaged_away() -> None:
+    table = time_to_psnr(collection(curve([(0, 20), (10, 30)], "a"), curve([(0, 20), (30, 21)], "b")), levels=(25.0,))
+    assert table.rows[0].cells["reached"].text == "1 of 2" and table.rows[0].cells["seconds"].value == 5.0
+
+
+def test_no_curves_no_table() -> None:
+    assert time_to_psnr(collection(curve([]).reindex(columns=curve([(0, 0)]).columns))) is None

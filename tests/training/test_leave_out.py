@@ -1,0 +1,204 @@
+"""What the training images miss of each Gaussian: against leaving each out of the float64 twin, in closed form, and what
+training does with it."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+from tiny import TinyRun, tiny_config, tiny_scene, train_tiny
+
+from pipeline.config.train_schema import DensifyConfig, TrainConfig
+from pipeline.model.environment_map import EnvironmentMap
+from pipeline.model.initialise import initialise
+from pipeline.model.model import Model
+from pipeline.training.density.sensitivity_pruning import MOST_VIEWS, due, least, leave_out, missed, views_to_ask
+from pipeline.training.optimiser import Adam
+from rasterizer import Frame, Request
+from rasterizer.reference.render import rasterize
+
+
+def mean_missed(model, scene, cfg, draws: int) -> torch.Tensor:
+    """(N,) float64, the mean over so many seeds of the signs."""
+    found = [missed(model, scene.train, scene, cfg, 1.0, np.random.default_rng(seed), 1) for seed in range(draws)]
+    return torch.stack(found).double().mean(dim=0)
+
+
+def loud_model(scene, cfg, count: int) -> Model:
+    """Opacities from faint to nearly opaque, and colours that differ."""
+    rng = np.random.default_rng(1)
+    model = initialise(scene, cfg, np.random.default_rng(0))
+    kept = torch.arange(0, len(model), len(model) // count)[:count]
+    model = Model.restored(model.kind, {name: tensor[kept] for name, tensor in model.state().items()})
+    model.parameters["opacity_logit"].copy_(torch.from_numpy(rng.uniform(-3, 3, size=count)))
+    model.parameters["log_scale"][:, :3] += 0.7
+    model.parameters["sh"][:, 0] += torch.from_numpy(rng.normal(size=(count, 3))).float()
+    return model
+
+
+def test_what_is_missed_is_what_changes_without_it():
+    """The float64 twin without each Gaussian in turn: the squared change of three images, summed."""
+    scene, cfg = tiny_scene(views=3), tiny_config()
+    model = loud_model(scene, cfg, 60)
+    doubles = type(model.gaussians())(**{name: tensor.double() for name, tensor in model.gaussians().tensors().items()})
+
+    def images(kept) -> torch.Tensor:
+        some = type(doubles)(**{name: tensor[kept] for name, tensor in doubles.tensors().items()})
+        return torch.stack(
+            [rasterize(some, v.camera, v.time, scene.duration, scene.background).color for v in scene.train]
+        )
+
+    everything = torch.arange(len(model))
+    whole = images(everything)
+    truth = torch.stack([(images(everything[everything != i]) - whole).square().sum() for i in range(len(model))])
+    found = mean_missed(model, scene, cfg, draws=400)
+    # The square of a sum with random signs has a standard deviation of at most √2 of its mean: 0.07 of it after 400
+    # draws, of one Gaussian (4.5 of these for sixty of them), and less of all. What is behind it may end earlier.
+    loud = truth > 1e-3
+    assert loud.sum() > 40
+    torch.testing.assert_close(found[loud], truth[loud], rtol=0.32, atol=0)
+    torch.testing.assert_close(found.sum(), truth.sum(), rtol=0.05, atol=0)
+
+
+def test_what_has_the_colour_of_what_is_behind_it_is_not_missed():
+    scene, cfg = dataclasses.replace(tiny_scene(views=2), background=(1.0, 1.0, 1.0)), tiny_config()
+    model = loud_model(scene, cfg, 40)
+    model.parameters["sh"].zero_()
+    model.parameters["sh"][:, 0] = 0.5 / 0.28209479177387814  # white, as what is behind
+    seen = mean_missed(model, scene, cfg, draws=1)
+    assert float(seen.max()) < 1e-8  # 3,072 products of float32, each wrong by 1e-7, of random signs, squared
+    model.parameters["sh"][:20, 0] = 0.0  # grey
+    assert float(mean_missed(model, scene, cfg, draws=1).max()) > 1
+
+
+def test_what_has_the_colour_of_the_environment_is_not_missed_either():
+    scene, cfg = tiny_scene(views=2), tiny_config()
+    model = loud_model(scene, cfg, 40)
+    model.environment = EnvironmentMap.grey(12)
+    model.parameters["sh"].zero_()  # grey
+    assert float(mean_missed(model, scene, cfg, draws=1).max()) < 1e-8
+    model.environment = None  # black
+    assert float(mean_missed(model, scene, cfg, draws=1).max()) > 1
+
+
+def test_an_opaque_one_is_missed_too():
+    """Where alpha is clamped at 0.99 there is no derivative, though nothing would be missed more."""
+    scene, cfg = tiny_scene(views=2), tiny_config()
+    model = loud_model(scene, cfg, 1)
+    model.parameters["mean"].zero_()
+    model.parameters["log_scale"].fill_(-0.5)  # as large as the image
+    model.parameters["opacity_logit"].fill_(3.0)
+    translucent = mean_missed(model, scene, cfg, draws=100)
+    model.parameters["opacity_logit"].fill_(20.0)
+    opaque = mean_missed(model, scene, cfg, draws=100)
+    # (0.98/0.953)², and four standard deviations of a hundred draws
+    assert float(opaque / translucent) == pytest.approx((0.98 / 0.9526) ** 2, rel=4 * (2 / 100) ** 0.5)
+
+
+def test_it_is_a_function_of_the_generator_and_not_of_the_threads():
+    scene, cfg = tiny_scene(views=3), tiny_config()
+    model = loud_model(scene, cfg, 60)
+    one, two = (missed(model, scene.train, scene, cfg, 0.5, np.random.default_rng(5), threads) for threads in (1, 2))
+    assert torch.equal(one, two)
+    assert not torch.equal(one, missed(model, scene.train, scene, cfg, 0.5, np.random.default_rng(6), 1))
+
+
+def test_of_many_cameras_whole_moments_are_asked_and_of_one_camera_every_view():
+    scene = tiny_scene(views=4)
+    times, cameras = 300, 3
+
+    def view(i, k):
+        return dataclasses.replace(scene.train[0], time=i / (times - 1), name=f"{i}/{k}")
+
+    alone = dataclasses.replace(scene, train=tuple(view(i, 0) for i in range(2 * MOST_VIEWS)))
+    assert views_to_ask(alone) == list(alone.train)
+    many = dataclasses.replace(scene, train=tuple(view(i, k) for i in range(times) for k in range(cameras)))
+    asked = views_to_ask(many)
+    chosen = {v.time for v in asked}
+    assert len(asked) == cameras * len(chosen) and 0.9 * MOST_VIEWS < len(asked) <= MOST_VIEWS
+    assert {0.0, 1.0} <= chosen  # spread from first to last
+    assert views_to_ask(scene) == list(scene.train)
+
+
+def test_the_least_are_as_many_as_fit_into_their_share():
+    weight = torch.from_numpy(np.random.default_rng(0).pareto(1.0, 300).astype(np.float32))
+    weight[::7] = 0.0
+    for share in (0.0, 1e-3, 0.05, 0.5, 0.999):
+        few = least(weight, share)
+        inside, outside = weight[few].double(), weight[~few].double()
+        total = weight.double().sum()
+        assert inside.sum() <= share * total < inside.sum() + outside.min()  # one more would not fit
+        assert len(inside) == 0 or inside.max() <= outside.min()
+        assert few[weight == 0].all()
+    assert least(torch.ones(10), 0.35).tolist() == [True] * 3 + [False] * 7  # ties by index
+
+
+def test_images_change_less_than_by_leaving_out_any_others():
+    scene, cfg = tiny_scene(views=3), tiny_config()
+    whole, rng = loud_model(scene, cfg, 60), np.random.default_rng(2)
+    change, before, share = mean_missed(whole, scene, cfg, draws=50), shown(whole, scene, cfg), 0.02
+
+    def changed(worth: torch.Tensor, part: float) -> tuple[float, int]:
+        model = whole.copy()
+        removed = leave_out(Adam(model), worth, part)
+        return sum(float((a - b).square().sum()) for a, b in zip(shown(model, scene, cfg), before)), removed
+
+    least_change, removed = changed(change, share)
+    assert 10 < removed < 50
+    # Were the changes of several to add up, of n at worst by (Σ|Δ|)² <= n ΣΔ².
+    assert least_change < removed * share * float(change.sum())
+    any_others = [changed(torch.from_numpy(rng.permutation(60) >= removed).float(), 0.0) for _ in range(10)]
+    assert all(number == removed and other > 3 * least_change for other, number in any_others)
+
+
+def shown(model, scene, cfg) -> list[torch.Tensor]:
+    """Its images of the training views, (3, h, w) each."""
+    requests = [Request(v.camera, v.time, scene.duration, near=cfg.scene.near) for v in scene.train]
+    return [Frame(threads=1).render(model.gaussians(), request).color.clone() for request in requests]
+
+
+def test_moments_go_with_what_is_left_out_but_the_sphere_stays_and_never_do_all_go():
+    model = initialise(tiny_scene(), tiny_config(), np.random.default_rng(0))
+    count = len(model)
+    model = Model.restored(model.kind, model.state() | {"sphere": torch.arange(count) < 10})
+    adam = Adam(model)
+    adam.first["mean"][:, 0] = torch.arange(count)
+    change = (torch.arange(count) % 2).float()
+    change[:10] = 1e6  # the sphere's, which has no part in what the share is of
+    assert leave_out(adam, change, 1e-3) == count // 2 - 5  # of no worth; the share is less than one of the others
+    kept = [i for i in range(count) if i % 2 or i < 10]
+    assert adam.first["mean"][:, 0].tolist() == kept
+    model.sphere = None
+    assert leave_out(adam, torch.zeros(len(kept)), 0.5) == 0 and len(model) == len(kept)
+
+
+def test_what_no_view_saw_stays_where_not_all_were_asked():
+    model = initialise(tiny_scene(), tiny_config(), np.random.default_rng(0))
+    count = len(model)
+    change = torch.tensor([0.0, 1.0, 100.0, 100.0]).repeat(count // 4)
+    assert leave_out(Adam(model.copy()), change, 0.01) == count // 2
+    assert leave_out(Adam(model), change, 0.01, all_asked=False) == count // 4
+
+
+def test_training_leaves_out_what_is_missed_least(tmp_path):
+    cfg = tiny_config(60)
+    cfg.train.densify = dataclasses.replace(cfg.train.densify, leave_out=0.01, leave_out_every=20)
+    model, free = train_tiny(tmp_path / "run", cfg).model, train_tiny(tmp_path / "free", tiny_config(60)).model
+    scene = tiny_scene()
+    assert len(model) < 0.9 * len(free)  # most of the change is that of a few
+    idle, before = (float(least(mean_missed(m, scene, cfg, draws=20), 0.01).float().mean()) for m in (model, free))
+    assert idle < before
+    done = [row for row in TinyRun(tmp_path / "run").rows("log.jsonl") if row["event"] == "leave_out"]
+    assert [row["iteration"] for row in done] == [20, 40] and sum(row["left_out"] for row in done) > 0
+    assert done[-1]["n_gaussians"] >= len(model)
+
+
+def test_when_it_is_due():
+    rules = DensifyConfig(leave_out=0.01, leave_out_every=100, start=150, stop=300)
+    cfg = TrainConfig(iterations=580, densify=rules)
+    # On after the last densification; not at 500, after which there is less than a period to go.
+    assert [i for i in range(581) if due(i, cfg)] == [200, 300, 400]
+    off = TrainConfig(densify=DensifyConfig(leave_out_every=1))
+    assert not any(due(i, off) for i in range(1000))  # by default

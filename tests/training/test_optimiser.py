@@ -1,0 +1,153 @@
+"""Adam against its formula, and rows of parameters and moments that stay together."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from tiny import random_model
+
+from pipeline.model.environment_map import EnvironmentMap
+from pipeline.model.model import Model, ModelKind
+from pipeline.training.optimiser import Adam
+from rasterizer import Gradients
+
+KIND = ModelKind("full", 2, 3)
+RATES = {
+    "mean": (1e-3, 1e-3, 1e-3, 2e-3),
+    "log_scale": 5e-3,
+    "quat_left": 1e-3,
+    "quat_right": 1e-3,
+    "opacity_logit": 5e-2,
+    "sh": (2.5e-3, 1.25e-4, 5e-4, 6e-5),
+    "environment": 0.02,
+}
+FIELDS = RATES.keys() - {"sh", "environment"}
+
+
+def random_gradients(model: Model, generator: torch.Generator) -> Gradients:
+    """Of every field but sh, whose gradient only a rendered view can make."""
+    gradients = Gradients.zeros_like(model.gaussians())
+    for name in FIELDS:
+        getattr(gradients, name).copy_(torch.randn(getattr(gradients, name).shape, generator=generator))
+    return gradients
+
+
+def marked_optimiser(count: int = 6) -> Adam:
+    """Row i of every tensor holds i, in moments i + 100 and i + 200."""
+    model = random_model(KIND, count)
+    optimiser = Adam(model)
+    for offset, tensors in zip((0, 100, 200), (model.parameters, optimiser.first, optimiser.second)):
+        for tensor in tensors.values():
+            tensor.copy_((torch.arange(count) + offset).reshape(-1, *[1] * (tensor.dim() - 1)).expand_as(tensor))
+    return optimiser
+
+
+def test_steps_match_the_formula() -> None:
+    """Kingma and Ba, algorithm 1, in float64."""
+    model, generator = random_model(KIND, 20), torch.Generator().manual_seed(0)
+    names = FIELDS - {"mean"}
+    expected = {name: model.parameters[name].double() for name in names}
+    first, second = ({name: torch.zeros_like(expected[name]) for name in names} for _ in range(2))
+    optimiser = Adam(model)
+    for step in range(1, 11):
+        gradients = random_gradients(model, generator)
+        optimiser.step(gradients, RATES)
+        for name in names:
+            gradient = getattr(gradients, name).double()
+            first[name] = 0.9 * first[name] + 0.1 * gradient
+            second[name] = 0.999 * second[name] + 0.001 * gradient**2
+            corrected = first[name] / (1 - 0.9**step), second[name] / (1 - 0.999**step)
+            expected[name] = expected[name] - RATES[name] * corrected[0] / (corrected[1].sqrt() + 1e-15)
+    for name in names:
+        # ten float32 updates of values of size 1, each rounded to 6e-8 and itself right to some 1e-6 of a rate <= 0.05
+        assert torch.allclose(model.parameters[name].double(), expected[name], atol=3e-6), name
+    assert optimiser.step_count == 10
+
+
+def test_the_means_columns_have_their_own_rates() -> None:
+    model = random_model(KIND, 5)
+    before = model.parameters["mean"].clone()
+    gradients = Gradients.zeros_like(model.gaussians())
+    gradients.mean.fill_(3.0)
+    Adam(model).step(gradients, RATES)
+    # Adam's first step is the rate itself, whatever the gradient; 1e-6 is float32 rounding of values below 4
+    moved = before - model.parameters["mean"]
+    assert torch.allclose(moved, torch.tensor(RATES["mean"]).expand(5, 4), atol=1e-6)
+
+
+def test_rows_left_out_keep_their_values_and_moments() -> None:
+    model, generator = random_model(KIND, 6), torch.Generator().manual_seed(0)
+    optimiser = Adam(model)
+    rows = torch.tensor([1, 0, 1, 0, 0, 1], dtype=torch.uint8)
+    before = model.copy()
+    optimiser.step(random_gradients(model, generator), RATES, rows)
+    for name in FIELDS:
+        changed = (model.parameters[name] != before.parameters[name]).reshape(6, -1).any(dim=1)
+        assert torch.equal(changed, rows.bool()), name
+        assert not optimiser.first[name][~rows.bool()].any(), name
+
+
+def test_the_environment_is_stepped_by_adam_where_it_has_a_gradient() -> None:
+    """torch.optim.Adam in float64; a step without a gradient for it leaves it and its moments alone."""
+    model, generator = random_model(KIND, 5), torch.Generator().manual_seed(0)
+    model.environment = EnvironmentMap(torch.rand(3, 4, 8, generator=generator))
+    shadow = model.environment.image.double().requires_grad_()
+    optimiser, truth = Adam(model), torch.optim.Adam([shadow], lr=RATES["environment"], eps=1e-15)
+    for _ in range(5):
+        d_environment = torch.randn(3, 4, 8, generator=generator)
+        optimiser.step(random_gradients(model, generator), RATES, d_environment=d_environment)
+        shadow.grad = d_environment.double()
+        truth.step()
+    # five float32 updates of values up to 1, each rounded to 6e-8 and itself right to some 1e-6 of the rate
+    torch.testing.assert_close(model.environment.image.double(), shadow.detach(), rtol=0, atol=1e-6)
+    before = [model.environment.image.clone(), *(moment.clone() for moment in optimiser.environment)]
+    optimiser.step(random_gradients(model, generator), RATES)
+    assert all(map(torch.equal, before, (model.environment.image, *optimiser.environment)))
+    assert optimiser.bytes == 2 * model.bytes
+
+
+def test_keep_keeps_rows_and_their_moments_in_order() -> None:
+    optimiser = marked_optimiser()
+    optimiser.keep(torch.tensor([True, False, True, True, False, True]))
+    for offset, tensors in zip((0, 100, 200), (optimiser.model.parameters, optimiser.first, optimiser.second)):
+        for name, tensor in tensors.items():
+            rows = tensor.reshape(len(tensor), -1)[:, 0]
+            assert rows.tolist() == [offset + i for i in (0, 2, 3, 5)], name
+            assert tensor.is_contiguous(), name
+
+
+def test_append_adds_rows_with_zero_moments_at_the_end() -> None:
+    optimiser = marked_optimiser()
+    rows = {name: tensor[:2] + 50 for name, tensor in optimiser.model.parameters.items()}
+    optimiser.append(rows)
+    for name, tensor in optimiser.model.parameters.items():
+        assert len(tensor) == 8
+        assert torch.equal(tensor[6:], rows[name]), name
+        for moments in (optimiser.first, optimiser.second):
+            assert not moments[name][6:].any() and moments[name][:6].all(), name
+    optimiser.model.gaussians()  # shapes still fit each other
+
+
+def test_the_spheres_label_comes_and_goes_with_its_rows() -> None:
+    optimiser = marked_optimiser()
+    optimiser.keep(torch.ones(6, dtype=torch.bool))
+    assert optimiser.model.sphere is None
+    optimiser.model.sphere = torch.tensor([False, True, True, False, False, True])
+    optimiser.keep(torch.tensor([True, False, True, True, False, True]))
+    optimiser.append({name: tensor[:2] for name, tensor in optimiser.model.parameters.items()})
+    assert optimiser.model.sphere.tolist() == [False, True, False, True, False, False], "new ones are not of the sphere"
+
+
+def test_append_of_other_fields_is_refused() -> None:
+    with pytest.raises(ValueError, match="append: expected fields"):
+        marked_optimiser().append({"mean": torch.zeros(1, 4)})
+
+
+def test_zero_moments_of_one_field_only() -> None:
+    optimiser = marked_optimiser()
+    rows = torch.tensor([True, False, False, True, False, False])
+    optimiser.zero_moments("opacity_logit", rows)
+    assert optimiser.first["opacity_logit"].tolist() == [0, 101, 102, 0, 104, 105]
+    optimiser.zero_moments("opacity_logit")
+    assert not optimiser.first["opacity_logit"].any() and not optimiser.second["opacity_logit"].any()
+    assert optimiser.first["mean"].all()

@@ -1,0 +1,148 @@
+"""Training with a background: it learns what is far away, and stands still once it is frozen."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from test_train import assert_same_state, batch_losses
+from tiny import tiny_config, tiny_scene, train_tiny
+
+from datasets.scene import Scene
+from pipeline.config.train_schema import DensifyConfig, RateConfig
+from pipeline.data.training_views import target_of
+from pipeline.model.initialise import initialise
+from pipeline.training import checkpoint
+from pipeline.training import finite_checks as guard
+from pipeline.training.schedule import phase
+from pipeline.training.step import Batch, Kernels
+from rasterizer import Gradients
+
+BACKGROUNDS = ("sphere", "envmap")
+
+
+def final(path: Path) -> checkpoint.Checkpoint:
+    return checkpoint.load(path / checkpoint.FILE_NAME)
+
+
+@pytest.mark.parametrize("optimiser", ["adam", "sparse_adam"])
+def test_a_frozen_sphere_is_the_same_bits_to_the_end(tmp_path, optimiser: str) -> None:
+    """Frozen after 20 of 60 iterations; densification at 30 and 40, an opacity reset at 25."""
+    for iterations in (20, 60):
+        train_tiny(tmp_path / str(iterations), tiny_config(iterations, "sphere", optimiser=optimiser))
+    at_20, at_60 = (final(tmp_path / run) for run in ("20", "60"))
+    start = initialise(tiny_scene(), tiny_config(20, "sphere"), np.random.default_rng(0))
+    before, after = at_20.model.sphere, at_60.model.sphere
+    assert 20 < start.sphere.sum() == before.sum() == after.sum() and (~after).sum() != (~before).sum()
+    for name, tensor in at_20.model.parameters.items():
+        assert torch.equal(at_60.model.parameters[name][after], tensor[before]), name
+        for moments_20, moments_60 in zip(at_20.moments, at_60.moments):
+            assert torch.equal(moments_60[name][after], moments_20[name][before]), name
+    moved = at_20.model.parameters["opacity_logit"][before] != start.parameters["opacity_logit"][start.sphere]
+    assert moved.any(), "trained until then"
+    others = at_20.model.parameters["opacity_logit"][~before]
+    assert at_60.model.parameters["opacity_logit"][~after].max() != others.max(), "the others go on"
+
+
+def test_the_environment_stands_still_after_its_time(tmp_path) -> None:
+    for iterations in (20, 60):
+        train_tiny(tmp_path / str(iterations), tiny_config(iterations, "envmap"))
+    at_20, at_60 = (final(tmp_path / run) for run in ("20", "60"))
+    assert torch.equal(at_20.model.environment.image, at_60.model.environment.image)
+    assert all(map(torch.equal, at_20.environment_moments, at_60.environment_moments))
+    assert at_20.model.environment.image.min() < 0.5, "trained until then, on a black background"
+    assert at_60.best_model.environment is not None
+
+
+def waves(scene: Scene) -> Scene:
+    """Instead of black behind the disc: colours that are a function of the direction in the world."""
+
+    def over_waves(view):
+        camera = view.camera
+        y, x = np.mgrid[: camera.height, : camera.width] + 0.5
+        ray = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones_like(x)], -1)
+        ray = ray @ camera.world_to_cam[:3, :3] / np.linalg.norm(ray, axis=-1, keepdims=True)  # rows: Rᵀ ray
+        color = 0.5 + 0.4 * np.sin(4.0 * ray + [0.0, 1.0, 2.0])
+        empty = ~view.image.any(axis=-1, keepdims=True)
+        return replace(view, image=np.where(empty, np.round(255 * color).astype(np.uint8), view.image))
+
+    return replace(scene, train=tuple(map(over_waves, scene.train)), test=tuple(map(over_waves, scene.test)))
+
+
+def test_the_environment_learns_what_is_behind(tmp_path) -> None:
+    """A few Gaussians that do not multiply cannot: the environment has to."""
+    keys = dict(
+        eval_every=1000,
+        checkpoint_every=1000,
+        init_points=20,
+        densify=DensifyConfig(stop=0),
+        environment_until=150,
+        environment_height=40,
+        rate=RateConfig(environment=0.01),
+    )
+    losses = {
+        background: batch_losses(tmp_path / background, waves(tiny_scene()), tiny_config(150, background, **keys))
+        for background in ("none", "envmap")
+    }
+    first, last = losses["envmap"]
+    assert last < 0.5 * first, "half is far from what noise between batches does"
+    assert last < 0.5 * losses["none"][1]
+
+
+@pytest.mark.parametrize("background", BACKGROUNDS)
+@pytest.mark.parametrize("stop", [14, 31])
+def test_resuming_before_and_after_it_is_frozen(tmp_path, background: str, stop: int, monkeypatch) -> None:
+    original, cfg = guard.check_gradients, tiny_config(60, background)
+
+    def die(gradients, iteration, *rest) -> None:
+        original(gradients, iteration, *rest)
+        if iteration == stop:
+            raise KeyboardInterrupt
+
+    train_tiny(tmp_path / "whole", cfg)
+    monkeypatch.setattr(guard, "check_gradients", die)
+    with pytest.raises(KeyboardInterrupt):
+        train_tiny(tmp_path / "stopped", cfg)
+    monkeypatch.undo()
+    train_tiny(tmp_path / "stopped", cfg)
+    assert_same_state(tmp_path / "whole", tmp_path / "stopped")
+
+
+@pytest.mark.parametrize("background", BACKGROUNDS)
+def test_the_number_of_threads_does_not_matter(tmp_path, background: str) -> None:
+    before = torch.get_num_threads()
+    try:
+        for threads in (1, 2):
+            torch.set_num_threads(threads)
+            train_tiny(tmp_path / str(threads), replace(tiny_config(60, background), threads=threads))
+    finally:
+        torch.set_num_threads(before)
+    assert_same_state(tmp_path / "1", tmp_path / "2")
+
+
+def test_a_checkpoint_with_another_background_is_refused(tmp_path) -> None:
+    train_tiny(tmp_path, tiny_config(10, "envmap"))
+    with pytest.raises(ValueError, match="and background none, found .* and background envmap"):
+        train_tiny(tmp_path, tiny_config(20))
+
+
+def test_a_broken_environment_never_replaces_a_good_checkpoint(tmp_path) -> None:
+    model = train_tiny(tmp_path, tiny_config(7, "envmap")).model
+    model.environment.image[1, 2, 3] = float("nan")
+    with pytest.raises(guard.NonFiniteError, match="iteration 5: .* NaN or Inf in the environment map; not written"):
+        guard.check_model(model, 5)
+    with pytest.raises(guard.NonFiniteError, match="found nan; NaN or Inf in the environment map"):
+        guard.check_loss(float("nan"), 5, "train/r_0", model)
+
+
+@pytest.mark.parametrize("unit, sees", [(1.0, True), (100.0, False)])
+def test_the_near_plane_is_in_the_scenes_unit(unit: float, sees: bool) -> None:
+    """0.2 units: 0.2 or, beyond everything 4 away, 20 in the world."""
+    scene, cfg = replace(tiny_scene(), unit=unit), tiny_config()
+    model = initialise(scene, cfg, np.random.default_rng(0))
+    batch = Batch(model, scene, cfg, Kernels(0.2, 1), phase(1.0, cfg.train, scene.extent, 3, 2), 1)
+    seen = batch.backward(target_of(scene.train[0], 1.0), scene.background, Gradients.zeros_like(model.gaussians()))
+    assert (len(seen.gradient.visible) > 0) == sees
