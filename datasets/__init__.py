@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 from datasets.composition import BLACK, WHITE, Color
 from datasets.scene import Scene, SceneError, View, validate_scene
+from datasets.settings import SceneConfig
 from datasets.validation import hold_out_every, hold_out_outermost
 
-if TYPE_CHECKING:  # the readers know nothing of configs; only this dispatch does
+if TYPE_CHECKING:  # it brings a video decoder, which other scenes do without
     from datasets.plenoptic import Footage, Posed
-    from pipeline.config.schema import SceneConfig
 
 __all__ = [
     "Footage",
@@ -26,22 +26,22 @@ __all__ = [
     "validate_scene",
 ]
 
-Say = Callable[[str], None]  # takes a line of text for the user
+Log = Callable[[str], None]  # takes a line of text for the user
 
 
-def load_scene(cfg: SceneConfig, *, threads: int = 0, say: Say = print) -> Scene:
+def load_scene(cfg: SceneConfig, *, threads: int = 0, log: Log = print) -> Scene:
     """The scene a config names; a synthetic one is made first, videos are decoded first, unless the cache holds them.
 
     threads: that decode; 0 for all. A reader's module is imported only when a config asks for it. Raises SceneError
     for bad data, and for the reader `video`: its cameras are known only after structure from motion, see load_footage.
     """
     if is_filmed(cfg):
-        return load_posed(cfg, threads=threads, say=say).to_scene()
+        return load_posed(cfg, threads=threads, log=log).to_scene()
     if cfg.reader not in ("dnerf", "synthetic"):
         raise SceneError("scene.reader", "dnerf, plenoptic or synthetic", repr(cfg.reader))
     from datasets.dnerf import has_split, read_dnerf
 
-    path = _make_synthetic(cfg, say) if cfg.reader == "synthetic" else _path(cfg)
+    path = _make_synthetic(cfg, log) if cfg.reader == "synthetic" else _path(cfg)
     # Where training views are held out, a scene may come without a test split.
     split = None if cfg.validation_every and not has_split(path, cfg.test_split) else cfg.test_split
     scene = read_dnerf(
@@ -51,7 +51,7 @@ def load_scene(cfg: SceneConfig, *, threads: int = 0, say: Say = print) -> Scene
         downscale=cfg.downscale,
         background=background_color(cfg.background),
         init_box=tuple(cfg.init_box),
-        say=say,
+        log=log,
     )
     if not cfg.validation_every:
         return scene
@@ -66,7 +66,7 @@ def background_color(asked: str | Sequence[float]) -> Color | None:
     return tuple(float(channel) for channel in asked)
 
 
-def load_posed(cfg: SceneConfig, *, threads: int = 0, say: Say = print) -> Posed:
+def load_posed(cfg: SceneConfig, *, threads: int = 0, log: Log = print) -> Posed:
     """What several cameras filmed, and where they stood: checked but not decoded; Posed.to_scene makes the scene."""
     if cfg.reader == "video" or not is_filmed(cfg):
         raise SceneError(
@@ -76,12 +76,12 @@ def load_posed(cfg: SceneConfig, *, threads: int = 0, say: Say = print) -> Posed
         )
     from datasets.plenoptic import open_plenoptic
 
-    filming = _filming(cfg, threads, say)
-    path = _make_synthetic(cfg, say) if cfg.reader == "synthetic" else _path(cfg)
+    filming = _filming(cfg, threads, log)
+    path = _make_synthetic(cfg, log) if cfg.reader == "synthetic" else _path(cfg)
     return open_plenoptic(path, **filming)
 
 
-def load_footage(cfg: SceneConfig, *, threads: int = 0, say: Say = print) -> Footage:
+def load_footage(cfg: SceneConfig, *, threads: int = 0, log: Log = print) -> Footage:
     """The videos a config names, checked but not decoded; what a run will cost can be told from them.
 
     Of the reader `video` this is all there is until cameras are known for it: Footage.to_scene makes the scene.
@@ -89,8 +89,8 @@ def load_footage(cfg: SceneConfig, *, threads: int = 0, say: Say = print) -> Foo
     if cfg.reader == "video":
         from datasets.plenoptic import read_footage
 
-        return read_footage(_path(cfg), **_filming(cfg, threads, say))
-    return load_posed(cfg, threads=threads, say=say).footage
+        return read_footage(_path(cfg), **_filming(cfg, threads, log))
+    return load_posed(cfg, threads=threads, log=log).footage
 
 
 def is_filmed(cfg: SceneConfig) -> bool:
@@ -110,7 +110,7 @@ def __getattr__(name: str) -> Any:
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
-def _make_synthetic(cfg: SceneConfig, say: Say) -> Path:
+def _make_synthetic(cfg: SceneConfig, log: Log) -> Path:
     from datasets.synthetic import make_scene
 
     return make_scene(
@@ -122,7 +122,7 @@ def _make_synthetic(cfg: SceneConfig, say: Say) -> Path:
         test_views=cfg.test_views,
         cameras=cfg.cameras,
         frames=cfg.frames,
-        progress=lambda done, all_of_them: say(f"{cfg.name}: {done} of {all_of_them} cameras filmed"),
+        progress=lambda done, all_of_them: log(f"{cfg.name}: {done} of {all_of_them} cameras filmed"),
     )
 
 
@@ -130,7 +130,7 @@ def _synthetic_name(cfg: SceneConfig) -> str:
     return cfg.name.rpartition("/")[2]
 
 
-def _filming(cfg: SceneConfig, threads: int, say: Say) -> dict[str, Any]:
+def _filming(cfg: SceneConfig, threads: int, log: Log) -> dict[str, Any]:
     """The fields of datasets.plenoptic.Reading. SceneError where views are to be held out, not cameras."""
     if cfg.validation_every:
         raise SceneError(
@@ -148,7 +148,7 @@ def _filming(cfg: SceneConfig, threads: int, say: Say) -> dict[str, Any]:
         "cache": cfg.cache,
         "background": background_color(cfg.background) or BLACK,
         "threads": threads,
-        "say": say,
+        "log": log,
     }
 
 

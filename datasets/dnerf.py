@@ -60,7 +60,7 @@ def read_dnerf(
     downscale: int = 2,
     background: Color | None = BLACK,
     init_box: tuple[float, float] = (-1.2, 1.2),
-    say: Callable[[str], None] = lambda line: None,
+    log: Callable[[str], None] = lambda line: None,
 ) -> Scene:
     """The scene in folder `path`.
 
@@ -71,7 +71,7 @@ def read_dnerf(
     images show if they are of one colour, else black.
     init_box: [low, high] of the cube that random points start in, canonical units (canonical.py): nothing in this
     layout says how far a scene reaches.
-    say: takes a line of text for the user.
+    log: takes a line of text for the user.
     Raises SceneError for anything that is not as the layout promises.
     """
     root = Path(path)
@@ -94,7 +94,7 @@ def read_dnerf(
         split: tuple(_read_view(frame, size, downscale, composed_over, *lenses[frame.name]) for frame in found)
         for split, found in frames.items()
     }
-    shown = _background(views["train"], background, say)
+    shown = _background(views["train"], background, log)
     cameras = [view.camera for view in views["train"]]
     space = canonical_space(cameras)
     scene = Scene(
@@ -117,20 +117,20 @@ def has_split(path: str | Path, split: str) -> bool:
     return (Path(path) / f"transforms_{split}.json").is_file()
 
 
-def _background(views: Sequence[View], asked: Color | None, say: Callable[[str], None]) -> Color:
+def _background(views: Sequence[View], asked: Color | None, log: Callable[[str], None]) -> Color:
     """`asked`; where that is None, the colour of the borders of images that have no alpha, or else black."""
     opaque = all(view.coverage is None for view in views)
     found = border_color([np.asarray(view.image) for view in views]) if opaque else None
     if asked is None:
         if found not in (None, BLACK):
-            say(
+            log(
                 f"scene.background: {_named(found)}, the colour of the images' borders; "
                 "scene.background=black overrides"
             )
         return found or BLACK
     asked = tuple(float(channel) for channel in asked)
     if found is not None and found != asked:
-        say(f"scene.background: {_named(asked)}, as asked for, though the images' borders are {_named(found)}")
+        log(f"scene.background: {_named(asked)}, as asked for, though the images' borders are {_named(found)}")
     return asked
 
 

@@ -90,7 +90,7 @@ def run_one(composed: DictConfig) -> None:
 
             print("\n  ".join([f"{_title(cfg)} would take", *estimate(cfg).lines(cfg)]), flush=True)
             return
-        metrics = run(cfg, command, say=lambda text: print(text, flush=True))
+        metrics = run(cfg, job.overrides.task, log=lambda text: print(text, flush=True))
         (_report_line if job.mode == RunMode.MULTIRUN else _report)(cfg, metrics)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(_where_it_stands(cfg)) from None
@@ -185,9 +185,9 @@ def _report_line(cfg: Config, metrics: dict) -> None:
 
 
 def _title(cfg: Config, metrics: dict | None = None) -> str:
-    """metrics: of the finished run; they say whether a trial made the model smaller than asked for."""
-    trial = (metrics or {}).get("trial")
-    left_out = trial is not None and not trial["kept"]
+    """metrics: of the finished run; they say whether selection by validation left time-varying colour out."""
+    selection = (metrics or {}).get("select_time_colour")
+    left_out = selection is not None and not selection["kept"]
     model = cfg.ablation.name + (", 4DSH left out" if left_out else "")
     return f"{cfg.scene.name} · {model} · {cfg.train.name} · seed {cfg.seed}"
 

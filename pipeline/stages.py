@@ -1,4 +1,4 @@
-"""The stages of a run: (sfm → trial →) init → train → evaluate. Each is skipped if it was finished with equal inputs.
+"""The stages of a run: (sfm → select_time_colour →) init → train → evaluate. Each is skipped if it was finished with equal inputs.
 
 A stage's inputs are what its result depends on: the stage before it, the data, and its part of the configuration.
 """
@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shlex
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -16,36 +17,38 @@ import numpy as np
 from omegaconf.errors import OmegaConfBaseException
 
 from datasets import Scene
-from datasets.files.atomic_write import replacing
+from datasets.files.atomic_write import atomic_file
 from datasets.files.errors import read_json
 from pipeline.config.compose import config_of_tree
 from pipeline.config.random_streams import Stream, stream
 from pipeline.config.schema import Config
-from pipeline.config.static_overrides import resolved
 from pipeline.data.prepare import Prepared, prepare
 from pipeline.evaluation.evaluate import Evaluation, evaluate, evaluate_and_show, quick_evaluate
 from pipeline.evaluation.lifetimes import lifetimes
 from pipeline.model.initialise import initialise
 from pipeline.model.model import Model
 from pipeline.model.ply import load_ply, save_ply
-from pipeline.runs.provenance import environment, peak_memory_mb, reset_peak_memory, usable_cores
+from pipeline.model.scene_settings import resolved
+from pipeline.runs.provenance import peak_memory_mb, provenance, reset_peak_memory
 from pipeline.runs.run_folder import RunFolder, now, write_csv, write_json
 from pipeline.runs.run_identity import read_stages, refuse_foreign, refuse_other_run
 from pipeline.training import checkpoint as checkpoints
-from pipeline.training import select_time_colour as trial
+from pipeline.training import select_time_colour
 from pipeline.training.estimate import estimate_if_large
 from pipeline.training.loop import Progress, TrainResult, train
-from rasterizer import Frame
+from rasterizer import Rasterizer
+from rasterizer.cores import thread_count
 
-Say = Callable[[str], None]
+Log = Callable[[str], None]
 
+SELECTION = "select_time_colour"  # the stage, and what metrics.json has of it
 NOTHING_KEPT = "nothing of the run was saved yet; the same command starts it anew"
 
 
-def run(cfg: Config, command: str, say: Say) -> dict:
+def run(cfg: Config, overrides: Sequence[str], log: Log) -> dict:
     """All stages of one run; returns what is in its metrics.json. Raises with one line what is wrong.
 
-    command: what the user typed, for the record. say: takes a line of text for the user.
+    overrides: of the command line, for the record. log: takes a line of text for the user.
     """
     path = Path(cfg.out)
     refuse_foreign(path)  # this and what the scene is refused for leaves no folder behind
@@ -53,11 +56,11 @@ def run(cfg: Config, command: str, say: Say) -> dict:
         refuse_other_run(path, asdict(cfg), ignored=("train", "scene.background"))  # which the scene has a part in
     if not (cfg.resume and "train" in read_stages(path)) and (needs := estimate_if_large(cfg)):
         for line in needs.lines(cfg):
-            say(line)
-    data = prepare(cfg, say)
+            log(line)
+    data = prepare(cfg, log)
     asked, cfg = cfg, resolved(cfg, data.scene)
-    if asked.train.where_still and cfg.train != replace(asked.train, where_still=None):
-        say("nothing moves: trained with the differences of train.where_still")
+    if asked.train.static_overrides and cfg.train != replace(asked.train, static_overrides=None):
+        log("nothing moves: trained with the differences of train.static_overrides")
 
     with RunFolder(path, asdict(cfg), cfg.resume, lambda stored: _resolved_tree(stored, data.scene)) as folder:
         inputs = stage_inputs(cfg, data)
@@ -67,14 +70,15 @@ def run(cfg: Config, command: str, say: Say) -> dict:
                 "normalised otherwise; give another out=DIR, or resume=false to replace it"
             )
         if not all(_done(folder, stage, inputs[stage]) for stage in inputs):
-            write_json(folder.environment, environment(command))
+            command = shlex.join(["python", "-m", "pipeline", *overrides])
+            write_json(folder.provenance, {**provenance(command), "overrides": list(overrides)})
             folder.log({"event": "start", "command": command})
         for stage in inputs:
             if _done(folder, stage, inputs[stage]):
-                say(f"{stage}: already done in {folder.path}")
+                log(f"{stage}: already done in {folder.path}")
                 continue
-            say(f"{stage}: {folder.path}")
-            folder.finish(stage, inputs[stage], **_WORK[stage](cfg, data, folder, say))
+            log(f"{stage}: {folder.path}")
+            folder.finish(stage, inputs[stage], **_WORK[stage](cfg, data, folder, log))
             folder.log({"event": f"finished {stage}"})
         return read_json(folder.metrics)
 
@@ -104,7 +108,7 @@ def _resolved_tree(stored: dict, scene: Scene) -> dict:
 
 
 def stage_inputs(cfg: Config, data: Prepared) -> dict[str, str]:
-    """Stage -> hash of everything its result depends on; `sfm` only where the scene has points from it, `trial` only
+    """Stage -> hash of everything its result depends on; `sfm` only where the scene has points from it, `select_time_colour` only
     where there is something to leave out."""
     config, found = asdict(cfg), {}
     starts = {key: value for key, value in config["train"].items() if key.startswith("init_")}
@@ -114,11 +118,11 @@ def stage_inputs(cfg: Config, data: Prepared) -> dict[str, str]:
     if data.cloud is not None:
         found["sfm"] = _hash(data.sfm_folder.name)
         beginning.append(found["sfm"])
-    if cfg.background_model != "none":
-        beginning += [cfg.background_model, cfg.init.sphere_points, cfg.init.sphere_radius]
-    if trial.due(cfg, data.scene):
-        found["trial"] = _hash(*beginning, config["train"], config["scene"]["near"])
-        beginning.append(found["trial"])
+    if cfg.effective_background_model != "none":
+        beginning += [cfg.effective_background_model, cfg.init.sphere_points, cfg.init.sphere_radius]
+    if select_time_colour.due(cfg, data.scene):
+        found[SELECTION] = _hash(*beginning, config["train"], config["scene"]["near"])
+        beginning.append(found[SELECTION])
     found["init"] = _hash(*beginning)
     found["train"] = _hash(found["init"], config["train"], config["scene"]["near"])
     found["evaluate"] = _hash(found["train"], config["evaluate"])
@@ -141,43 +145,43 @@ def fingerprint(scene: Scene) -> str:
     return digest.hexdigest()
 
 
-def _sfm(cfg: Config, data: Prepared, folder: RunFolder, say: Say) -> dict:
+def _sfm(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
     """The kept result of structure from motion → sfm.json, sfm.png."""
     for path in (folder.sfm, folder.sfm_picture):
-        with replacing(path) as temporary:
+        with atomic_file(path) as temporary:
             shutil.copyfile(data.sfm_folder / path.name, temporary)
     return data.cloud.summary()
 
 
-def _trial(cfg: Config, data: Prepared, folder: RunFolder, say: Say) -> dict:
-    """scene and points → whether the model's colours change with time."""
-    verdict = trial.judge(data.scene, cfg, data.cloud, _threads(cfg), say)
-    say(f"trial: {verdict}")
-    return asdict(verdict)
+def _select_time_colour(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
+    """scene and points → whether the model has time-varying colour."""
+    selection = select_time_colour.select(data.scene, cfg, data.cloud, thread_count(cfg.threads), log)
+    log(f"{SELECTION}: {selection}")
+    return asdict(selection)
 
 
-def _init(cfg: Config, data: Prepared, folder: RunFolder, say: Say) -> dict:
+def _init(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
     """scene and points → init.ply; and in canonical.json how its coordinates come from the files'."""
-    if (verdict := _verdict(folder)) and not verdict.kept:
-        cfg = trial.without_time_colors(cfg)
+    if (selection := _selection(folder)) and not selection.kept:
+        cfg = select_time_colour.without_time_colour(cfg)
     model = initialise(data.scene, cfg, stream(cfg.seed, Stream.INIT), data.cloud)
-    with replacing(folder.init_ply) as temporary:
+    with atomic_file(folder.init_ply) as temporary:
         save_ply(temporary, model)
     if not data.canonical.is_identity:
         write_json(folder.canonical, data.canonical.described())
     return {"n_gaussians": len(model)}
 
 
-def _train(cfg: Config, data: Prepared, folder: RunFolder, say: Say) -> dict:
+def _train(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
     """init.ply → checkpoint.safetensors, error_vs_time.csv; goes on from the checkpoint if there is one.
 
-    The trial's seconds are training seconds.
+    The seconds of the selection are training seconds.
     """
     scene = data.scene
-    frame = Frame(threads=_threads(cfg))
+    rasterizer = Rasterizer(threads=thread_count(cfg.threads))
 
-    def look(model: Model, progress: Progress) -> dict:
-        found = quick_evaluate(model, scene, cfg, frame)
+    def evaluate_fn(model: Model, progress: Progress) -> dict:
+        found = quick_evaluate(model, scene, cfg, rasterizer)
         folder.log(
             {
                 "event": "evaluate",
@@ -190,8 +194,10 @@ def _train(cfg: Config, data: Prepared, folder: RunFolder, say: Say) -> dict:
         return found
 
     reset_peak_memory()
-    verdict = _verdict(folder)
-    result = train(load_ply(folder.init_ply), scene, cfg, folder, look, spent=verdict.seconds if verdict else 0.0)
+    selection = _selection(folder)
+    result = train(
+        load_ply(folder.init_ply), scene, cfg, folder, evaluate_fn, spent=selection.seconds if selection else 0.0
+    )
     return {
         "iterations": result.iteration,
         "train_seconds": result.train_seconds,
@@ -201,18 +207,18 @@ def _train(cfg: Config, data: Prepared, folder: RunFolder, say: Say) -> dict:
     }
 
 
-def _evaluate(cfg: Config, data: Prepared, folder: RunFolder, say: Say) -> dict:
+def _evaluate(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
     """checkpoint.safetensors → metrics.json, per_image.csv, renders/."""
     scene = data.scene
     trained = folder.values_of("train")
     saved = checkpoints.load(folder.checkpoint)
-    final = evaluate_and_show(saved.model, scene, cfg, _threads(cfg), folder.renders)
+    final = evaluate_and_show(saved.model, scene, cfg, thread_count(cfg.threads), folder.renders)
     best = None
     if cfg.evaluate.best_on_test and saved.best is not None and saved.best_model is not None:
         is_final = saved.best["iteration"] == saved.iteration
-        best = final if is_final else evaluate(saved.best_model, scene, cfg, _threads(cfg))
+        best = final if is_final else evaluate(saved.best_model, scene, cfg, thread_count(cfg.threads))
 
-    verdict = _verdict(folder)
+    selection = _selection(folder)
     write_csv(folder.per_image, _per_image(final, best))
     write_json(
         folder.metrics,
@@ -226,8 +232,8 @@ def _evaluate(cfg: Config, data: Prepared, folder: RunFolder, say: Say) -> dict:
             "best_on_test": None if best is None else {**best.metrics, "iteration": saved.best["iteration"]},
             "model": asdict(
                 saved.model.kind
-            ),  # of what was trained; a trial may have left out what `ablation` asks for
-            "trial": None if verdict is None else {**asdict(verdict), "kept": verdict.kept},
+            ),  # of what was trained; selection may have left out what `ablation` asks for
+            SELECTION: None if selection is None else {**asdict(selection), "kept": selection.kept},
             "note": final.note(),
             "n_alive_mean": final.n_alive_mean,
             "n_test_views": len(scene.test),
@@ -237,17 +243,17 @@ def _evaluate(cfg: Config, data: Prepared, folder: RunFolder, say: Say) -> dict:
     return {"psnr": final.metrics["psnr"]}
 
 
-def _verdict(folder: RunFolder) -> trial.Verdict | None:
-    """What the run's trial said; None where it had none."""
-    return trial.Verdict(**folder.values_of("trial")) if folder.inputs_of("trial") else None
+def _selection(folder: RunFolder) -> select_time_colour.Selection | None:
+    """What the run's selection of time-varying colour said; None where it had none."""
+    return select_time_colour.Selection(**folder.values_of(SELECTION)) if folder.inputs_of(SELECTION) else None
 
 
-_WORK = {"sfm": _sfm, "trial": _trial, "init": _init, "train": _train, "evaluate": _evaluate}
+_WORK = {"sfm": _sfm, SELECTION: _select_time_colour, "init": _init, "train": _train, "evaluate": _evaluate}
 
 # What each stage leaves behind; a stage whose output was deleted is not done.
 _OUTPUTS: dict[str, tuple[Callable[[RunFolder], Path], ...]] = {
     "sfm": (lambda folder: folder.sfm, lambda folder: folder.sfm_picture),
-    "trial": (),  # all in stages.json
+    SELECTION: (),  # all in stages.json
     "init": (lambda folder: folder.init_ply,),
     "train": (lambda folder: folder.checkpoint, lambda folder: folder.curve),
     "evaluate": (lambda folder: folder.metrics, lambda folder: folder.per_image, lambda folder: folder.renders),
@@ -274,10 +280,6 @@ def _peak_memory_mb(folder: RunFolder) -> float:
 def _per_image(final: Evaluation, best: Evaluation | None) -> list[dict]:
     rows = [{"model": "final", **row} for row in final.per_image]
     return rows + [{"model": "best_on_test", **row} for row in (best.per_image if best else [])]
-
-
-def _threads(cfg: Config) -> int:
-    return cfg.threads or usable_cores()
 
 
 def _hash(*parts: object) -> str:

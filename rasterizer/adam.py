@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 from torch import Tensor
 
-from rasterizer.frame import Gradients, default_threads, split_coefficients
+from rasterizer.cores import thread_count
+from rasterizer.forward_backward import Gradients, split_coefficients
 from rasterizer.kernel import kernel
 
 
@@ -43,7 +44,7 @@ def adam_step(
         beta2=beta2,
         epsilon=eps,
         step=step,
-        threads=threads or default_threads(),
+        threads=thread_count(threads),
     )
 
 
@@ -84,5 +85,5 @@ def sh_adam_step(
         beta2=beta2,
         epsilon=eps,
         step=step,
-        threads=threads or default_threads(),
+        threads=thread_count(threads),
     )

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from rasterizer.arguments import Request, check_finite
 from rasterizer.camera import Camera
-from rasterizer.frame import Frame, Gradients, check_stored
+from rasterizer.forward_backward import Gradients, Rasterizer, check_stored
 from rasterizer.gaussians import Gaussians
 from rasterizer.kernel import kernel
 from rasterizer.output import OUTPUT_NAMES, RenderOutput
@@ -21,7 +21,7 @@ class _Rasterize(torch.autograd.Function):
     @staticmethod
     def forward(ctx, request: Request, threads: int, *tensors: Tensor | None) -> tuple[Tensor, ...]:
         gaussians = Gaussians(*(None if t is None else t.detach() for t in tensors))
-        frame = Frame(threads)
+        frame = Rasterizer(threads)
         out = frame.render(gaussians, request, differentiable=any(ctx.needs_input_grad))
         ctx.frame, ctx.gaussians, ctx.names = frame, gaussians, tuple(request.outputs)
         ctx.set_materialize_grads(False)

@@ -11,7 +11,8 @@ import os
 from pathlib import Path
 from types import ModuleType
 
-from rasterizer import __path__, _cpu
+_PACKAGE = importlib.import_module(__package__)
+_cpu = importlib.import_module(f"{__package__}._cpu")
 
 ISA_VARIABLE = "RASTERIZER_ISA"
 FOLDER_VARIABLE = "RASTERIZER_KERNELS"
@@ -41,5 +42,5 @@ def load_kernel_at(path: Path) -> ModuleType:
 
 
 if FOLDER_VARIABLE in os.environ:
-    __path__.insert(0, os.environ[FOLDER_VARIABLE])
+    _PACKAGE.__path__.insert(0, os.environ[FOLDER_VARIABLE])
 kernel = load_kernel(os.environ.get(ISA_VARIABLE) or None)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from rasterizer.frame import default_threads
+from rasterizer.cores import thread_count
 from rasterizer.kernel import kernel
 
 
@@ -26,7 +26,7 @@ class L1Ssim:
 
     def __init__(self, ssim_weight: float = 0.2, threads: int = 0) -> None:
         self.ssim_weight = ssim_weight
-        self.threads = threads or default_threads()
+        self.threads = thread_count(threads)
 
     def __call__(self, image: Tensor, target: Tensor, share: float = 1.0) -> LossValue:
         """image, target: (3, H, W) float32 in [0, 1]. Raises ValueError when shapes or types differ from it.

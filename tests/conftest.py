@@ -17,6 +17,8 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 import pytest  # noqa: E402
 
+from rasterizer.cores import usable_cores  # noqa: E402
+
 # `.ci/run` clones. Who got the sources as an archive, on a machine without git, runs no such thing.
 collect_ignore = [] if shutil.which("git") else ["project/test_ci.py"]
 MOST_PROCESSES = 8  # more would wait for the longest file
@@ -27,8 +29,7 @@ LONGEST = ("test_work_precision", "test_stability", "test_pipeline", "test_filme
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
     """For `-n auto`: the cores this process may run on."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return min(cores, MOST_PROCESSES)
+    return min(usable_cores(), MOST_PROCESSES)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

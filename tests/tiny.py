@@ -9,7 +9,8 @@ import numpy as np
 import torch
 
 from datasets.scene import Scene, View, camera_extent
-from pipeline.config.schema import AblationConfig, Config, InitConfig, SceneConfig
+from datasets.settings import SceneConfig
+from pipeline.config.schema import AblationConfig, Config, InitConfig
 from pipeline.config.train_schema import DensifyConfig, TrainConfig
 from pipeline.model.initialise import initialise
 from pipeline.model.model import Model, ModelKind
@@ -62,8 +63,8 @@ def tiny_config(iterations: int = 60, background: str = "auto", **train_keys) ->
         densify=densify,
         init_points=200,
         sphere_freeze_after=20,
-        environment_until=20,
-        environment_height=12,
+        envmap_until=20,
+        envmap_height=12,
     )
     return Config(
         scene=SceneConfig(init_points=200),
@@ -71,7 +72,7 @@ def tiny_config(iterations: int = 60, background: str = "auto", **train_keys) ->
         ablation=AblationConfig(),
         train=TrainConfig(**(keys | train_keys)),
         threads=1,
-        background=background,
+        background_model=background,
     )
 
 

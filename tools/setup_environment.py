@@ -52,7 +52,7 @@ def main() -> None:
 
     pin = torch_pin(tomllib.loads((ROOT / "pyproject.toml").read_text()))
     python = make_venv()
-    say(f"installing what {LOCK.name} pins")
+    log(f"installing what {LOCK.name} pins")
     install(python, *LOCKED)
     install_torch(python, pin)
 
@@ -96,7 +96,7 @@ def make_venv() -> Path:
     """The Python of `.venv`, which is made if need be."""
     python = VENV / "bin" / "python"
     if not python.exists():
-        say(f"making .venv with Python {platform.python_version()}")
+        log(f"making .venv with Python {platform.python_version()}")
         done = subprocess.run([sys.executable, "-m", "venv", str(VENV)], capture_output=True, text=True)
         if done.returncode != 0:
             shutil.rmtree(VENV, ignore_errors=True)
@@ -127,14 +127,14 @@ def install_torch(python: Path, pin: str) -> None:
         return
     wheel = ["--no-deps", "--only-binary", ":all:"]
     if platform.system() != "Linux":  # elsewhere the default index has nothing but CPU builds
-        say(f"installing {pin}")
+        log(f"installing {pin}")
         install(python, *wheel, pin)
         return
     build = f"{pin}+cpu"
-    say(f"installing {build}")
+    log(f"installing {build}")
     if pip_install(python, *wheel, build).returncode == 0:
         return
-    say(f"not where pip is set to look; taking it from {CPU_INDEX}")
+    log(f"not where pip is set to look; taking it from {CPU_INDEX}")
     done = pip_install(python, *wheel, build, "--index-url", CPU_INDEX, "--retries", "1", "--timeout", "30")
     if done.returncode != 0:
         raise SetupError(
@@ -166,7 +166,7 @@ def install(python: Path, *arguments: str) -> None:
         raise SetupError(f"pip install failed: {reason(done.stderr)}")
 
 
-def say(text: str) -> None:
+def log(text: str) -> None:
     print(f"setup: {text}", flush=True)
 
 

@@ -13,7 +13,7 @@ from datasets.files.atomic_write import writing
 
 
 @contextmanager
-def draft_of(folder: Path, proof: str = "meta.json") -> Iterator[Path]:
+def atomic_folder(folder: Path, proof: str = "meta.json") -> Iterator[Path]:
     """A folder to write into, which becomes `folder` at the end.
 
     It lies beside it until then: a killed run leaves no half folder, and of two processes that make the same one the

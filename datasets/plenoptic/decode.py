@@ -1,6 +1,6 @@
 """Fills the decoded-frame store: every camera once, several side by side, going on where a killed run stopped.
 
-    <cache>/<scene>-<hash>/<camera>.npy, <camera>.json     see datasets/plenoptic/frame_store.py
+    <cache>/<scene>-<hash>/<camera>.npy, <camera>.json     see datasets/files/frame_store.py
 
 The hash is that of everything the frames follow from, but not of the place the data lie in or the cameras that are
 left out: a copied data set, or one with a camera dropped, finds its frames.
@@ -27,8 +27,8 @@ import numpy as np
 
 from datasets.cameras.lens import Undistortion, straighten
 from datasets.files.atomic_write import TEMPORARY, DiskFull
-from datasets.plenoptic.display import DecodingDisplay, Say
-from datasets.plenoptic.frame_store import StoredFrame, read_frames, write_frames
+from datasets.files.frame_store import StoredFrame, read_frames, write_frames
+from datasets.plenoptic.display import DecodingDisplay, Log
 from datasets.scene import SceneError
 from rasterizer.camera import Camera
 
@@ -110,7 +110,7 @@ def decode(
     recipe: Recipe,
     undistortion: Mapping[str, Undistortion],
     threads: int,
-    say: Say,
+    log: Log,
 ) -> dict[str, tuple[StoredFrame, ...]]:
     """Camera -> its frames in `folder`, decoded now unless they are there. All streams are of one size.
 
@@ -122,12 +122,12 @@ def decode(
     found = {stream.name: read_frames(folder, stream.name, shape) for stream in streams}
     if None in found.values():
         folder.mkdir(parents=True, exist_ok=True)
-        with _locked(folder, say):
+        with _locked(folder, log):
             for leftover in folder.glob(f"{TEMPORARY}*"):
                 leftover.unlink()
             missing = [stream for stream in streams if read_frames(folder, stream.name, shape) is None]
             _check_space(folder, len(missing) * math.prod(shape))
-            with DecodingDisplay(len(missing), recipe.frames, say) as display:
+            with DecodingDisplay(len(missing), recipe.frames, log) as display:
                 _decode_missing(missing, folder, shape, recipe, undistortion, threads, display)
         found = {stream.name: read_frames(folder, stream.name, shape) for stream in streams}
     return found
@@ -205,11 +205,11 @@ def _no_space(folder: Path, needed: int, free: int) -> SceneError:
 
 
 @contextmanager
-def _locked(folder: Path, say: Say) -> Iterator[Any]:
+def _locked(folder: Path, log: Log) -> Iterator[Any]:
     with open(folder / ".lock", "w") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            say(f"waiting for another process that decodes into {folder}")
+            log(f"waiting for another process that decodes into {folder}")
             fcntl.flock(lock, fcntl.LOCK_EX)
         yield lock

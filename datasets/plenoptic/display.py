@@ -10,16 +10,16 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
-Say = Callable[[str], None]  # takes a line of text for the user
+Log = Callable[[str], None]  # takes a line of text for the user
 
 
 class DecodingDisplay:
     """A context manager; `frame` and `camera` may be called from several threads."""
 
-    def __init__(self, cameras: int, frames: int, say: Say, console: Console | None = None) -> None:
+    def __init__(self, cameras: int, frames: int, log: Log, console: Console | None = None) -> None:
         """cameras: to be decoded, of `frames` each."""
         self._console = console or Console()
-        self._cameras, self._frames, self._say = cameras, cameras * frames, say
+        self._cameras, self._frames, self._say = cameras, cameras * frames, log
         self._cameras_done = self._frames_done = 0
         self._lock = threading.Lock()
         self._started = time.perf_counter()

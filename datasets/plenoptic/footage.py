@@ -5,7 +5,6 @@ The one way all forms of the layout take: videos or folders of images, with pose
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -16,10 +15,11 @@ import numpy as np
 from datasets.cameras.lens import Undistortion, straighten
 from datasets.canonical import FRAMES_A_UNIT
 from datasets.plenoptic.decode import Recipe, Stream, decode, reduce_camera, store_folder
-from datasets.plenoptic.display import Say
+from datasets.plenoptic.display import Log
 from datasets.plenoptic.sync import drop_advice
 from datasets.scene import Box, Image, Scene, SceneError, View, camera_extent, camera_of, cube_round, validate_scene
 from rasterizer.camera import Camera
+from rasterizer.cores import thread_count
 
 # Images may count time in frames or milliseconds: a rate beyond these is none of a film in seconds.
 FILM_RATES = (5.0, 1000.0)
@@ -38,7 +38,7 @@ class Reading:
     cache: str | Path = "results/cache"  # the decoded frames are kept under it
     background: Sequence[float] = (0.0, 0.0, 0.0)  # RGB in [0, 1], under what is transparent
     threads: int = 0  # 0: as many as there are cores
-    say: Say = print
+    log: Log = print
 
     def __post_init__(self) -> None:
         for name, value in (
@@ -51,7 +51,7 @@ class Reading:
 
     @property
     def cores(self) -> int:
-        return self.threads or len(os.sched_getaffinity(0))
+        return thread_count(self.threads)
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ class Footage:
 
         recipe = Recipe(reading.first_frame, self.count, reading.downscale)
         folder = store_folder(reading.cache, reading.name, self.content, recipe, undistortion)
-        images = decode(self.streams, folder, recipe, undistortion, reading.cores, reading.say)
+        images = decode(self.streams, folder, recipe, undistortion, reading.cores, reading.log)
         return validate_scene(self._scene(small, images, unit, init_box))
 
     def _check_cameras(self, cameras: Mapping[str, Camera]) -> None:

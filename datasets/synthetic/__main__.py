@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import signal
 import sys
 import time
@@ -16,6 +15,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemaining
 
 from datasets.scene import SceneError
 from datasets.synthetic import FILMED, PHOTOGRAPHED, SCENE_NAMES, build_scene
+from rasterizer.cores import usable_cores
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -39,7 +39,7 @@ def main(arguments: list[str] | None = None) -> int:
     filmed.add_argument(
         "--processes",
         type=int,
-        default=_usable_cores(),
+        default=usable_cores(),
         help="cameras filmed side by side (default: %(default)s, all processors)",
     )
     options = vars(parser.parse_args(arguments))
@@ -60,10 +60,6 @@ def main(arguments: list[str] | None = None) -> int:
     )
     print(f"{folder}: {what} in {time.perf_counter() - start:.1f} s")
     return 0
-
-
-def _usable_cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @contextmanager

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from datasets.files.atomic_folder import draft_of, write_json
+from datasets.files.atomic_folder import atomic_folder, write_json
 from datasets.synthetic.camera_path import ANGLE_X, Shot
 from datasets.synthetic.trace import Traced, trace
 from datasets.synthetic.world import World
@@ -21,7 +21,7 @@ from rasterizer.camera import Camera
 
 def write_scene(world: World, shots: dict[str, list[Shot]], size: int, meta: dict, folder: Path) -> Path:
     """Traces every shot of every split ("train", "val", "test") at size × size pixels into `folder`."""
-    with draft_of(folder) as draft:
+    with atomic_folder(folder) as draft:
         for split, split_shots in shots.items():
             _write_split(world, split, split_shots, size, meta["flow_dt"], draft)
         write_json(draft / "meta.json", meta)

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets.files.atomic_folder import draft_of, write_json
+from datasets.files.atomic_folder import atomic_folder, write_json
 from datasets.scene import SceneError
 from datasets.synthetic.film import depth_of, film
 from datasets.synthetic.rig import rig
@@ -75,7 +75,7 @@ def write_film(
     if processes < 1:
         raise SceneError("processes", "at least 1", str(processes))
     _, cameras = shooting.set_up()
-    with draft_of(folder) as draft:
+    with atomic_folder(folder) as draft:
         (draft / "truth").mkdir()
         with _mapper(processes) as in_any_order:
             for done, _ in enumerate(in_any_order(partial(_shoot, shooting, draft), range(shooting.cameras)), 1):

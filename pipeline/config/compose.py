@@ -17,8 +17,9 @@ from hydra.errors import HydraException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 
 from datasets.files.errors import clear
+from pipeline.config.renamed_keys import renamed_key
 from pipeline.config.schema import Config
-from pipeline.config.static_overrides import with_static_differences
+from pipeline.config.static_overrides import with_static_overrides
 
 PATH_KEYS = ("scene.path", "scene.cache", "out")
 CONFIG_DIR = Path(__file__).resolve().parents[2] / "conf"
@@ -42,12 +43,12 @@ def named_after_folder(family: str, path: str | None) -> str:
 
 def to_config(composed: DictConfig) -> Config:
     """The typed configuration of a run. ValueError, one line, where a key is unknown or a value out of range."""
-    known = set(known_keys()) | _keys_where_still()
+    known = set(known_keys()) | _static_override_keys()
     for key in _keys_of(OmegaConf.to_container(composed, resolve=False)):
         if key not in known:  # `+key=value` on the command line gets past Hydra's own check
             raise ValueError(_unknown_key(key))
     cfg = OmegaConf.to_object(composed)
-    with_static_differences(cfg)  # or they would be found wrong on the first scene where nothing moves
+    with_static_overrides(cfg)  # or they would be found wrong on the first scene where nothing moves
     return cfg
 
 
@@ -57,7 +58,7 @@ def config_of_tree(tree: dict) -> Config:
 
 
 def known_keys(schema: type = Config, prefix: str = "") -> list[str]:
-    """Every key of the schema, dotted: "train.rate.mean"."""
+    """Every key of the schema, dotted: "train.lr.mean"."""
     hints = get_type_hints(schema)
     keys = []
     for f in fields(schema):
@@ -67,10 +68,10 @@ def known_keys(schema: type = Config, prefix: str = "") -> list[str]:
     return keys
 
 
-def _keys_where_still() -> set[str]:
-    """`train.where_still` holds keys of `train`, but itself."""
+def _static_override_keys() -> set[str]:
+    """`train.static_overrides` holds keys of `train`, but itself."""
     keys = (key.removeprefix("train.") for key in known_keys() if key.startswith("train."))
-    return {f"train.where_still.{key}" for key in keys if key != "where_still"}
+    return {f"train.static_overrides.{key}" for key in keys if key != "where_still"}
 
 
 def one_line(error: BaseException) -> str:
@@ -148,8 +149,11 @@ def _keys_of(container: dict, prefix: str = "") -> Iterator[str]:
 
 
 def options(group: str) -> list[str]:
-    """What conf/<group> offers, nested ones too (Hydra lists the first level only)."""
+    """What conf/<group> offers, nested ones too (Hydra lists the first level only). Below conf/train/<schedule> are the
+    overrides that a schedule has for single scenes, which nobody chooses."""
     folder = CONFIG_DIR / group
+    if group == "train":
+        return sorted(file.stem for file in folder.glob("*.yaml"))
     return sorted(str(file.relative_to(folder).with_suffix("")) for file in folder.rglob("*.yaml"))
 
 
@@ -159,7 +163,9 @@ def _there_are(group: str) -> str:
 
 
 def _unknown_key(key: str) -> str:
-    if key in _keys_where_still():
+    if (new := renamed_key(key)) != key:
+        return f"{key}: is called {new} now"
+    if key in _static_override_keys():
         return f"{key}: not among this schedule's differences; add it as +{key}=..."
     siblings = [known for known in known_keys() if known.count(".") == key.count(".")]
     close = difflib.get_close_matches(key, siblings, n=1)

@@ -8,11 +8,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields
 from typing import Any, Optional
 
-from pipeline.config.ranges import BACKGROUNDS, require
+from datasets.settings import BACKGROUND_MODELS, require
 
 
 @dataclass
-class RateConfig:
+class LearningRates:
     """Learning rates of Adam (docs/method.md 2), in canonical units; positions are multiplied by the scene's extent."""
 
     mean: float = 1.6e-4  # of μ_xyz at the start; × extent
@@ -26,15 +26,15 @@ class RateConfig:
     opacity: float = 5e-2  # of the logit
     scale: float = 5e-3  # of the log scales, all four
     rotation: float = 1e-3  # of both quaternions
-    environment: float = 2.5e-3  # of the learned environment map's pixels
+    environment_map: float = 2.5e-3  # of the learned environment map's pixels
     final_factor: float = 1.0  # every rate × this at the end, log-linear
-    hold: float = 0.0  # part of the schedule before that decay begins
+    decay_start: float = 0.0  # part of the schedule before that decay begins
 
     def __post_init__(self) -> None:
         for f in fields(self):
             value = getattr(self, f.name)
-            require(value is None or value >= 0, f"train.rate.{f.name}", ">= 0", value)
-        require(self.hold < 1, "train.rate.hold", "in [0, 1)", self.hold)
+            require(value is None or value >= 0, f"train.lr.{f.name}", ">= 0", value)
+        require(self.decay_start < 1, "train.lr.decay_start", "in [0, 1)", self.decay_start)
 
 
 @dataclass
@@ -60,9 +60,9 @@ class DensifyConfig:
     prune_big_after: int = 3000  # iteration after which big ones are removed too, by the next two keys
     prune_radius_px: float = 20.0  # on the screen
     prune_scale: float = 0.1  # × extent
-    # Remove what the training images miss least, together this share of what they miss of all (leave_out.py); 0: nothing
-    leave_out: float = 0.0
-    leave_out_every: int = 500  # iterations
+    # Remove what the training images miss least, together this share of what they miss of all (sensitivity_pruning.py); 0: nothing
+    prune_sensitivity: float = 0.0
+    prune_sensitivity_every: int = 500  # iterations
     opacity_reset_every: int = 3000  # 0: never
     opacity_reset_to: float = 0.01  # at most so much after a reset
 
@@ -79,8 +79,18 @@ class DensifyConfig:
             self.opacity_reset_every,
         )
         require(0 < self.opacity_reset_to < 1, "train.densify.opacity_reset_to", "in (0, 1)", self.opacity_reset_to)
-        require(0 <= self.leave_out < 1, "train.densify.leave_out", "in [0, 1) (0: nothing)", self.leave_out)
-        require(self.leave_out_every >= 1, "train.densify.leave_out_every", "at least 1", self.leave_out_every)
+        require(
+            0 <= self.prune_sensitivity < 1,
+            "train.densify.prune_sensitivity",
+            "in [0, 1) (0: nothing)",
+            self.prune_sensitivity,
+        )
+        require(
+            self.prune_sensitivity_every >= 1,
+            "train.densify.prune_sensitivity_every",
+            "at least 1",
+            self.prune_sensitivity_every,
+        )
         require(self.every >= 1, "train.densify.every", "at least 1", self.every)
         require(self.max_gaussians >= 1, "train.densify.max_gaussians", "at least 1", self.max_gaussians)
         require(self.split_shrink > 1, "train.densify.split_shrink", "> 1", self.split_shrink)
@@ -101,8 +111,8 @@ class ResolutionStep:
 
 
 @dataclass
-class PriorConfig:
-    """Pulls towards a simpler model, which what the images say must outweigh (priors.py). 0: no pull."""
+class RegularizationConfig:
+    """Pulls towards a simpler model, which what the images say must outweigh (regularization.py). 0: no pull."""
 
     motion: float = 0.0  # towards standing still: × mean tilt between space and time, radians
     lifetime: float = 0.0  # towards living long: × mean of (frame spacing / st)
@@ -112,7 +122,9 @@ class PriorConfig:
 
     def __post_init__(self) -> None:
         for f in fields(self):
-            require(getattr(self, f.name) >= 0, f"train.prior.{f.name}", ">= 0 (0: none)", getattr(self, f.name))
+            require(
+                getattr(self, f.name) >= 0, f"train.regularization.{f.name}", ">= 0 (0: none)", getattr(self, f.name)
+            )
 
 
 @dataclass
@@ -128,28 +140,28 @@ class TrainConfig:
     time_budget_s: Optional[float] = None  # stop after so many training seconds
     ssim_weight: float = 0.2  # w of the loss (1 - w) L1 + w (1 - SSIM)
     rigid_weight: float = 0.0  # of the release's rigid loss; 0: none
-    prior: PriorConfig = field(default_factory=PriorConfig)
+    regularization: RegularizationConfig = field(default_factory=RegularizationConfig)
     random_background: bool = False  # compose transparent images over a new colour each time
     background_model: Optional[str] = None  # None: the scene's
     sphere_freeze_after: int = 10_000  # iterations; the sphere's Gaussians stay as they are from then on
-    environment_height: int = 500  # rows of the environment map; twice as many columns
-    environment_until: int = 5000  # iterations it is trained for
+    envmap_height: int = 500  # rows of the environment map; twice as many columns
+    envmap_until: int = 5000  # iterations it is trained for
     optimiser: str = "adam"  # adam (dense, the paper's) | sparse_adam (touched Gaussians only)
     sh_degree_every: int = 1000  # +1 degree so often, to 3; 0: all at once
     # Fourier order 1, 2 from these iterations; empty: both at once
     fourier_at: list[int] = field(default_factory=lambda: [4000, 5000])
     # As this share of the schedule two trainings on three quarters of the cameras, with and without colours that change
-    # with time; these go where the other quarter gains too little by them (trial.py). 0: none. Not under a time budget
-    trial: float = 0.0
+    # with time; these go where the other quarter gains too little by them (select_time_colour.py). 0: none. Not under a time budget
+    select_time_colour: float = 0.0
     init_opacity: float = 0.1  # of every Gaussian at the start
     init_time_scale: float = 0.5  # × duration
     init_time_margin: float = 0.0  # times uniform over the duration widened so much a side
     init_points: Optional[int] = None  # None: the scene's
     init_box: Optional[list[float]] = None  # canonical units; None: the scene's
-    rate: RateConfig = field(default_factory=RateConfig)
+    lr: LearningRates = field(default_factory=LearningRates)
     densify: DensifyConfig = field(default_factory=DensifyConfig)
-    # Keys of `train` that differ where nothing moves (resolve.py); null once they are filled in
-    where_still: Optional[dict[str, Any]] = field(default_factory=dict)
+    # Keys of `train` that differ where nothing moves (static_overrides.py); null once they are filled in
+    static_overrides: Optional[dict[str, Any]] = field(default_factory=dict)
     eval_every: int = 500  # iterations between evaluations on held-out views
     eval_views: int = 30  # at most so many test views, spread evenly, each time; the final evaluation takes all
     checkpoint_every: int = 1000  # iterations between checkpoints
@@ -171,7 +183,9 @@ class TrainConfig:
         require(self.eval_every >= 1, "train.eval_every", "at least 1", self.eval_every)
         require(self.eval_views >= 1, "train.eval_views", "at least 1", self.eval_views)
         require(self.checkpoint_every >= 1, "train.checkpoint_every", "at least 1", self.checkpoint_every)
-        require(0 <= self.trial < 1, "train.trial", "in [0, 1) (0: none)", self.trial)
+        require(
+            0 <= self.select_time_colour < 1, "train.select_time_colour", "in [0, 1) (0: none)", self.select_time_colour
+        )
         require(0 < self.init_opacity < 1, "train.init_opacity", "in (0, 1)", self.init_opacity)
         require(self.init_time_scale > 0, "train.init_time_scale", "> 0", self.init_time_scale)
         require(self.init_time_margin >= 0, "train.init_time_margin", ">= 0", self.init_time_margin)
@@ -183,14 +197,14 @@ class TrainConfig:
             self.init_box,
         )
         require(
-            self.background_model is None or self.background_model in BACKGROUNDS,
+            self.background_model is None or self.background_model in BACKGROUND_MODELS,
             "train.background_model",
-            ", ".join(BACKGROUNDS),
+            ", ".join(BACKGROUND_MODELS),
             self.background_model,
         )
         require(self.sphere_freeze_after >= 0, "train.sphere_freeze_after", ">= 0", self.sphere_freeze_after)
-        require(self.environment_height >= 2, "train.environment_height", "at least 2", self.environment_height)
-        require(self.environment_until >= 0, "train.environment_until", ">= 0", self.environment_until)
+        require(self.envmap_height >= 2, "train.envmap_height", "at least 2", self.envmap_height)
+        require(self.envmap_until >= 0, "train.envmap_until", ">= 0", self.envmap_until)
         require(self.rigid_weight >= 0, "train.rigid_weight", ">= 0", self.rigid_weight)
         require(self.sh_degree_every >= 0, "train.sh_degree_every", ">= 0 (0: all at once)", self.sh_degree_every)
         require(

@@ -39,36 +39,36 @@ class Prepared:
     canonical: Canonical = Canonical()  # how the files' units became canonical ones
 
 
-def prepare(cfg: Config, say: Callable[[str], None]) -> Prepared:
+def prepare(cfg: Config, log: Callable[[str], None]) -> Prepared:
     """Read the scene, run structure from motion where needed (or take its kept result), normalise both.
 
     Normalised last, because only structure from motion finds or refines some poses. Raises ValueError.
     """
-    data = _in_own_units(cfg, say)
+    data = _in_own_units(cfg, log)
     frame = canonical_of(data.scene)
     if frame.is_identity:
         return data
-    say(f"normalised: {frame}")
+    log(f"normalised: {frame}")
     cloud = None if data.cloud is None else _moved(data.cloud, frame)
     return replace(data, scene=canonicalise(data.scene, frame), cloud=cloud, canonical=frame)
 
 
-def _in_own_units(cfg: Config, say: Callable[[str], None]) -> Prepared:
+def _in_own_units(cfg: Config, log: Callable[[str], None]) -> Prepared:
     """What the files hold and structure from motion finds, not normalised yet."""
     if cfg.scene.reader == "video":
-        return _from_videos(cfg, load_footage(cfg.scene, threads=cfg.threads, say=say), say)
+        return _from_videos(cfg, load_footage(cfg.scene, threads=cfg.threads, log=log), log)
     if is_filmed(cfg.scene) and cfg.init.source != "random":
-        return _from_posed(cfg, load_posed(cfg.scene, threads=cfg.threads, say=say), say)
+        return _from_posed(cfg, load_posed(cfg.scene, threads=cfg.threads, log=log), log)
     if cfg.init.source == "sfm":
         raise ValueError(
             f"init.source: expected auto or random for {cfg.scene.name}, which one camera saw at a time, found sfm"
         )
-    return Prepared(load_scene(cfg.scene, threads=cfg.threads, say=say), None, None)
+    return Prepared(load_scene(cfg.scene, threads=cfg.threads, log=log), None, None)
 
 
-def _from_posed(cfg: Config, posed: Posed, say: Callable[[str], None]) -> Prepared:
+def _from_posed(cfg: Config, posed: Posed, log: Callable[[str], None]) -> Prepared:
     """Points seen by the training cameras: from whole frames, before the scene's own, smaller ones are decoded."""
-    cloud, folder = _reconstruct(cfg, training_photographs(posed), posed.unit, posed.footage.source, say)
+    cloud, folder = _reconstruct(cfg, training_photographs(posed), posed.unit, posed.footage.source, log)
     if cloud.poses == "refined":
         found = {name: lens.camera for name, lens in cloud.lenses.items()}
         posed = replace(posed, cameras={**posed.cameras, **found})
@@ -84,7 +84,7 @@ def training_photographs(posed: Posed) -> list[Photograph]:
     ]
 
 
-def _from_videos(cfg: Config, footage: Footage, say: Callable[[str], None]) -> Prepared:
+def _from_videos(cfg: Config, footage: Footage, log: Callable[[str], None]) -> Prepared:
     """Poses and points of a folder of videos. Points are as photographed: the rest of a lens is taken out of the
     frames when they are decoded."""
     from datasets.plenoptic import Undistortion
@@ -92,7 +92,7 @@ def _from_videos(cfg: Config, footage: Footage, say: Callable[[str], None]) -> P
     photographs = [
         Photograph(name, image, held_out=name in footage.held_out) for name, image in footage.first_images().items()
     ]
-    cloud, folder = _reconstruct(cfg, photographs, 1.0, footage.source, say)
+    cloud, folder = _reconstruct(cfg, photographs, 1.0, footage.source, log)
     trained = [lens.camera for name, lens in cloud.lenses.items() if name not in footage.held_out]
     scene = footage.to_scene(
         {name: lens.camera for name, lens in cloud.lenses.items()},
@@ -109,20 +109,20 @@ def near_depth(points: np.ndarray, cameras: list[Camera]) -> float:
 
 
 def _reconstruct(
-    cfg: Config, photographs: list[Photograph], unit: float, source: Path, say: Callable[[str], None]
+    cfg: Config, photographs: list[Photograph], unit: float, source: Path, log: Callable[[str], None]
 ) -> tuple[Reconstruction, Path]:
     """Structure from motion, in the photographs' own world. COLMAP itself gets canonical coordinates: its solvers stop
     at absolute differences, in a world of thousands of units sooner."""
     from pipeline.data.sfm.store import reconstruct_once  # what scenes with random points do without
 
-    say(f"sfm: {len(photographs)} cameras, first frames of {source}")
+    log(f"sfm: {len(photographs)} cameras, first frames of {source}")
     known = [photograph.camera for photograph in photographs if photograph.camera is not None]
     frame = canonical_space(known, unit) if known else Canonical()
     if not frame.is_identity:
         photographs = [replace(photograph, camera=frame.camera(photograph.camera)) for photograph in photographs]
     cloud, folder = reconstruct_once(photographs, cfg.init, unit * frame.scale, source, Path(cfg.scene.cache))
     found = cloud.summary()
-    say(
+    log(
         f"sfm: {found['points']} points, mean error {found['mean_error_px']:.2f} px, in "
         f"{found['mean_track_length']:.1f} images each; kept in {folder}"
     )

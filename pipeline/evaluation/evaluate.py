@@ -19,7 +19,7 @@ import numpy as np
 from PIL import Image
 from torch import Tensor
 
-from datasets.files.atomic_write import replacing
+from datasets.files.atomic_write import atomic_file
 from datasets.scene import Scene, View
 from pipeline.config.schema import Config
 from pipeline.data.frame_order import film_order
@@ -31,7 +31,7 @@ from pipeline.evaluation.metrics import METRICS, MS_SSIM_NOTE, mean, measure, ps
 from pipeline.evaluation.perceptual import Perceptual
 from pipeline.model.model import Model
 from pipeline.model.render import render_image
-from rasterizer import Camera, Frame, Request
+from rasterizer import Camera, Rasterizer, Request
 from rasterizer.loss import l1_ssim
 
 DIFFERENCE_GAIN = 4  # a difference image shows |render - truth| so many times brighter, clipped at white
@@ -63,7 +63,7 @@ class Renderer:
     model: Model
     scene: Scene
     cfg: Config
-    frame: Frame
+    frame: Rasterizer
 
     def tensor(self, camera: Camera, moment: float) -> Tensor:
         """(3, H, W), not clamped. moment: in the scene's unit of time."""
@@ -98,7 +98,7 @@ def evaluate(
             f"model to evaluate: expected finite values, found NaN or Inf in {broken[0]} of Gaussian {broken[1]}"
         )
     perceptual = Perceptual(cfg, scene)
-    renderer, flickering = Renderer(model, scene, cfg, Frame(threads=threads)), FlickerMeter(scene.frame_rate)
+    renderer, flickering = Renderer(model, scene, cfg, Rasterizer(threads=threads)), FlickerMeter(scene.frame_rate)
     shown = set(spread(len(scene.test), cfg.evaluate.renders))
     rows: dict[int, dict] = {}  # by index of the view
 
@@ -149,11 +149,11 @@ def evaluate_and_show(model: Model, scene: Scene, cfg: Config, threads: int, fol
         return evaluate(model, scene, cfg, threads, save)
     with HeldOutFilms(folder, scene.shown_rate or scene.frame_rate) as film:
         found = evaluate(model, scene, cfg, threads, save, film)
-    write_bullet_time(folder / "bullet_time.mp4", Renderer(model, scene, cfg, Frame(threads=threads)))
+    write_bullet_time(folder / "bullet_time.mp4", Renderer(model, scene, cfg, Rasterizer(threads=threads)))
     return found
 
 
-def quick_evaluate(model: Model, scene: Scene, cfg: Config, frame: Frame) -> dict[str, float]:
+def quick_evaluate(model: Model, scene: Scene, cfg: Config, frame: Rasterizer) -> dict[str, float]:
     """{psnr, ssim, test_loss} over `train.eval_views` test views, and train_psnr over as many training views, in about
     the time it takes to render them.
 
@@ -177,7 +177,7 @@ def quick_evaluate(model: Model, scene: Scene, cfg: Config, frame: Frame) -> dic
 
 def held_out_psnr(model: Model, scene: Scene, cfg: Config, threads: int) -> np.ndarray:
     """(test views,) dB, as metrics.json's, at the size training ended with; nothing else is measured."""
-    renderer, found = Renderer(model, scene, cfg, Frame(threads=threads)), []
+    renderer, found = Renderer(model, scene, cfg, Rasterizer(threads=threads)), []
     for view in scene.test:
         target = target_of(view, cfg.train.resolution_scale)
         found.append(psnr(renderer.image(target.camera, view.time), target.image.numpy().transpose(1, 2, 0)))
@@ -190,7 +190,7 @@ def frames_per_second(model: Model, scene: Scene, cfg: Config, threads: int) -> 
     fps_render: everything from the 4D Gaussians to the image: slicing, projecting, sorting, binning, blending, and the
     environment behind them. fps_raster: blending alone, by the kernel's own clock.
     """
-    renderer = Renderer(model, scene, cfg, Frame(threads=threads))
+    renderer = Renderer(model, scene, cfg, Rasterizer(threads=threads))
     shots = [(camera_at(view.camera, cfg.train.resolution_scale), view.time) for view in _some(scene.test, SPEED_VIEWS)]
     whole, blend = [], []
     for _ in range(cfg.evaluate.speed_repeats):
@@ -226,7 +226,7 @@ def png_saver(folder: Path) -> SaveImages:
     def save(name: str, image: np.ndarray, truth: np.ndarray) -> None:
         difference = np.clip(np.abs(image - truth) * DIFFERENCE_GAIN, 0.0, 1.0)
         for kind, picture in (("render", image), ("truth", truth), ("difference", difference)):
-            with replacing(folder / f"{name.replace('/', '_')}_{kind}.png") as temporary:
+            with atomic_file(folder / f"{name.replace('/', '_')}_{kind}.png") as temporary:
                 Image.fromarray(np.round(picture * 255.0).astype(np.uint8)).save(temporary)
 
     return save

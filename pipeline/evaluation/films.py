@@ -9,7 +9,7 @@ from types import TracebackType
 
 import numpy as np
 
-from datasets.files.atomic_write import replacing
+from datasets.files.atomic_write import atomic_file
 from pipeline.data.frame_order import camera_name
 
 # x264's measure of loss, 0 to 51: to the eye there is none. No number is taken from a video.
@@ -53,7 +53,7 @@ def video(path: Path, width: int, height: int, frame_rate: float) -> Iterator[Se
 
     even = (width + width % 2, height + height % 2)  # 4:2:0 has a colour for every two pixels
     sent = 0
-    with replacing(path) as temporary:
+    with atomic_file(path) as temporary:
         encoder = write_frames(
             str(temporary),
             even,

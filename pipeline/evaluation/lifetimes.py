@@ -6,7 +6,7 @@ import numpy as np
 
 from datasets.scene import Scene
 from pipeline.model.model import Model
-from rasterizer.reference.render import scaled_axes
+from rasterizer.covariance import scaled_axes
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 BIN_EDGES = 2.0 ** np.arange(-6, 10.25, 0.25)  # frames, of the histogram

@@ -34,7 +34,7 @@ def initialise(scene: Scene, cfg: Config, generator: np.random.Generator, cloud:
     """
     points, sh_dc = _random_points(scene, cfg, generator) if cloud is None else (cloud.points, _sh_dc(cloud.colors))
     sphere = 0
-    if cfg.background_model == "sphere":
+    if cfg.effective_background_model == "sphere":
         cameras = list({view.camera.world_to_cam.tobytes(): view.camera for view in scene.train}.values())
         places = np.concatenate([points, [camera.position for camera in cameras]])
         around = sphere_points(cfg.init.sphere_points, *bounding_sphere(places, cfg.init.sphere_radius), generator)
@@ -44,7 +44,7 @@ def initialise(scene: Scene, cfg: Config, generator: np.random.Generator, cloud:
     margin = cfg.train.init_time_margin * scene.duration
     times = generator.uniform(scene.time_start - margin, scene.time_start + scene.duration + margin, size=len(points))
     model = from_points(points, times, sh_dc, scene, cfg)
-    if cfg.background_model != "sphere":
+    if cfg.effective_background_model != "sphere":
         return model
     return Model(model.kind, model.parameters, sphere=torch.arange(len(points)) >= len(points) - sphere)
 

@@ -3,7 +3,7 @@
 A model is a plain bag of tensors. Which tensors there are, and how wide, is its `ModelKind`: a static scene stores
 no time, a model without 4D rotation no right quaternion, a model without Fourier orders no coefficients for them.
 Two more parts exist only where a scene's open background is modelled: the label of the Gaussians on the sphere round
-the scene (background.py), or the environment map (environment.py).
+the scene (sphere.py), or the environment map (environment_map.py).
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ class Model:
         kind: ModelKind,
         parameters: dict[str, Tensor],
         sphere: Tensor | None = None,
-        environment: EnvironmentMap | None = None,
+        environment_map: EnvironmentMap | None = None,
     ) -> None:
         """sphere: (N,) bool, which Gaussians stand on the sphere round the scene; None: there is no sphere.
 
@@ -99,7 +99,7 @@ class Model:
         self.kind = kind
         self.parameters = {name: parameters[name].contiguous() for name in shapes}
         self.sphere = sphere
-        self.environment = environment
+        self.environment_map = environment_map
 
     @classmethod
     def from_gaussians(cls, gaussians: Gaussians) -> Model:
@@ -118,23 +118,23 @@ class Model:
         state = dict(self.parameters)
         if self.sphere is not None:
             state["sphere"] = self.sphere
-        if self.environment is not None:
-            state["environment"] = self.environment.image
+        if self.environment_map is not None:
+            state["environment"] = self.environment_map.image
         return state
 
     @classmethod
     def restored(cls, kind: ModelKind, state: dict[str, Tensor]) -> Model:
         """The model whose `state()` this is."""
         parameters = {name: tensor for name, tensor in state.items() if name not in ("sphere", *OF_THE_WHOLE)}
-        environment = EnvironmentMap(state["environment"]) if "environment" in state else None
-        return cls(kind, parameters, state.get("sphere"), environment)
+        environment_map = EnvironmentMap(state["environment"]) if "environment" in state else None
+        return cls(kind, parameters, state.get("sphere"), environment_map)
 
     def checked(self) -> Model:
         """The model itself, if the rasterizer can take it: ValueError for a value that is not finite."""
         if broken := self.first_non_finite():
             raise ValueError(f"{broken[0]} of Gaussian {broken[1]}: expected a finite number, found NaN or Inf")
-        if self.environment is not None:
-            image = self.environment.image
+        if self.environment_map is not None:
+            image = self.environment_map.image
             if image.numel() == 0 or not torch.isfinite(image).all():
                 raise ValueError("environment: expected finite pixels, found NaN, Inf or none")
         self.gaussians()
@@ -144,15 +144,15 @@ class Model:
         return self.parameters["mean"].shape[0]
 
     @property
-    def background(self) -> str:
+    def background_model(self) -> str:
         """none, sphere or envmap, as the configuration calls it."""
-        return "envmap" if self.environment is not None else "none" if self.sphere is None else "sphere"
+        return "envmap" if self.environment_map is not None else "none" if self.sphere is None else "sphere"
 
     @property
     def bytes(self) -> int:
         """Size of the parameters, the environment's among them; with Adam's two moments it is three times this."""
         gaussians = sum(tensor.numel() * tensor.element_size() for tensor in self.parameters.values())
-        return gaussians + (self.environment.bytes if self.environment else 0)
+        return gaussians + (self.environment_map.bytes if self.environment_map else 0)
 
     def first_non_finite(self) -> tuple[str, int] | None:
         """(field, Gaussian index) of the first value that is NaN or Inf, or None."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from torch import Tensor
 
 from pipeline.model.model import Model
-from rasterizer import Frame, Gradients, Request, ViewGradient
+from rasterizer import Gradients, Rasterizer, Request, ViewGradient
 
 
 @dataclass(frozen=True)
@@ -31,29 +31,29 @@ class Rendered:
     behind: Behind | None  # None: no environment
 
 
-def render_image(frame: Frame, model: Model, request: Request) -> Tensor:
+def render_image(frame: Rasterizer, model: Model, request: Request) -> Tensor:
     """(3, H, W), not clamped, and not for a backward pass. request: as `render`."""
     return render(frame, model, request, differentiable=False).image
 
 
-def render(frame: Frame, model: Model, request: Request, differentiable: bool = True) -> Rendered:
+def render(frame: Rasterizer, model: Model, request: Request, differentiable: bool = True) -> Rendered:
     """Render `model` with `frame`; of the request's outputs only colour is made.
 
     Where the model has an environment, that stands in place of the request's background.
     """
     gaussians = model.gaussians()
-    if model.environment is None:
+    if model.environment_map is None:
         request = replace(request, outputs=("color",))
         return Rendered(frame.render(gaussians, request, differentiable).color, None)
     request = replace(request, outputs=("color", "alpha"), background=(0.0, 0.0, 0.0))
     out = frame.render(gaussians, request, differentiable)
-    grid = model.environment.grid(request.camera)
-    colors = model.environment.look_up(grid)
+    grid = model.environment_map.grid(request.camera)
+    colors = model.environment_map.look_up(grid)
     return Rendered(out.color + (1 - out.alpha) * colors, Behind(out.alpha, colors, grid))
 
 
 def backward(
-    frame: Frame,
+    frame: Rasterizer,
     model: Model,
     rendered: Rendered,  # the frame's last, by `render`
     d_image: Tensor,  # (3, H, W) ∂L/∂image
@@ -65,6 +65,6 @@ def backward(
     if behind is None:
         return frame.backward(gradients, d_color=d_image)
     if d_environment is not None:
-        model.environment.add_gradient(d_environment, behind.grid, (1 - behind.alpha) * d_image)
+        model.environment_map.add_gradient(d_environment, behind.grid, (1 - behind.alpha) * d_image)
     d_alpha = -(d_image * behind.colors).sum(dim=0, keepdim=True)
     return frame.backward(gradients, d_color=d_image, d_alpha=d_alpha)

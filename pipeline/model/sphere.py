@@ -35,7 +35,7 @@ def sphere_points(count: int, centre: Sequence[float], radius: float, generator:
     return np.asarray(centre) + radius * Rotation.random(None, generator).apply(points)
 
 
-def moving_rows(model: Model, train_sphere: bool, touched: Tensor | None) -> Tensor | None:
+def trainable_rows(model: Model, train_sphere: bool, touched: Tensor | None) -> Tensor | None:
     """(N,) uint8, 1 for the Gaussians that Adam steps: those `touched` (N,) uint8 marks, None for all, and of these
     not the sphere's once it is no longer trained. None: all of them."""
     if model.sphere is None or train_sphere:

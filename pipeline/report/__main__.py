@@ -13,16 +13,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.presentation.table_files import files_of
+from pipeline.presentation.theme import DARK
 from pipeline.report.compare.comparisons import comparisons
 from pipeline.report.tables.paper_tables import paper_tables
 from pipeline.report.tables.run_tables import run_tables
-from pipeline.report.tables.structure import structure_from_motion
 from pipeline.report.tables.summary import summarise
 from pipeline.report.write.content import Content, CurvePlot, report_markdown, terminal_text
 from pipeline.report.write.out_folder import replace_report
 from pipeline.report.write.page import render_page
-from pipeline.report.write.plots import DARK, plot
+from pipeline.report.write.plots import plot
 from pipeline.report.write.strips import make_strips
+from pipeline.report.write.structure import structure_from_motion
 from pipeline.runs.read.collect import collect
 from pipeline.runs.read.variants import name_variants
 from pipeline.terminal.closed_pipe import quiet_on_closed_pipe

@@ -10,6 +10,7 @@ from importlib import metadata
 from pathlib import Path
 
 from pipeline.runs.run_folder import now
+from rasterizer.cores import usable_cores
 
 PACKAGES = (
     "torch",
@@ -26,7 +27,7 @@ PACKAGES = (
 PROJECT_ROOT = Path(__file__).resolve().parents[2]
 
 
-def environment(command: str) -> dict:
+def provenance(command: str) -> dict:
     """For environment.json. command: what the user typed.
 
     `machine` is one readable line; `git_commit` ends in "-dirty" where tracked files were changed.
@@ -57,11 +58,6 @@ def cpu_model() -> str:
     except OSError:
         pass
     return platform.processor() or platform.machine() or "unknown processor"
-
-
-def usable_cores() -> int:
-    """Cores this process may run on."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def memory_gb() -> float:

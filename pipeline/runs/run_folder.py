@@ -80,7 +80,7 @@ class RunFolder:
         return self.path / "config.yaml"
 
     @property
-    def environment(self) -> Path:
+    def provenance(self) -> Path:
         return self.path / "environment.json"
 
     @property

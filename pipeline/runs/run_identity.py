@@ -11,6 +11,7 @@ from omegaconf import OmegaConf
 
 from datasets.files.atomic_write import TEMPORARY
 from datasets.files.errors import DataError, clear, read_json
+from pipeline.config.renamed_keys import with_renamed_keys
 
 # Keys that say where and how a run is made, not what it computes: a finished run may be repeated with others.
 FREE_KEYS = ("out", "threads", "resume", "scene.cache", "evaluate", "estimate")
@@ -30,6 +31,7 @@ FILES = (
     "renders",
 )
 UNFINISHED = tuple(f"{TEMPORARY}{name}" for name in FILES)  # what a run that was killed while it wrote leaves behind
+RENAMED_STAGES = {"trial": "select_time_colour"}  # since version 0.1
 _GROUPS = ("scene", "train", "seed")  # of every run's config.yaml
 
 Resolve = Callable[[dict], dict]
@@ -80,7 +82,7 @@ def read_stages(path: Path) -> dict:
         for record in stages.values()
     ):
         raise DataError(path, "a record of each finished stage", "another thing; resume=false starts the run anew")
-    return stages
+    return {RENAMED_STAGES.get(name, name): record for name, record in stages.items()}
 
 
 def read_config(path: Path, where: str | None = None) -> dict:
@@ -95,7 +97,7 @@ def read_config(path: Path, where: str | None = None) -> dict:
         raise DataError(where or path, "YAML", str(error)) from None
     if not isinstance(tree, dict):
         raise DataError(where or path, "keys and values", f"a {type(tree).__name__}")
-    return tree
+    return with_renamed_keys(tree)
 
 
 def _is_run(path: Path) -> bool:

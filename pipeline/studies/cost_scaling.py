@@ -22,8 +22,8 @@ import torch
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
-from pipeline.report.write.plots import LIGHT
-from pipeline.runs.provenance import environment
+from pipeline.presentation.theme import LIGHT
+from pipeline.runs.provenance import provenance
 from pipeline.terminal.closed_pipe import quiet_on_closed_pipe
 from rasterizer import Gaussians
 from rasterizer.memory import keep_freed_memory
@@ -80,7 +80,7 @@ def with_length(workload: Workload, length: int) -> Workload:
 
 
 def measure(
-    workload: Workload, repeats: int, steps: int = 4, views: int = 4, say: Callable[[str], None] = lambda line: None
+    workload: Workload, repeats: int, steps: int = 4, views: int = 4, log: Callable[[str], None] = lambda line: None
 ) -> list[Series]:
     """Gaussians halved, width halved and doubled, batch and length doubled, `steps` sizes each; iterations are of
     `views` views where the batch is not what is varied.
@@ -100,11 +100,11 @@ def measure(
         ("length", longer, lengths),
         ("length_alone", thinner, lengths),
     ):
-        say(axis)
+        log(axis)
         frame = tuple(time_frame(w, 1, repeats).total.minimum for w in workloads)
         iteration = tuple(time_iteration(w, 1, repeats, views)["iteration"].minimum for w in workloads)
         found += [Series(axis, "frame", tuple(sizes), frame), Series(axis, "iteration", tuple(sizes), iteration)]
-    say("batch")
+    log("batch")
     iteration = tuple(time_iteration(workload, 1, repeats, b)["iteration"].minimum for b in batches)
     return [*found, Series("batch", "iteration", tuple(batches), iteration)]
 
@@ -187,9 +187,9 @@ def main(arguments: list[str] | None = None) -> int:
         parser.error(f"--repeats: expected at least 1, found {options.repeats}")
     keep_freed_memory()
     torch.set_num_threads(1)
-    series = measure(make_workload(options.workload), options.repeats, say=lambda line: print(line, flush=True))
+    series = measure(make_workload(options.workload), options.repeats, log=lambda line: print(line, flush=True))
     typed = sys.argv[1:] if arguments is None else arguments
-    made = environment(" ".join(["python -m pipeline.studies.cost_scaling", *typed]))
+    made = provenance(" ".join(["python -m pipeline.studies.cost_scaling", *typed]))
     heading = (
         f"{options.workload}. {made['machine']}; {made['date'][:16]}; commit {made['git_commit'][:10]}; "
         f"`{made['command']}`."

@@ -34,18 +34,18 @@ from datasets import Scene  # noqa: E402
 from datasets.files.atomic_write import write_text  # noqa: E402
 from pipeline.config.compose import CONFIG_DIR, register_schema, to_config  # noqa: E402
 from pipeline.config.schema import Config  # noqa: E402
-from pipeline.config.train_schema import RateConfig  # noqa: E402
+from pipeline.config.train_schema import LearningRates  # noqa: E402
 from pipeline.data.prepare import prepare  # noqa: E402
 from pipeline.evaluation.evaluate import quick_evaluate  # noqa: E402
 from pipeline.model.initialise import initialise  # noqa: E402
 from pipeline.presentation.seeds import compare, estimate  # noqa: E402
 from pipeline.presentation.table import measured  # noqa: E402
-from pipeline.runs.provenance import environment  # noqa: E402
+from pipeline.runs.provenance import provenance  # noqa: E402
 from pipeline.runs.run_folder import RunFolder  # noqa: E402
 from pipeline.training import loop as training  # noqa: E402
 from pipeline.training.finite_checks import NonFiniteError  # noqa: E402
 from pipeline.training.optimiser import Adam  # noqa: E402
-from rasterizer import Frame, Gradients  # noqa: E402
+from rasterizer import Gradients, Rasterizer  # noqa: E402
 
 QUANTILES = (0.5, 0.9)  # of the norms without clipping: what is above is scaled down to it
 BEFORE = 50  # iterations whose median a norm is compared with, to see spikes
@@ -141,12 +141,12 @@ def config_of(scene: str, iterations: int, points: int, size: int) -> Config:
 
 def with_rates(cfg: Config, factor: float) -> Config:
     """All learning rates times `factor`; how they decay stays."""
-    rates = {
-        f.name: getattr(cfg.train.rate, f.name) * factor
-        for f in dataclasses.fields(RateConfig)
+    learning_rates = {
+        f.name: getattr(cfg.train.lr, f.name) * factor
+        for f in dataclasses.fields(LearningRates)
         if f.name not in ("decay_iterations", "final_factor")
     }
-    return replace(cfg, train=replace(cfg.train, rate=replace(cfg.train.rate, **rates)))
+    return replace(cfg, train=replace(cfg.train, lr=replace(cfg.train.lr, **learning_rates)))
 
 
 def with_noise(scene: Scene) -> Scene:
@@ -172,7 +172,7 @@ def outcome_of(case: Case, cfg: Config, scene: Scene, seed: int, threshold: floa
                     scene,
                     cfg,
                     run,
-                    lambda model, _: found.update(quick_evaluate(model, scene, cfg, Frame(1))) or found,
+                    lambda model, _: found.update(quick_evaluate(model, scene, cfg, Rasterizer(1))) or found,
                 )
             except NonFiniteError as error:
                 print(f"{case.name}, seed {seed}: {error}", flush=True)
@@ -199,21 +199,21 @@ def tails(name: str, outcome: Outcome) -> list[str]:
 
 
 def study(
-    configs: dict[str, Config], seeds: list[int], say: Callable[[str], None]
+    configs: dict[str, Config], seeds: list[int], log: Callable[[str], None]
 ) -> tuple[list[str], list[str], list[str]]:
     """Rows of the two tables, and where clipping helped. configs: by scene."""
     of_norms, of_runs, helped, thresholds = [], [], [], {}
-    scenes = {name: prepare(cfg, say).scene for name, cfg in configs.items()}
+    scenes = {name: prepare(cfg, log).scene for name, cfg in configs.items()}
     for case in CASES:
         train = partial(outcome_of, case, configs[case.scene], scenes[case.scene])
         plain = [train(seed, math.inf) for seed in seeds]
         if case.is_healthy:
             rows = tails(case.name, plain[0])
-            say("\n".join(rows))
+            log("\n".join(rows))
             of_norms += rows
             thresholds[case.scene] = np.quantile(plain[0].norms["all"], QUANTILES)
         of_runs.append(f"| {case.name} | none | | {psnr_text(plain)} | | |")
-        say(of_runs[-1])
+        log(of_runs[-1])
         for quantile, threshold in zip(QUANTILES, thresholds[case.scene], strict=True):
             runs = [train(seed, float(threshold)) for seed in seeds]
             gain, word = verdict(runs, plain)
@@ -224,7 +224,7 @@ def study(
                 f"| {case.name} | {quantile:.0%}: {threshold:.2e} | {clipped:.0%} | {psnr_text(runs)} | "
                 f"{gain} | {word} |"
             )
-            say(of_runs[-1])
+            log(of_runs[-1])
     return of_norms, of_runs, helped
 
 
@@ -299,7 +299,7 @@ def main(arguments: list[str] | None = None) -> int:
     }
     tables = study(configs, options.seeds, lambda line: print(line, flush=True))
     typed = sys.argv[1:] if arguments is None else arguments
-    made = environment(shlex.join(["python", "pipeline/studies/gradient_clipping.py", *typed]))
+    made = provenance(shlex.join(["python", "pipeline/studies/gradient_clipping.py", *typed]))
     heading = (
         f"`train=fast` from {options.points:,} points, {options.size} px, {options.iterations:,} iterations. "
         f"{made['machine']}; {made['date'][:16]}; commit {made['git_commit'][:10]}; `{made['command']}`."

@@ -9,9 +9,9 @@ from pathlib import Path
 from datasets.scene import Scene
 from pipeline.config.compose import config_of_tree
 from pipeline.config.schema import Config
-from pipeline.config.static_overrides import resolved
 from pipeline.data.prepare import prepare
 from pipeline.model.model import Model
+from pipeline.model.scene_settings import resolved
 from pipeline.runs.run_identity import read_config
 from pipeline.training.checkpoint import FILE_NAME, load_model
 
@@ -23,11 +23,11 @@ class TrainedRun:
     model: Model
 
 
-def open_run(folder: Path, say: Callable[[str], None]) -> TrainedRun:
+def open_run(folder: Path, log: Callable[[str], None]) -> TrainedRun:
     """Reads the scene the run was trained on too. Raises ValueError, one line, where the folder holds no training."""
     for name in ("config.yaml", FILE_NAME):
         if not (folder / name).exists():
             raise ValueError(f"{folder}: expected a trained run with {name}, found none")
     cfg = config_of_tree(read_config(folder / "config.yaml"))
-    scene = prepare(cfg, say).scene
+    scene = prepare(cfg, log).scene
     return TrainedRun(resolved(cfg, scene), scene, load_model(folder / FILE_NAME))

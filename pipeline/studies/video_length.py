@@ -23,7 +23,7 @@ from matplotlib.figure import Figure
 
 from pipeline.presentation.seeds import Estimate, estimate
 from pipeline.presentation.table import measured
-from pipeline.report.write.plots import LIGHT
+from pipeline.presentation.theme import LIGHT
 from pipeline.runs.read.collect import Collection, collect
 from pipeline.runs.read.variants import schedule_settings
 from pipeline.terminal.closed_pipe import quiet_on_closed_pipe

@@ -49,7 +49,8 @@ def help_page() -> str:
         "Groups and their choices (conf/GROUP/CHOICE.yaml)\n" + "\n".join(map(_group, GROUPS)),
         "Examples\n" + "\n".join(_example(*example) for example in EXAMPLES),
         "Keys\n"
-        "  pipeline/config/schema.py         every key of scene, init, ablation and evaluate: default, meaning, range\n"
+        "  datasets/settings.py              every key of scene: default, meaning, range\n"
+        "  pipeline/config/schema.py         every key of init, ablation, evaluate and of the run itself\n"
         "  pipeline/config/train_schema.py   every key of train\n"
         "  --cfg job                  behind a command: prints the configuration it would run with\n"
         '  A path may hold any character; the shell wants its own quotes: "scene.path=/my data/jug".',

@@ -22,7 +22,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
-from datasets.files.atomic_write import replacing
+from datasets.files.atomic_write import atomic_file
 from datasets.files.errors import DataError
 from pipeline.model.model import Model, ModelKind
 from pipeline.training.density.densification import Statistics
@@ -74,7 +74,7 @@ def save(path: Path, checkpoint: Checkpoint) -> None:
         "kind": [kind.motion, kind.fourier_order, kind.sh_degree],
         "sampler": {key: c.sampler[key] for key in ("position", "generator")},
     }
-    with replacing(path) as temporary:
+    with atomic_file(path) as temporary:
         try:
             # A single metadata key: with several, safetensors writes them in an order that changes from run to run.
             save_file(tensors, temporary, metadata={"state": json.dumps(header, sort_keys=True)})
@@ -110,10 +110,10 @@ def _assembled(header: dict, tensors: dict[str, Tensor]) -> Checkpoint:
     moments = (groups["first"], groups["second"]) if "first" in groups else None
     for moment in moments or ():
         _require_floats(moment, rows)
-    environment = groups.get("environment")
-    if environment is not None:
-        image = model.environment.image.shape if model.environment is not None else None
-        _require_floats(environment, {"first": image, "second": image})
+    environment_map = groups.get("environment")
+    if environment_map is not None:
+        image = model.environment_map.image.shape if model.environment_map is not None else None
+        _require_floats(environment_map, {"first": image, "second": image})
     _require_floats(groups["statistics"], dict.fromkeys(Statistics.FIELDS, torch.Size([len(model)])))
     sampler = dict(header["sampler"], order=tensors["sampler.order"].numpy())
     order = sampler["order"]
@@ -133,7 +133,7 @@ def _assembled(header: dict, tensors: dict[str, Tensor]) -> Checkpoint:
         model=model,
         step_count=_whole("step_count", header["step_count"]),
         moments=moments,
-        environment_moments=(environment["first"], environment["second"]) if environment else None,
+        environment_moments=(environment_map["first"], environment_map["second"]) if environment_map else None,
         statistics=groups["statistics"],
         sampler=sampler,
         split_generator=tensors["split_generator"],

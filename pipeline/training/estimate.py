@@ -19,7 +19,8 @@ import torch
 from datasets import is_filmed, load_footage, load_scene
 from pipeline.config.schema import Config
 from pipeline.evaluation.metrics import measure
-from pipeline.runs.provenance import memory_gb, usable_cores
+from pipeline.runs.provenance import memory_gb
+from rasterizer.cores import thread_count
 from rasterizer.gaussians import Gaussians
 from rasterizer.timing.measure import time_frame, time_iteration
 from rasterizer.timing.workloads import Workload, make_workload
@@ -75,7 +76,7 @@ class Estimate:
 
 def estimate(cfg: Config) -> Estimate:
     """Takes seconds. Raises what reading the scene raises."""
-    threads = cfg.threads or usable_cores()
+    threads = thread_count(cfg.threads)
     size = size_of(cfg, threads)
     return _estimate(cfg, size, threads)
 
@@ -91,7 +92,7 @@ def estimate_if_large(cfg: Config) -> Estimate | None:
 
 def _estimate(cfg: Config, size: Size, threads: int) -> Estimate:
     gaussians = min(cfg.train.densify.max_gaussians, LIKELY_GAUSSIANS)
-    if cfg.background_model == "sphere":
+    if cfg.effective_background_model == "sphere":
         gaussians += cfg.init.sphere_points
     workload = workload_of(gaussians, size)
     clock = time_iteration(workload, threads, TIMED_ITERATIONS, cfg.train.batch, cfg.train.optimiser == "sparse_adam")
@@ -100,7 +101,7 @@ def _estimate(cfg: Config, size: Size, threads: int) -> Estimate:
     if cfg.train.time_budget_s is not None:
         train = min(train, cfg.train.time_budget_s)
     elif cfg.ablation.fourier_order:
-        train *= 1 + 2 * cfg.train.trial  # at most: it is half the size, and none where nothing moves
+        train *= 1 + 2 * cfg.train.select_time_colour  # at most: it is half the size, and none where nothing moves
     view = time_frame(workload, threads, TIMED_ITERATIONS).forward.minimum / 1e3
     image = np.random.default_rng(0).random((size.height, size.width, 3), dtype=np.float32)
     started = time.perf_counter()

@@ -80,7 +80,7 @@ def _broken(model: Model) -> str | None:
     found = model.first_non_finite()
     if found is not None:
         return f"{found[0]} of Gaussian {found[1]}"
-    if model.environment is not None and not torch.isfinite(model.environment.image).all():
+    if model.environment_map is not None and not torch.isfinite(model.environment_map.image).all():
         return "the environment map"
     return None
 

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from pipeline.model.model import Model
-from pipeline.training.schedule import Rate
+from pipeline.training.schedule import LearningRate
 from rasterizer import Gradients
 from rasterizer.adam import adam_step, sh_adam_step
 
@@ -29,15 +29,17 @@ class Adam:
         self.step_count = 0
         self.first = {name: torch.zeros_like(p) for name, p in model.parameters.items()}
         self.second = {name: torch.zeros_like(p) for name, p in model.parameters.items()}
-        environment = model.environment
-        self.environment = None if environment is None else tuple(torch.zeros_like(environment.image) for _ in range(2))
+        environment_map = model.environment_map
+        self.environment_map = (
+            None if environment_map is None else tuple(torch.zeros_like(environment_map.image) for _ in range(2))
+        )
 
     def step(
         self,
         gradients: Gradients,
-        rates: dict[str, Rate],
+        learning_rates: dict[str, LearningRate],
         rows: Tensor | None = None,  # (N,) uint8, 0 for Gaussians to leave alone, moments included; None: step all
-        d_environment: Tensor | None = None,  # (3, h, 2h); None: leave the environment alone
+        d_environment_map: Tensor | None = None,  # (3, h, 2h); None: leave the environment map alone
     ) -> None:
         """One update of every parameter, in place."""
         self.step_count += 1
@@ -45,10 +47,16 @@ class Adam:
             moments = self.first[name], self.second[name]
             if name == "sh":
                 sh_adam_step(
-                    parameter, gradients, *moments, rates["sh"], self.step_count, sparse_rows=rows, threads=self.threads
+                    parameter,
+                    gradients,
+                    *moments,
+                    learning_rates["sh"],
+                    self.step_count,
+                    sparse_rows=rows,
+                    threads=self.threads,
                 )
             else:
-                rate = rates[name]
+                rate = learning_rates[name]
                 if isinstance(rate, tuple):
                     rate = rate[: parameter.shape[1]]  # a static mean has no column for time
                 adam_step(
@@ -60,9 +68,11 @@ class Adam:
                     sparse_rows=rows,
                     threads=self.threads,
                 )
-        if d_environment is not None:
-            tensors = (self.model.environment.image, d_environment, *self.environment)
-            adam_step(*(t.view(-1) for t in tensors), rates["environment"], self.step_count, threads=self.threads)
+        if d_environment_map is not None:
+            tensors = (self.model.environment_map.image, d_environment_map, *self.environment_map)
+            adam_step(
+                *(t.view(-1) for t in tensors), learning_rates["environment_map"], self.step_count, threads=self.threads
+            )
 
     def keep(self, mask: Tensor) -> None:
         """Keep the Gaussians where `mask` (N,) bool is true, with their moments, in their order."""
@@ -95,5 +105,5 @@ class Adam:
     @property
     def bytes(self) -> int:
         """Size of the moments."""
-        tensors = [*self.first.values(), *self.second.values(), *(self.environment or ())]
+        tensors = [*self.first.values(), *self.second.values(), *(self.environment_map or ())]
         return sum(t.numel() * t.element_size() for t in tensors)

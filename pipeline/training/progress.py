@@ -13,7 +13,7 @@ SMOOTHING = 0.95  # of the shown loss and PSNR; what is written to log.jsonl is 
 LINES = 20  # without a terminal a run prints about so many
 
 
-class TrainingDisplay:
+class TrainingProgress:
     """A context manager; `update` is called every few iterations."""
 
     def __init__(
@@ -35,7 +35,7 @@ class TrainingDisplay:
         )
         self._task = self._bar.add_task("train", total=iterations, completed=first, text="")
 
-    def __enter__(self) -> TrainingDisplay:
+    def __enter__(self) -> TrainingProgress:
         self._bar.__enter__()
         return self
 

@@ -9,21 +9,23 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Union
 
-from pipeline.config.train_schema import RateConfig, ResolutionStep, TrainConfig
+from pipeline.config.train_schema import LearningRates, ResolutionStep, TrainConfig
 
-Rate = Union[float, tuple[float, ...]]  # one for the field, or one a column
+LearningRate = Union[float, tuple[float, ...]]  # one for the field, or one a column
 
 
 @dataclass(frozen=True)
 class Phase:
     """What one iteration trains with."""
 
-    rates: dict[str, Rate]  # by field, and of the environment map; sh: as rasterizer.adam.sh_adam_step
+    clock: float  # how far the schedule is, in iterations
+    lr: dict[str, LearningRate]  # by field, and of the environment map; sh: as rasterizer.adam.sh_adam_step
     sh_degree: int
     fourier_order: int
     resolution: float  # × the size the images were read at
-    sphere: bool  # is the background's sphere still trained (background.py)
-    environment: bool  # is the environment map (environment.py)
+    densification: bool  # are its statistics still collected
+    sphere: bool  # is the background's sphere still trained (pipeline/model/sphere.py)
+    environment_map: bool  # is the environment map (pipeline/model/environment_map.py)
 
 
 def clock(iteration: int, train_seconds: float, cfg: TrainConfig) -> float:
@@ -50,8 +52,8 @@ def shortened(cfg: TrainConfig, share: float) -> TrainConfig:
         sh_degree_every=sooner(cfg.sh_degree_every),
         fourier_at=[sooner(start) for start in cfg.fourier_at],
         sphere_freeze_after=sooner(cfg.sphere_freeze_after),
-        environment_until=sooner(cfg.environment_until),
-        rate=replace(cfg.rate, decay_iterations=max(1, sooner(cfg.rate.decay_iterations))),
+        envmap_until=sooner(cfg.envmap_until),
+        lr=replace(cfg.lr, decay_iterations=max(1, sooner(cfg.lr.decay_iterations))),
         densify=replace(
             dense, start=sooner(dense.start), stop=sooner(dense.stop), prune_big_after=sooner(dense.prune_big_after)
         ),
@@ -59,26 +61,28 @@ def shortened(cfg: TrainConfig, share: float) -> TrainConfig:
 
 
 def phase(now: float, cfg: TrainConfig, extent: float, max_sh_degree: int, max_fourier_order: int) -> Phase:
-    """The phase at clock `now`. extent: as `rates`."""
+    """The phase at clock `now`. extent: as `learning_rates`."""
     fraction = min(1.0, now / cfg.iterations)
     return Phase(
-        rates(now, fraction, cfg.rate, extent),
+        now,
+        learning_rates(now, fraction, cfg.lr, extent),
         sh_degree(now, cfg.sh_degree_every, max_sh_degree),
         fourier_order(now, cfg.fourier_at, max_fourier_order),
         cfg.resolution_scale * resolution(fraction, cfg.resolution_steps),
+        densification=now < cfg.densify.stop,
         sphere=now <= cfg.sphere_freeze_after,
-        environment=now <= cfg.environment_until,
+        environment_map=now <= cfg.envmap_until,
     )
 
 
-def rates(now: float, fraction: float, cfg: RateConfig, extent: float) -> dict[str, Rate]:
+def learning_rates(now: float, fraction: float, cfg: LearningRates, extent: float) -> dict[str, LearningRate]:
     """Learning rate of every field, and of the environment map, at clock `now`, `fraction` of the whole schedule done.
 
     extent: world units, which positional rates are multiplied by.
     The mean's columns are x, y, z (log-linear decay over `decay_iterations`) and t (constant, as the release).
     The unit of t's rate is the extent's too: the paper does not scale time.
     """
-    decay = cfg.final_factor ** max(0.0, (fraction - cfg.hold) / (1 - cfg.hold))
+    decay = cfg.final_factor ** max(0.0, (fraction - cfg.decay_start) / (1 - cfg.decay_start))
     xyz = log_linear(cfg.mean, cfg.mean_final, now / cfg.decay_iterations) * extent * decay
     t = cfg.mean_time * extent * decay
     rotation = cfg.rotation * decay
@@ -88,12 +92,12 @@ def rates(now: float, fraction: float, cfg: RateConfig, extent: float) -> dict[s
         "quat_left": rotation,
         "quat_right": rotation,
         "opacity_logit": cfg.opacity * decay,
-        "sh": tuple(rate * decay for rate in sh_rates(cfg)),
-        "environment": cfg.environment * decay,
+        "sh": tuple(rate * decay for rate in sh_learning_rates(cfg)),
+        "environment_map": cfg.environment_map * decay,
     }
 
 
-def sh_rates(cfg: RateConfig) -> tuple[float, float, float, float]:
+def sh_learning_rates(cfg: LearningRates) -> tuple[float, float, float, float]:
     """Of coefficients of neither view nor time, of view, of time, of both."""
     return (
         cfg.sh_dc,

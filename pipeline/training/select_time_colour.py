@@ -1,9 +1,9 @@
-"""Does this scene need colours that change with time? Two short trainings on some of its cameras say so.
+"""Selection of time-varying colour by validation: two short trainings, with and without, on part of the training views.
 
-4DSH holds two thirds of a Gaussian's numbers. Where a thing's colour does change they show it; where none does they can
-but learn noise, and cost bytes and time. Which it is no number in the data says. So the model is trained with and
-without, in a part of the schedule and at half size, on three quarters of the training cameras; the other quarter is
-the judge. No test view has a say.
+4DSH holds two thirds of a Gaussian's numbers. Where colours do change with time, it is needed; elsewhere it fits noise
+and costs memory and time. No number in the data says which. So the model is trained with and without it, in a part of
+the schedule and at half size, on three quarters of the training poses; the other quarter is the validation set. Test
+views have no part in it.
 """
 
 from __future__ import annotations
@@ -25,79 +25,81 @@ from pipeline.model.initialise import initialise
 from pipeline.model.model import Model, kind_of
 from pipeline.training import schedule
 from pipeline.training.loop import Progress, train
-from pipeline.training.unrecorded import no_record
+from pipeline.training.run_log import unrecorded
 
-HELD_OUT = 4  # every so many-th pose judges
-SIZE = 0.5  # of the images; whether a colour changes shows at half size too
-# dB that colours of time must be worth: twice what such a gain varies by from seed to seed (few_views.md), which the
-# error over the views does not show.
-WORTH = 0.2
-PROOF = 2.0  # standard errors that the gain must be above zero
+VALIDATION_EVERY = 4  # every so many-th pose is a validation pose
+RESOLUTION = 0.5  # × the schedule's; whether a colour changes shows at half size too
+# dB. Twice the standard deviation of such a gain from seed to seed, which the error over the views does not contain.
+MIN_GAIN = 0.2
+MIN_STANDARD_ERRORS = 2.0  # that the gain must be above zero
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """What the held-out views said."""
+class Selection:
+    """What the validation views say."""
 
-    gain: float  # dB of PSNR that colours of time add to the held-out views, in the mean
+    gain: float  # dB of PSNR that time-varying colour adds on the validation views, mean
     standard_error: float  # dB, of that mean
     views: int
     seconds: float  # that both trainings took
 
     @property
     def kept(self) -> bool:
-        return self.gain > max(WORTH, PROOF * self.standard_error)
+        return self.gain > max(MIN_GAIN, MIN_STANDARD_ERRORS * self.standard_error)
 
     def __str__(self) -> str:
         return (
-            f"colours that change with time give {self.views} held-out training views {self.gain:+.2f} ± "
+            f"time-varying colour changes the PSNR of {self.views} validation views by {self.gain:+.2f} ± "
             f"{self.standard_error:.2f} dB: {'kept' if self.kept else 'left out'}"
         )
 
 
 def due(cfg: Config, scene: Scene) -> bool:
-    """Is there anything to leave out, and is it asked for? Under a time budget the schedule gets all of it."""
+    """Does the schedule ask for a selection, and is there time-varying colour to leave out? Never with a time budget,
+    all of which belongs to the schedule."""
     train = cfg.train
-    if train.trial == 0 or train.time_budget_s is not None or kind_of(scene, cfg).fourier_order == 0:
+    if train.select_time_colour == 0 or train.time_budget_s is not None or kind_of(scene, cfg).fourier_order == 0:
         return False
     try:
-        part = hold_out_poses(scene, HELD_OUT)
+        part = hold_out_poses(scene, VALIDATION_EVERY)
     except SceneError:
         return False
-    return part.extent > 0 and len(part.test) >= 2  # one says nothing of its error
+    return part.extent > 0 and len(part.test) >= 2  # a single view has no standard error
 
 
-def without_time_colors(cfg: Config) -> Config:
-    """The configuration of a model whose colours do not change with time: that of the ablation No-4DSH."""
+def without_time_colour(cfg: Config) -> Config:
+    """The configuration without time-varying colour: that of the ablation No-4DSH."""
     return replace(cfg, ablation=replace(cfg.ablation, fourier_order=0))
 
 
-def judge(scene: Scene, cfg: Config, cloud: Reconstruction | None, threads: int, say: Callable[[str], None]) -> Verdict:
-    """The verdict on `scene.train`. A function of the scene, the configuration and its seed, but for the seconds."""
-    started, part = time.perf_counter(), hold_out_poses(scene, HELD_OUT)
-    short = schedule.shortened(cfg.train, cfg.train.trial)
+def select(
+    scene: Scene, cfg: Config, cloud: Reconstruction | None, threads: int, log: Callable[[str], None]
+) -> Selection:
+    """Trains twice on `scene.train`. A function of the scene, the configuration and its seed, but for the seconds."""
+    started, part = time.perf_counter(), hold_out_poses(scene, VALIDATION_EVERY)
+    short = schedule.shortened(cfg.train, cfg.train.select_time_colour)
     short = replace(
         short,
-        resolution_scale=SIZE * short.resolution_scale,
+        resolution_scale=RESOLUTION * short.resolution_scale,
         eval_every=short.iterations,
         checkpoint_every=short.iterations,
     )
     cfg, psnr = replace(cfg, train=short, resume=False), []
-    for asked, what in ((cfg, "with"), (without_time_colors(cfg), "without")):
-        say(
-            f"trial: {what} colours that change with time, {short.iterations} iterations; "
-            f"{len(part.train)} training views, {len(part.test)} judge"
+    for variant, label in ((cfg, "with"), (without_time_colour(cfg), "without")):
+        log(
+            f"select_time_colour: {label} time-varying colour, {short.iterations} iterations; "
+            f"{len(part.train)} training views, {len(part.test)} validation views"
         )
-        psnr.append(_trained_psnr(part, asked, cloud, threads))
+        psnr.append(_trained_psnr(part, variant, cloud, threads))
     gain, error = mean_and_error(psnr[0] - psnr[1], [view.camera.world_to_cam.tobytes() for view in part.test])
-    return Verdict(gain, error, len(part.test), time.perf_counter() - started)
+    return Selection(gain, error, len(part.test), time.perf_counter() - started)
 
 
 def mean_and_error(gains: np.ndarray, poses: Sequence[Hashable]) -> tuple[float, float]:
-    """The mean of `gains` (at least two views,), and its standard error: over the poses, if there are two.
+    """The mean of `gains`, (views,) with at least two views, and its standard error.
 
-    The frames of one camera err together: a hundred of them know little more of another camera than ten. Of a single
-    pose frames are all there is.
+    The error is taken over poses where there are two or more: the frames of one camera are not independent. With a
+    single pose it is taken over frames.
     """
     groups: dict[Hashable, list[float]] = defaultdict(list)
     for pose, gain in zip(poses, gains.tolist(), strict=True):
@@ -109,10 +111,10 @@ def mean_and_error(gains: np.ndarray, poses: Sequence[Hashable]) -> tuple[float,
 def _trained_psnr(part: Scene, cfg: Config, cloud: Reconstruction | None, threads: int) -> np.ndarray:
     """(test views,) dB, of a model trained on `part.train`."""
 
-    def look(model: Model, progress: Progress) -> dict:
+    def evaluate_fn(model: Model, progress: Progress) -> dict:
         return {"psnr": float(held_out_psnr(model, part, cfg, threads).mean())}
 
-    start = initialise(part, cfg, stream(cfg.seed, Stream.INIT), cloud)
-    with no_record() as run:
-        model = train(start, part, cfg, run, look).model
+    initial = initialise(part, cfg, stream(cfg.seed, Stream.INIT), cloud)
+    with unrecorded() as run:
+        model = train(initial, part, cfg, run, evaluate_fn).model
     return held_out_psnr(model, part, cfg, threads)

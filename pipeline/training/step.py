@@ -1,7 +1,8 @@
-"""The views of one iteration, one after another: render, compare, carry the gradient back (docs/method.md 2)."""
+"""One iteration: draw a batch, render its views forward and backward one after another, step Adam (docs/method.md 2)."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -9,33 +10,32 @@ from torch import Tensor
 
 from datasets.composition import Color
 from datasets.scene import Scene
+from pipeline.config.random_streams import Stream, stream
 from pipeline.config.schema import Config
-from pipeline.data.training_views import Target
+from pipeline.data.training_views import Target, TrainingViews
 from pipeline.model.model import Model
 from pipeline.model.render import backward, render
+from pipeline.model.sphere import trainable_rows
+from pipeline.training import finite_checks
+from pipeline.training.kernels import Kernels
 from pipeline.training.objective.losses import view_loss
+from pipeline.training.objective.random_background import over_random_background
+from pipeline.training.objective.regularization import DECAY_EVERY, add_regularization_gradients, decay_colors
 from pipeline.training.schedule import Phase
-from rasterizer import Frame, Gradients, Request, ViewGradient
-from rasterizer.loss import L1Ssim
+from pipeline.training.state import TrainState
+from rasterizer import Gradients, Request, ViewGradient
+
+OverBackground = tuple[Target, Color]  # a training view, and the colour its image is composed over
 
 
 @dataclass(frozen=True)
-class ViewStep:
-    """What the forward and backward pass of one view say."""
+class RenderedView:
+    """What the forward and backward pass of one view found."""
 
     loss: float
     image: Tensor  # (3, H, W)
     target: Tensor  # (3, H, W) what it was compared with
     gradient: ViewGradient  # of the batch's loss
-
-
-class Kernels:
-    """The compiled parts with their scratch memory, reused from view to view."""
-
-    def __init__(self, ssim_weight: float, threads: int) -> None:
-        self.frame = Frame(threads=threads)
-        self.criterion = L1Ssim(ssim_weight, threads)
-        self.threads = threads
 
 
 class Batch:
@@ -46,16 +46,18 @@ class Batch:
         self._phase, self._size = phase, size
         sparse = cfg.train.optimiser == "sparse_adam"
         self.touched = torch.zeros(len(model), dtype=torch.uint8) if sparse else None
-        trained = model.environment is not None and phase.environment
-        self.d_environment = torch.zeros_like(model.environment.image) if trained else None  # of the batch's loss
+        trained = model.environment_map is not None and phase.environment_map
+        # of the batch's loss
+        self.d_environment_map = torch.zeros_like(model.environment_map.image) if trained else None
         self.loss = 0.0  # mean over the batch, once all views are through
-        self.n_gaussians = len(model)  # densification after the batch may change how many there are
+        self.n_gaussians = len(model)  # refinement after the step may change how many there are
         self.alive = 0.0  # of them those with p(t) >= 0.05 a view, likewise
+        self.last: RenderedView | None = None  # for the progress bar
 
-    def backward(self, target: Target, background: Color, gradients: Gradients) -> ViewStep:
-        """Render `target` over `background`, which its image is composed over, and add the gradient of its share of the
-        batch's loss into `gradients`."""
-        scene, cfg, frame = self._scene, self._cfg, self._kernels.frame
+    def backward(self, target: Target, background: Color, gradients: Gradients) -> RenderedView:
+        """Render `target` over `background`, the colour its image is composed over, and add the gradient of its share
+        of the batch's loss into `gradients`."""
+        scene, cfg, rasterizer = self._scene, self._cfg, self._kernels.rasterizer
         request = Request(
             target.camera,
             target.time,
@@ -65,31 +67,78 @@ class Batch:
             sh_degree=self._phase.sh_degree,
             fourier_order=self._phase.fourier_order,
         )
-        rendered = render(frame, self._model, request)
-        found = view_loss(self._kernels.criterion, rendered.image, target.image, self._size)
-        seen = backward(frame, self._model, rendered, found.d_image, gradients, self.d_environment)
-        loss = found.loss
+        rendered = render(rasterizer, self._model, request)
+        value = view_loss(self._kernels.criterion, rendered.image, target.image, self._size)
+        gradient = backward(rasterizer, self._model, rendered, value.d_image, gradients, self.d_environment_map)
+        loss = value.loss
         if cfg.train.rigid_weight > 0 and self._model.kind.motion == "full":
-            from pipeline.training.objective.rigid_loss import (
-                add_rigid_gradient,  # only where a configuration asks for it
-            )
-
-            loss += self._size * add_rigid_gradient(
-                gradients,
-                self._model,
-                target.time,
-                scene.duration,
-                cfg.train.rigid_weight / self._size,
-                self._kernels.threads,
-            )
+            loss += self._add_rigid_gradient(target.time, gradients)
         if self.touched is not None:
-            seen.mark(self.touched, self._kernels.threads)
+            gradient.mark(self.touched, self._kernels.threads)
         self.loss += loss / self._size
-        self.alive += frame.alive / self._size
-        return ViewStep(loss, rendered.image, target.image, seen)
+        self.alive += rasterizer.alive / self._size
+        self.last = RenderedView(loss, rendered.image, target.image, gradient)
+        return self.last
 
     def gradients_of(self, target: Target, background: Color) -> Gradients:
         """The gradient of one view alone, over the background it was trained over: to find out which is broken."""
         alone = Gradients.zeros_like(self._model.gaussians())
         self.backward(target, background, alone)
         return alone
+
+    def _add_rigid_gradient(self, time: float, gradients: Gradients) -> float:
+        # Imported here: the release's schedule alone asks for it.
+        from pipeline.training.objective.rigid_loss import add_rigid_gradient
+
+        weight = self._cfg.train.rigid_weight / self._size
+        found = add_rigid_gradient(gradients, self._model, time, self._scene.duration, weight, self._kernels.threads)
+        return self._size * found
+
+
+def draw_batch(
+    state: TrainState, views: TrainingViews, phase: Phase, scene: Scene, cfg: Config
+) -> list[OverBackground]:
+    """The views of the next iteration at the phase's resolution, over the background they are trained over."""
+    targets = [(views.at(index, phase.resolution), scene.background) for index in state.sampler.next_batch()]
+    if not cfg.train.random_background:
+        return targets
+    rng = stream(cfg.seed, Stream.BACKGROUND, state.iteration)
+    return [over_random_background(*target, rng) for target in targets]
+
+
+def render_batch(
+    state: TrainState, targets: Sequence[OverBackground], phase: Phase, scene: Scene, cfg: Config
+) -> Batch:
+    """Forward and backward pass of every view. The batch's gradients and densification statistics are left in `state`.
+
+    Raises finite_checks.NonFiniteError, which names the view, for a loss or a gradient that is not finite.
+    """
+    batch = Batch(state.model, scene, cfg, state.kernels, phase, len(targets))
+    state.zero_gradients()
+    if phase.densification:
+        state.statistics.begin()
+    for target, background in targets:
+        view = batch.backward(target, background, state.gradients)
+        finite_checks.check_loss(view.loss, state.iteration, target.name, state.model)
+        if phase.densification:
+            state.statistics.add_view(view.gradient, target.camera, scene.duration, state.threads)
+    if phase.densification:
+        state.statistics.end(len(targets))
+    finite_checks.check_gradients(
+        state.gradients,
+        state.iteration,
+        [target.name for target, _ in targets],
+        lambda position: batch.gradients_of(*targets[position]),
+        state.threads,
+    )
+    return batch
+
+
+def optimiser_step(state: TrainState, batch: Batch, phase: Phase, scene: Scene, cfg: Config) -> None:
+    """One step of Adam on the batch's gradients and those of the regularization."""
+    regularization = cfg.train.regularization
+    add_regularization_gradients(state.gradients, state.model, regularization, scene)
+    rows = trainable_rows(state.model, phase.sphere, batch.touched)
+    state.optimiser.step(state.gradients, phase.lr, rows, batch.d_environment_map)
+    if regularization.color > 0 and state.iteration % DECAY_EVERY == 0:
+        decay_colors(state.model, regularization.color, phase.lr["sh"][1])

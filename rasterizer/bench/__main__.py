@@ -19,7 +19,7 @@ from pathlib import Path
 import torch
 
 from rasterizer.bench.bound import Rates, Work, bound_ms, measure_rates, work_of
-from rasterizer.frame import default_threads
+from rasterizer.cores import usable_cores
 from rasterizer.kernel import kernel
 from rasterizer.memory import keep_freed_memory
 from rasterizer.timing.measure import (
@@ -32,7 +32,7 @@ from rasterizer.timing.measure import (
     time_iteration,
     time_loss,
     time_parts,
-    time_twin,
+    time_reference,
 )
 from rasterizer.timing.workloads import WORKLOADS, Workload, make_workload
 
@@ -68,7 +68,7 @@ def main() -> None:
         sys.exit("error: --plot and --all draw with matplotlib, which is not installed: pip install matplotlib")
     keep_freed_memory()
     torch.set_num_threads(1)
-    threads = options.threads or list(range(1, min(2, default_threads()) + 1))
+    threads = options.threads or list(range(1, min(2, usable_cores()) + 1))
     say = (lambda *lines: None) if options.json else print
     found: dict = {"isa": kernel.__name__.rsplit("_", 1)[1], "repeats": options.repeats, "workloads": {}}
     say(f"instruction set {found['isa']}, fastest of {options.repeats} (median)")
@@ -166,7 +166,7 @@ def beyond_frames(workload: Workload, threads: list[int], repeats: int, say) -> 
                 f"{parts['iteration'].minimum:.1f} ms {clock_for(n)[0]} = {ratio:.2f} times its rasterizer calls "
                 f"(loss {parts['loss'].minimum:.1f}, Adam {parts['adam'].minimum:.1f})"
             )
-    ours, twin = time_twin(workload, TWIN_PIXELS)
+    ours, twin = time_reference(workload, TWIN_PIXELS)
     found["crop"] = {"pixels": TWIN_PIXELS, "kernel": asdict(ours), "twin": asdict(twin)}
     say(
         f"  the middle {TWIN_PIXELS}×{TWIN_PIXELS} pixels: kernel {ours.minimum:.2f} ms, readable twin "

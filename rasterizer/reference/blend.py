@@ -16,7 +16,7 @@ from rasterizer.camera import Camera
 MAX_ALPHA = 0.99  # keeps 1 - α' away from zero (3DGS)
 MIN_ALPHA = 1 / 255  # an 8-bit image cannot show less (3DGS)
 MIN_TRANSMITTANCE = 1e-4  # what lies behind is invisible (3DGS)
-MIN_PRESENCE = 0.05  # p(t) below this takes no part: 2.4 σ from its moment (docs/method.md 1.1)
+MIN_MARGINAL = 0.05  # p(t) below this takes no part: 2.4 σ from its moment (docs/method.md 1.1)
 CHUNK_ELEMENTS = 2**22  # splats × pixels blended at once: bounds the memory where no gradient is recorded
 
 
@@ -24,7 +24,7 @@ CHUNK_ELEMENTS = 2**22  # splats × pixels blended at once: bounds the memory wh
 class Thresholds:
     """What is left out of the sum over Gaussians because it is small; all zero: nothing is."""
 
-    min_presence: float = MIN_PRESENCE
+    min_marginal: float = MIN_MARGINAL
     min_alpha: float = MIN_ALPHA
     min_transmittance: float = MIN_TRANSMITTANCE
 

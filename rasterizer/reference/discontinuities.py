@@ -31,7 +31,7 @@ def rows(gaussians: Gaussians, index: Tensor) -> Gaussians:
     return Gaussians(**{"quat_right": None, **{name: t[index] for name, t in gaussians.tensors().items()}})
 
 
-def away_from_jumps(gaussians: Gaussians, request: Request, margin: float = 1e-3) -> Gaussians:
+def away_from_discontinuities(gaussians: Gaussians, request: Request, margin: float = 1e-3) -> Gaussians:
     """Without the rows next to a jump or kink that a whole Gaussian has: p(t) = 0.05, z = near, a colour
     channel or the Jacobian at the edge of its clamp, a depth shared with another.
 
@@ -45,7 +45,7 @@ def away_from_jumps(gaussians: Gaussians, request: Request, margin: float = 1e-3
     lift = 1e3 * 0.5 / np.sqrt(np.pi)
     color = reference.colors(replace(gaussians, sh=raised), sliced, request) - lift
     z, camera, distance = mean_cam[:, 2], request.camera, mean_cam.norm(dim=1)
-    close = (sliced.presence - reference.MIN_PRESENCE).abs() < margin
+    close = (sliced.marginal - reference.MIN_MARGINAL).abs() < margin
     close |= (z - request.near).abs() < margin * distance.clamp(max=1.0 if request.near == 0 else 5 * request.near)
     close |= (color.abs() < margin).any(dim=1)
     for slope, focal, low, size in (

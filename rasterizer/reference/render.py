@@ -1,9 +1,9 @@
-"""The readable twin of the C++ kernel: 4D Gaussian Splatting's rasterizer in plain PyTorch.
+"""The reference implementation: 4D Gaussian Splatting's rasterizer in plain PyTorch.
 
 One function per equation of the method, in any floating-point type and differentiable by autograd. Every
 pixel meets every Gaussian in view, so it is slow and for small scenes only: it is the truth the kernel is
 tested against. Read it from top to bottom: slice the 4D Gaussians at a time, project the slices, then
-colour (`reference_sh.py`) and blend (`reference_blend.py`) them.
+colour (`sh.py`) and blend (`blend.py`) them.
 
 Letters: N Gaussians, V of them in view. μ mean, s scale, R rotation, M = R diag(s), Σ = M Mᵀ, t time.
 """
@@ -19,78 +19,19 @@ from torch import Tensor
 
 from rasterizer.arguments import Request, check_finite
 from rasterizer.camera import Camera
+from rasterizer.covariance import scaled_axes
 from rasterizer.gaussians import Gaussians
 from rasterizer.output import RenderOutput
-from rasterizer.reference.blend import MIN_PRESENCE, Splats, blend
+from rasterizer.reference.blend import MIN_MARGINAL, Splats, blend
 from rasterizer.reference.sh import sh_color
 
 FRUSTUM_MARGIN = 1.3  # the perspective's linearisation degenerates far outside the image (3DGS)
 DILATION = 0.3  # px²: no splat thinner than about a pixel, so that none falls between pixel centres (3DGS)
 LARGEST_EXPONENT = 80.0  # e^80 is 5e34: float32 holds it and its inverse
-LARGEST_INVERSE = 1e30  # of a quaternion's length, in gradients
 FEATURE_CHANNELS = {"color": 3, "depth": 1, "flow": 2, "stats": 2}  # what Σ w · is taken of
 
 
 # ---- The 4D Gaussian and its slice at a time ---------------------------------------------------------------
-
-
-def normalise_quaternion(quat: Tensor) -> Tensor:
-    """Unit quaternions (N, 4); a zero quaternion is read as the identity (1, 0, 0, 0) and gets no gradient.
-
-    Dividing by the largest component first keeps the squares from under- or overflowing. The result does not
-    depend on that divisor, so it is treated as a constant. The gradient is as large as 1/|q|, which is cut off at
-    1e30: for a denormal quaternion float32 could not hold it.
-    """
-    largest = quat.detach().abs().amax(dim=-1, keepdim=True)
-    identity = torch.tensor([1, 0, 0, 0], dtype=quat.dtype, device=quat.device)
-    quat = torch.where(largest > 0, quat / torch.where(largest > 0, largest, 1), identity)
-    norm = quat.norm(dim=-1, keepdim=True)
-    unit = quat / norm
-    passed = (largest * norm.detach() * LARGEST_INVERSE).clamp(max=1)
-    return torch.where(passed < 1, unit.detach() + passed * (unit - unit.detach()), unit)
-
-
-def rotation_4d(quat_left: Tensor, quat_right: Tensor) -> Tensor:
-    """R = L(ql) R(qr) (N, 4, 4), docs/method.md 1: v -> ql v qr, for v = (x, y, z, t) = x + yi + zj + tk."""
-    a, b, c, d = normalise_quaternion(quat_left).unbind(-1)
-    p, q, r, s = normalise_quaternion(quat_right).unbind(-1)
-    left = torch.stack([a, -b, -c, -d, b, a, -d, c, c, d, a, -b, d, -c, b, a], dim=-1).reshape(-1, 4, 4)
-    right = torch.stack([p, -q, -r, -s, q, p, s, -r, r, -s, p, q, s, r, -q, p], dim=-1).reshape(-1, 4, 4)
-    return left @ right
-
-
-def rotation_3d(quat: Tensor) -> Tensor:
-    """The rotation matrices (N, 3, 3) of quaternions (w, x, y, z), as in 3D Gaussian Splatting."""
-    w, x, y, z = normalise_quaternion(quat).unbind(-1)
-    return torch.stack(
-        [
-            1 - 2 * (y * y + z * z),
-            2 * (x * y - w * z),
-            2 * (x * z + w * y),
-            2 * (x * y + w * z),
-            1 - 2 * (x * x + z * z),
-            2 * (y * z - w * x),
-            2 * (x * z - w * y),
-            2 * (y * z + w * x),
-            1 - 2 * (x * x + y * y),
-        ],
-        dim=-1,
-    ).reshape(-1, 3, 3)
-
-
-def scaled_axes(gaussians: Gaussians) -> Tensor:
-    """M = R diag(s), so that Σ = M Mᵀ (docs/method.md 1): (N, 4, 4), or (N, 3, 3) for a static model.
-
-    Without 4D rotation, R turns space alone and leaves time: Σ is block diagonal and nothing moves.
-    """
-    if gaussians.motion == "full":
-        rotation = rotation_4d(gaussians.quat_left, gaussians.quat_right)
-    else:
-        rotation = rotation_3d(gaussians.quat_left)
-        if gaussians.motion == "separable":
-            rotation = F.pad(rotation, (0, 1, 0, 1))
-            rotation = rotation + torch.diag(rotation.new_tensor([0, 0, 0, 1]))
-    return rotation * gaussians.log_scale.exp()[:, None, :]
 
 
 @dataclass(frozen=True)
@@ -99,7 +40,7 @@ class Slice:
 
     mean: Tensor  # (N, 3) μ(t), world
     factor: Tensor  # (N, 3, 4) A, or (N, 3, 3) for a static model
-    presence: Tensor  # (N,) p(t) in [0, 1]
+    marginal: Tensor  # (N,) p(t) in [0, 1]
     velocity: Tensor  # (N, 3) dμ(t)/dt, world units a second
     variance_t: Tensor | None  # (N,) Σtt; None for a static model
 
@@ -125,7 +66,7 @@ def slice_in_time(gaussians: Gaussians, time: float) -> Slice:
     return Slice(
         mean=gaussians.mean[:, :3] + velocity * elapsed[:, None],
         factor=space - along_v[:, :, None] * v[:, None, :],
-        presence=torch.exp(-0.5 * (elapsed / sigma_t) ** 2),
+        marginal=torch.exp(-0.5 * (elapsed / sigma_t) ** 2),
         velocity=velocity,
         variance_t=sigma_t**2,
     )
@@ -187,11 +128,11 @@ def ellipse(projected_factor: Tensor) -> Tensor:
 
 
 @torch.no_grad()
-def blending_order(gaussians: Gaussians, request: Request, min_presence: float = MIN_PRESENCE) -> Tensor:
+def blending_order(gaussians: Gaussians, request: Request, min_marginal: float = MIN_MARGINAL) -> Tensor:
     """Rows (V,) of the Gaussians with p(t) >= 0.05 and depth z > near, nearest first; equal depths by row."""
     sliced = slice_in_time(gaussians, request.time)
     depth = world_to_camera(sliced.mean, request.camera)[:, 2]
-    taking_part = torch.nonzero((sliced.presence >= min_presence) & (depth > request.near)).squeeze(1)
+    taking_part = torch.nonzero((sliced.marginal >= min_marginal) & (depth > request.near)).squeeze(1)
     return taking_part[torch.argsort(depth[taking_part], stable=True)]
 
 
@@ -223,9 +164,9 @@ def opacity(logit: Tensor) -> Tensor:
     return F.logsigmoid(logit.clamp(-LARGEST_EXPONENT, LARGEST_EXPONENT)).exp()
 
 
-def make_splats(gaussians: Gaussians, request: Request, min_presence: float = MIN_PRESENCE) -> Splats:
+def make_splats(gaussians: Gaussians, request: Request, min_marginal: float = MIN_MARGINAL) -> Splats:
     """Slice, project and colour the Gaussians in view; features as asked, in FEATURE_CHANNELS order."""
-    index = blending_order(gaussians, request, min_presence)
+    index = blending_order(gaussians, request, min_marginal)
     rows = {name: tensor[index] for name, tensor in gaussians.tensors().items()}
     gaussians = Gaussians(**{"quat_right": None, **rows})
     sliced = slice_in_time(gaussians, request.time)
@@ -243,7 +184,7 @@ def make_splats(gaussians: Gaussians, request: Request, min_presence: float = MI
         index=index,
         center=project_point(mean_cam, request.camera),
         ellipse=ellipse(project_factor(sliced.factor, mean_cam, request.camera)),
-        opacity=opacity(gaussians.opacity_logit) * sliced.presence,
+        opacity=opacity(gaussians.opacity_logit) * sliced.marginal,
         features=torch.cat(features, dim=-1),
     )
 

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 import torch
 import torch.nn.functional as F
 
-from rasterizer import Frame, Gaussians, Gradients
+from rasterizer import Gaussians, Gradients, Rasterizer
 from rasterizer.adam import adam_step, sh_adam_step
-from rasterizer.frame import STAGES
+from rasterizer.forward_backward import STAGES
 from rasterizer.loss import L1Ssim
 from rasterizer.reference import render as reference
 from rasterizer.timing.workloads import Workload
@@ -55,7 +55,7 @@ def clock_for(threads: int) -> tuple[str, Callable[[], float]]:
 def time_frame(workload: Workload, threads: int, repeats: int, **options) -> FrameTime:
     """Repeat a view; options as Request's (outputs, flow_dt)."""
     name, clock = clock_for(threads)
-    frame, gradients, d_color = Frame(threads), Gradients.zeros_like(workload.gaussians), workload.image_gradient()
+    frame, gradients, d_color = Rasterizer(threads), Gradients.zeros_like(workload.gaussians), workload.image_gradient()
     request, d_sh = workload.request(**options), torch.zeros_like(workload.gaussians.sh)
     marks, stages = [], {stage: [] for stage in STAGES}
     for _ in range(repeats):
@@ -99,7 +99,7 @@ class Counts:
 
 
 def count(workload: Workload) -> Counts:
-    frame = Frame(1)
+    frame = Rasterizer(1)
     frame.render(workload.gaussians, workload.request())
     pairs, contributing = frame.count_pairs()
     return Counts(
@@ -150,7 +150,7 @@ def time_iteration(
     parameters = {name: p.clone() for name, p in workload.gaussians.tensors().items()}
     gaussians = Gaussians(**{"quat_right": None, **parameters})
     first, second = ({name: torch.zeros_like(p) for name, p in parameters.items()} for _ in range(2))
-    frame, gradients, criterion = Frame(threads), Gradients.zeros_like(gaussians), L1Ssim(threads=threads)
+    frame, gradients, criterion = Rasterizer(threads), Gradients.zeros_like(gaussians), L1Ssim(threads=threads)
     target = torch.rand(3, workload.camera.height, workload.camera.width, generator=torch.Generator().manual_seed(1))
     spent: dict[str, list[float]] = {"rasterizer": [], "loss": [], "adam": [], "iteration": []}
     for step in range(1, repeats + 1):
@@ -230,7 +230,7 @@ def torch_loss(image: torch.Tensor, target: torch.Tensor, ssim_weight: float = 0
     return (1 - ssim_weight) * (image - target).abs().mean() + ssim_weight * (1 - ssim.mean())
 
 
-def time_twin(workload: Workload, pixels: int) -> tuple[Time, Time]:
+def time_reference(workload: Workload, pixels: int) -> tuple[Time, Time]:
     """Forward and backward of the middle `pixels`² of a workload on one thread: the kernel, and the readable twin.
 
     A crop, because the twin keeps every (pixel, Gaussian) pair for autograd.

@@ -105,7 +105,7 @@ def test_every_experiment_and_every_run_of_it(experiment: str) -> None:
 @pytest.mark.parametrize("variant", options("variant"))
 def test_every_variant_is_one_change_in_a_folder_of_its_own(variant: str) -> None:
     chosen = ("experiment=training_curves", "scene=synthetic/wheel", "seed=1")
-    base = {"alone": "alone/as_it_is", "without": "without/nothing"}.get(variant.partition("/")[0], "fast")
+    base = {"alone": "add_one/baseline", "without": "leave_one_out/baseline"}.get(variant.partition("/")[0], "fast")
     cfg, usual = run_of(*chosen, f"variant={variant}"), run_of(*chosen, f"variant={base}")
     assert cfg.out == f"results/runs/training_curves/synthetic/wheel/{variant}/seed1"
     if variant.endswith("_start"):  # a schedule's first iterations, and nothing else of it
@@ -165,7 +165,7 @@ def test_release_differs_from_scene_to_scene(scene: str, batch: int, points: int
     train = config_of(f"scene=dnerf/{scene}", "train=release").train
     assert (train.batch, train.init_points) == (batch, points)
     assert train.rigid_weight == (1.0 if scene == "lego" else 0.0)
-    schedule = (train.iterations, train.rate.decay_iterations, train.densify.every, train.densify.stop)
+    schedule = (train.iterations, train.lr.decay_iterations, train.densify.every, train.densify.stop)
     assert schedule == ((20_000, 15_000, 200, 10_000) if scene == "bouncingballs" else (30_000, 30_000, 100, 15_000))
     assert train.init_box == [-1.3, 1.3] and not train.densify.use_time_gradient
 
@@ -179,7 +179,7 @@ def test_the_command_line_wins_over_every_file() -> None:
     [
         ("train.iteratons=5", "train.iteratons: no such key; did you mean train.iterations?"),
         ("+train.iteratons=5", "train.iteratons: no such key; did you mean train.iterations?"),
-        ("train.rate.mea=5", "train.rate.mea: no such key; did you mean train.rate.mean?"),
+        ("train.lr.mea=5", "train.lr.mea: no such key; did you mean train.lr.mean?"),
         ("trian=fast", "trian: no such key; did you mean train?"),
         ("train=fats", "train=fats: no such option; there are best, fast, "),
         ("scene=dnerf/legs", "scene=dnerf/legs: no such option; there are dnerf, "),
@@ -192,7 +192,7 @@ def test_the_command_line_wins_over_every_file() -> None:
         ("train.sampler=best", "train.sampler: expected pairs, views_at_one_time or times_of_one_view, found 'best'"),
         ("train.resolution_steps=[{until: 2}]", "train.resolution_steps.until: expected in (0, 1], found 2.0"),
         ("train.densify.prune_opacity=1", "train.densify.prune_opacity: expected in (0, 1), found 1.0"),
-        ("train.rate.scale=-1", "train.rate.scale: expected >= 0, found -1.0"),
+        ("train.lr.scale=-1", "train.lr.scale: expected >= 0, found -1.0"),
         (
             "scene.background=[0, 0]",
             "scene.background: expected auto, black, white or three values in [0, 1], found [0, 0]",
@@ -230,7 +230,7 @@ def test_a_typo_in_a_file_names_file_and_key(tmp_path: Path) -> None:
 
 def test_known_keys_are_the_schemas() -> None:
     keys = known_keys()
-    assert {"scene.path", "train.rate.mean_final", "train.densify.stop", "evaluate.lpips", "out"} <= set(keys)
+    assert {"scene.path", "train.lr.mean_final", "train.densify.stop", "evaluate.lpips", "out"} <= set(keys)
     assert len(keys) == len(set(keys))
 
 

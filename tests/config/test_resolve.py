@@ -9,10 +9,11 @@ from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 from tiny import tiny_scene
 
+from datasets.settings import SceneConfig
 from pipeline.config.compose import CONFIG_DIR, one_line, register_schema, to_config
-from pipeline.config.schema import AblationConfig, Config, SceneConfig
-from pipeline.config.static_overrides import resolved
+from pipeline.config.schema import AblationConfig, Config
 from pipeline.config.train_schema import ResolutionStep, TrainConfig
+from pipeline.model.scene_settings import resolved
 
 DIFFERENCES = {"init_points": 70, "rate": {"sh_rest": 1e-3}, "resolution_steps": [{"until": 0.5, "scale": 0.5}]}
 
@@ -21,22 +22,22 @@ BLACK = SceneConfig(background="black")
 
 
 def config(differences: dict | None = DIFFERENCES) -> Config:
-    return Config(scene=BLACK, train=TrainConfig(iterations=40, where_still=differences))
+    return Config(scene=BLACK, train=TrainConfig(iterations=40, static_overrides=differences))
 
 
 def test_they_are_put_in_where_nothing_moves() -> None:
     found = resolved(config(), tiny_scene(static=True)).train
-    assert (found.init_points, found.rate.sh_rest) == (70, 1e-3)
+    assert (found.init_points, found.lr.sh_rest) == (70, 1e-3)
     assert found.resolution_steps == [ResolutionStep(0.5, 0.5)]  # a whole list, not its items
     plain = config().train
-    back = replace(found, init_points=None, rate=plain.rate, resolution_steps=[])
-    assert back == replace(plain, where_still=None)  # and nothing else
+    back = replace(found, init_points=None, lr=plain.lr, resolution_steps=[])
+    assert back == replace(plain, static_overrides=None)  # and nothing else
 
 
 def test_nor_where_something_moves_or_the_schedule_has_none() -> None:
     for scene, cfg in ((tiny_scene(), config()), (tiny_scene(static=True), config(None))):
         black = replace(BLACK, background=[0.0, 0.0, 0.0])
-        assert resolved(cfg, scene) == replace(cfg, scene=black, train=replace(cfg.train, where_still=None))
+        assert resolved(cfg, scene) == replace(cfg, scene=black, train=replace(cfg.train, static_overrides=None))
 
 
 def test_resolving_twice_is_resolving_once() -> None:
@@ -60,14 +61,14 @@ def test_it_is_the_model_that_moves_or_does_not() -> None:
 @pytest.mark.parametrize(
     "override, message",
     [
-        ("+train.where_still.rate.sh=1", "train.where_still.rate.sh: no such key"),
+        ("+train.static_overrides.lr.sh=1", "train.static_overrides.lr.sh: no such key"),
         (
-            "train.where_still.rate.mean=1",
-            "not among this schedule's differences; add it as +train.where_still.rate.mean",
+            "train.static_overrides.lr.mean=1",
+            "not among this schedule's differences; add it as +train.static_overrides.lr.mean",
         ),
-        ("+train.where_still.where_still.batch=1", "no such key"),
-        ("train.where_still.rate.sh_rest=-1", "train.rate.sh_rest: expected >= 0, found -1"),
-        ("train.where_still.init_points=many", "train.init_points: Value 'many'"),
+        ("+train.static_overrides.where_still.batch=1", "no such key"),
+        ("train.static_overrides.lr.sh_rest=-1", "train.lr.sh_rest: expected >= 0, found -1"),
+        ("train.static_overrides.init_points=many", "train.init_points: Value 'many'"),
     ],
 )
 def test_a_wrong_one_is_one_line_on_any_scene(override: str, message: str) -> None:
@@ -81,6 +82,6 @@ def test_a_wrong_one_is_one_line_on_any_scene(override: str, message: str) -> No
 def test_an_added_one_counts() -> None:
     register_schema()
     with initialize_config_dir(str(CONFIG_DIR), version_base=None):
-        cfg = to_config(compose("config", ["scene=synthetic/wheel", "train=fast", "+train.where_still.batch=2"]))
+        cfg = to_config(compose("config", ["scene=synthetic/wheel", "train=fast", "+train.static_overrides.batch=2"]))
     assert resolved(cfg, tiny_scene(static=True)).train.batch == 2
     assert OmegaConf.structured(cfg).train.batch == resolved(cfg, tiny_scene()).train.batch == 4

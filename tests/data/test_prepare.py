@@ -10,8 +10,9 @@ import pytest
 
 from datasets.canonical import canonical_of
 from datasets.plenoptic import open_plenoptic
+from datasets.settings import SceneConfig
 from datasets.synthetic import build_scene
-from pipeline.config.schema import Config, InitConfig, SceneConfig
+from pipeline.config.schema import Config, InitConfig
 from pipeline.data.prepare import Prepared, near_depth, prepare, training_photographs
 from rasterizer import Camera
 

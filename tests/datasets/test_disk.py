@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from shell import Shell
 
-from datasets.files.atomic_folder import draft_of
-from datasets.files.atomic_write import DiskFull, replacing, write_text, writing
+from datasets.files.atomic_folder import atomic_folder
+from datasets.files.atomic_write import DiskFull, atomic_file, write_text, writing
 from pipeline.config.compose import CONFIG_DIR
 
 LIMITED = """
@@ -90,7 +90,7 @@ def test_the_old_checkpoint_stays_whole(begun: Path) -> None:
     code = f"""
 import resource, signal
 from pathlib import Path
-from pipeline import checkpoint
+from pipeline.training import checkpoint
 saved = checkpoint.load(Path({str(path)!r}))
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, 10_000))
@@ -113,7 +113,7 @@ def test_an_error_without_a_name_gets_one(tmp_path: Path) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
     with pytest.raises(OSError, match=rf"Input/output error: '{tmp_path}/a'"), writing(tmp_path / "a"):
         raise OSError(errno.EIO, "Input/output error")
-    with pytest.raises(DiskFull, match="scene: expected room"), draft_of(tmp_path / "scene") as draft:
+    with pytest.raises(DiskFull, match="scene: expected room"), atomic_folder(tmp_path / "scene") as draft:
         np.save(draft / "a.npy", np.zeros(3))
         raise OSError(errno.ENOSPC, "No space left on device")
     assert list(tmp_path.iterdir()) == []
@@ -121,7 +121,7 @@ def test_an_error_without_a_name_gets_one(tmp_path: Path) -> None:
 
 def test_replacing_keeps_the_old_file_and_leaves_nothing_beside_it(tmp_path: Path) -> None:
     write_text(tmp_path / "a", "old")
-    with pytest.raises(ZeroDivisionError), replacing(tmp_path / "a") as temporary:
+    with pytest.raises(ZeroDivisionError), atomic_file(tmp_path / "a") as temporary:
         temporary.write_text("half of")
         1 / 0
     assert (tmp_path / "a").read_text() == "old" and list(tmp_path.iterdir()) == [tmp_path / "a"]

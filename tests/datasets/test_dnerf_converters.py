@@ -32,7 +32,7 @@ def opaque_disc(root: Path, border: int, inside: int = 60) -> Path:
 
 def test_the_background_of_opaque_images_is_the_colour_of_their_borders(folder: Path) -> None:
     told: list[str] = []
-    scene = read(opaque_disc(folder, 255), background=None, downscale=1, say=told.append)
+    scene = read(opaque_disc(folder, 255), background=None, downscale=1, log=told.append)
     assert scene.background == (1.0, 1.0, 1.0)
     assert told == ["scene.background: white, the colour of the images' borders; scene.background=black overrides"]
     assert read(opaque_disc(folder, 253), background=None, downscale=1).background == (1.0, 1.0, 1.0)
@@ -42,17 +42,17 @@ def test_the_background_of_opaque_images_is_the_colour_of_their_borders(folder: 
 
 def test_a_background_that_is_asked_for_stays_and_is_remarked_on(folder: Path) -> None:
     told: list[str] = []
-    scene = read(opaque_disc(folder, 255), background=(0.0, 0.0, 0.0), downscale=1, say=told.append)
+    scene = read(opaque_disc(folder, 255), background=(0.0, 0.0, 0.0), downscale=1, log=told.append)
     assert scene.background == (0.0, 0.0, 0.0)
     assert told == ["scene.background: black, as asked for, though the images' borders are white"]
 
 
 def test_images_with_alpha_and_photographs_stay_over_black(folder: Path) -> None:
     told: list[str] = []
-    assert read(folder, background=None, say=told.append).background == (0.0, 0.0, 0.0)  # random, with alpha
+    assert read(folder, background=None, log=told.append).background == (0.0, 0.0, 0.0)  # random, with alpha
     for path in (folder / "train").iterdir():
         Image.open(path).convert("RGB").save(path)  # random, opaque: borders of many colours
-    assert read(folder, background=None, say=told.append).background == (0.0, 0.0, 0.0)
+    assert read(folder, background=None, log=told.append).background == (0.0, 0.0, 0.0)
     assert told == []
 
 

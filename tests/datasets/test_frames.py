@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.plenoptic.frame_store import StoredFrame, read_frames, write_frames
+from datasets.files.frame_store import StoredFrame, read_frames, write_frames
 from datasets.scene import Scene, SceneError, View, camera_extent, validate_scene
 from rasterizer.camera import Camera
 
@@ -130,7 +130,7 @@ def test_other_frames_than_promised_leave_nothing_behind(
 MEMORY = """
 import sys, numpy as np
 from pathlib import Path
-from datasets.plenoptic.frame_store import read_frames
+from datasets.files.frame_store import read_frames
 def status(): return {k: int(v.split()[0]) / 1000 for k, v in
                       (line.split(":") for line in open("/proc/self/status")) if k in ("VmRSS", "RssFile")}
 frames = read_frames(Path(sys.argv[1]), "cam00", (75, 1000, 1333, 3))

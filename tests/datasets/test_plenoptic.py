@@ -25,9 +25,9 @@ from plenoptic_folder import (
 )
 
 from datasets import Scene, SceneError, load_scene
+from datasets.files.frame_store import StoredFrame
 from datasets.plenoptic import read_plenoptic
-from datasets.plenoptic.frame_store import StoredFrame
-from pipeline.config.schema import SceneConfig
+from datasets.settings import SceneConfig
 
 # Levels of 255, inside a block: the rounding to limited range and back is 1 to 2, the rest is what x264 takes at crf 1.
 CODEC = 4
@@ -44,7 +44,7 @@ def folder(filmed: Path, tmp_path: Path) -> Path:
 
 
 def read(folder: Path, **options: object) -> Scene:
-    given = dict(name="plenoptic/toy", downscale=1, cache=folder.parent / "cache", threads=2, say=lambda text: None)
+    given = dict(name="plenoptic/toy", downscale=1, cache=folder.parent / "cache", threads=2, log=lambda text: None)
     return read_plenoptic(folder, **{**given, **options})
 
 
@@ -162,13 +162,13 @@ def test_a_config_names_it(folder: Path, reader: str, monkeypatch: pytest.Monkey
         frames=FRAMES,
         test_cameras=[1],
     )
-    scene = load_scene(cfg, say=lambda text: None)
+    scene = load_scene(cfg, log=lambda text: None)
     assert scene.name == name and scene.train[0].image.shape == (HEIGHT // 2, WIDTH // 2, 3)
     assert {view.name[:10] for view in scene.test} == {"test/cam01"}
 
 
 def test_opencv_is_loaded_only_where_there_are_videos() -> None:
-    code = "import sys, datasets, datasets.dnerf, datasets.plenoptic.frame_store; sys.exit('cv2' in sys.modules)"
+    code = "import sys, datasets, datasets.dnerf, datasets.files.frame_store; sys.exit('cv2' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
 
 

@@ -43,7 +43,7 @@ def folder(filmed: Path, tmp_path: Path) -> Path:
 
 
 def read(folder: Path, cache: str = "cache", **options: object) -> Scene:
-    given = dict(name="plenoptic/toy", cache=folder.parent / cache, threads=1, say=lambda text: None)
+    given = dict(name="plenoptic/toy", cache=folder.parent / cache, threads=1, log=lambda text: None)
     return read_plenoptic(folder, **{**given, **options})
 
 
@@ -121,7 +121,7 @@ def slow(self, *arguments):
             time.sleep(60)
         yield image
 Video.read = slow
-read_plenoptic(sys.argv[1], name="plenoptic/toy", cache=sys.argv[2], threads=1, say=lambda text: None)
+read_plenoptic(sys.argv[1], name="plenoptic/toy", cache=sys.argv[2], threads=1, log=lambda text: None)
 """
 
 
@@ -183,7 +183,7 @@ def test_a_second_process_waits_and_finds_the_work_done(folder: Path) -> None:
     said = []
     with open(store / ".lock", "w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        other = threading.Thread(target=lambda: read(folder, say=said.append))
+        other = threading.Thread(target=lambda: read(folder, log=said.append))
         other.start()
         for _ in range(300):
             if said:
@@ -236,13 +236,13 @@ def test_a_disk_that_fills_up_meanwhile_says_the_same(folder: Path, monkeypatch:
 
 def test_without_a_terminal_there_is_one_line_a_camera(folder: Path) -> None:
     said = []
-    read(folder, say=said.append)
+    read(folder, log=said.append)
     assert [line.split("  ")[0] for line in said] == [
         f"decoded {name}: {number} of 3 cameras" for number, name in enumerate(("cam00", "cam01", "cam02"), 1)
     ]
     assert said[-1].endswith("0:00 left")
     said.clear()
-    read(folder, say=said.append)
+    read(folder, log=said.append)
     assert not said
 
 

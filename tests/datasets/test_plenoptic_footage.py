@@ -12,7 +12,7 @@ from plenoptic_folder import FRAMES, HEIGHT, RATE, WIDTH, inside, picture, write
 
 from datasets import Footage, SceneError, load_footage, load_scene
 from datasets.plenoptic import Undistortion, read_footage
-from pipeline.config.schema import SceneConfig
+from datasets.settings import SceneConfig
 from rasterizer.camera import Camera
 
 NAMES = ("GX 03.mov", "b.cam.mp4", "left.MKV", "right.avi")
@@ -30,7 +30,7 @@ def filmed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def read(folder: Path, **options: object) -> Footage:
-    given = dict(name="video/toy", cache=folder.parent / "cache", downscale=2, threads=2, say=lambda text: None)
+    given = dict(name="video/toy", cache=folder.parent / "cache", downscale=2, threads=2, log=lambda text: None)
     return read_footage(folder, **{**given, **options})
 
 

@@ -14,8 +14,8 @@ from PIL import Image
 from plenoptic_folder import HEIGHT, WIDTH, picture, write_camera
 
 from datasets import Scene, SceneError
+from datasets.files.frame_store import StoredFrame
 from datasets.plenoptic import read_plenoptic
-from datasets.plenoptic.frame_store import StoredFrame
 
 FRAMES = 3
 # As the released program's converter writes them: sizes are floats, the principal point is an integer.
@@ -57,7 +57,7 @@ def folder(converted: Path, tmp_path: Path) -> Path:
 
 
 def read(folder: Path, **options: object) -> Scene:
-    given = dict(name="plenoptic/toy", downscale=1, cache=folder.parent / "cache", threads=2, say=lambda text: None)
+    given = dict(name="plenoptic/toy", downscale=1, cache=folder.parent / "cache", threads=2, log=lambda text: None)
     return read_plenoptic(folder, **{**given, **options})
 
 

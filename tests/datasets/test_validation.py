@@ -7,8 +7,8 @@ from tiny import tiny_scene
 from tiny_film import tiny_film
 
 from datasets import SceneError, load_posed, load_scene
+from datasets.settings import SceneConfig
 from datasets.validation import hold_out_every, hold_out_outermost, hold_out_poses
-from pipeline.config.schema import SceneConfig
 
 
 @pytest.mark.parametrize("every", [2, 3, 8])

@@ -194,9 +194,15 @@ def test_refused_input_leaves_no_run_folder(shell: Shell, arguments: list[str]) 
 
 
 def test_the_configuration_is_written_resolved_and_older_ones_still_open(shell: Shell) -> None:
-    command = ("scene=synthetic/still", *TINY[1:], "train.iterations=20", "+train.where_still.batch=3", "out=still")
+    command = (
+        "scene=synthetic/still",
+        *TINY[1:],
+        "train.iterations=20",
+        "+train.static_overrides.batch=3",
+        "out=still",
+    )
     out, _ = shell(*command)
-    assert "nothing moves: trained with the differences of train.where_still" in out
+    assert "nothing moves: trained with the differences of train.static_overrides" in out
     path = shell.folder / "still/config.yaml"
     text = path.read_text()
     assert "  batch: 3\n" in text and "where_still: null" in text
@@ -207,7 +213,7 @@ def test_the_configuration_is_written_resolved_and_older_ones_still_open(shell: 
     )
     out, _ = shell(*command)
     assert "train: already done" in out and path.read_text() == text
-    _, err = shell(*command[:-2], "+train.where_still.batch=4", "out=still", status=1)
+    _, err = shell(*command[:-2], "+train.static_overrides.batch=4", "out=still", status=1)
     assert "holds another run, with train.batch=3 where 4 is asked for" in err
 
 
@@ -261,8 +267,8 @@ def test_every_key_is_described() -> None:
     """The page says where: in one of two files, each key beside or below a comment; a group of keys is a class."""
     lines = [
         line
-        for name in ("config.py", "train_config.py")
-        for line in (CONFIG_DIR.parent / "pipeline" / name).read_text().splitlines()
+        for name in ("datasets/settings.py", "pipeline/config/schema.py", "pipeline/config/train_schema.py")
+        for line in (CONFIG_DIR.parent / name).read_text().splitlines()
     ]
     described = {
         match[1]

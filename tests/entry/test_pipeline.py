@@ -105,7 +105,7 @@ def test_metrics(finished: Path) -> None:
 
 def test_what_a_trial_leaves_out_the_model_does_not_hold(tmp_path: Path) -> None:
     """Orders that come in after the end show nothing."""
-    shell, asked = Shell(tmp_path), (*TINY, "train.trial=0.5", "train.fourier_at=[80,80]", "out=run")
+    shell, asked = Shell(tmp_path), (*TINY, "train.select_time_colour=0.5", "train.fourier_at=[80,80]", "out=run")
     out, _ = shell(*asked)
     assert "trial: without colours that change with time, 30 iterations; 6 training views, 2 judge" in out
     assert "+0.00 ± 0.00 dB: left out" in out and "synthetic/wheel · full, 4DSH left out · smoke · seed 0" in out
@@ -138,9 +138,9 @@ def test_the_curve_ends_with_the_run(finished: Path) -> None:
 
 
 def test_what_a_run_was_made_with(finished: Path) -> None:
-    environment = json.loads((finished / "environment.json").read_text())
-    assert environment["command"].startswith("python -m pipeline scene=synthetic/wheel train=smoke")
-    assert environment["versions"]["torch"] and environment["machine"] and environment["git_commit"]
+    provenance = json.loads((finished / "environment.json").read_text())
+    assert provenance["command"].startswith("python -m pipeline scene=synthetic/wheel train=smoke")
+    assert provenance["versions"]["torch"] and provenance["machine"] and provenance["git_commit"]
     config = yaml.safe_load((finished / "config.yaml").read_text())
     assert config["out"] == "results/runs/synthetic/wheel/full/smoke/seed0" and config["train"]["iterations"] == 60
 

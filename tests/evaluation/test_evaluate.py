@@ -27,7 +27,7 @@ from pipeline.evaluation.evaluate import (
 from pipeline.evaluation.metrics import METRICS, psnr
 from pipeline.model.initialise import initialise
 from pipeline.model.model import Model
-from rasterizer import Frame
+from rasterizer import Rasterizer
 
 
 def config(**keys) -> Config:
@@ -131,7 +131,7 @@ def test_alive_counts_the_gaussians_that_the_time_reaches() -> None:
 
 def test_quick_evaluate_agrees_on_psnr(model: Model) -> None:
     scene, cfg = tiny_scene(), config()
-    quick = quick_evaluate(model, scene, cfg, Frame(threads=1))
+    quick = quick_evaluate(model, scene, cfg, Rasterizer(threads=1))
     # The same renders; float32 sums in another order.
     assert quick["psnr"] == pytest.approx(evaluate(model, scene, cfg, 1).metrics["psnr"], abs=1e-4)
     assert 0 < quick["ssim"] < 1 and 0 < quick["test_loss"] < 1
@@ -140,17 +140,17 @@ def test_quick_evaluate_agrees_on_psnr(model: Model) -> None:
 def test_quick_evaluate_takes_views_spread_evenly(model: Model) -> None:
     scene, cfg = tiny_film(frames=5, held_out=("cam00",)), config()
     few = replace(cfg, train=replace(cfg.train, eval_views=3))
-    found = quick_evaluate(model, scene, few, Frame(threads=1))
+    found = quick_evaluate(model, scene, few, Rasterizer(threads=1))
     spread = replace(scene, test=scene.test[::2], train=[scene.train[i] for i in (0, len(scene.train) // 2, -1)])
-    assert found == quick_evaluate(model, spread, cfg, Frame(threads=1))
-    assert found != quick_evaluate(model, scene, cfg, Frame(threads=1))
+    assert found == quick_evaluate(model, spread, cfg, Rasterizer(threads=1))
+    assert found != quick_evaluate(model, scene, cfg, Rasterizer(threads=1))
 
 
 def test_speed_is_of_few_views(model: Model, monkeypatch) -> None:
     rendered = []
     monkeypatch.setattr(evaluation, "SPEED_VIEWS", 2)
     monkeypatch.setattr(Renderer, "tensor", lambda self, camera, moment: rendered.append(moment))
-    monkeypatch.setattr(Frame, "stage_ms", {"blend": 1.0})
+    monkeypatch.setattr(Rasterizer, "stage_ms", {"blend": 1.0})
     speed = frames_per_second(model, tiny_scene(), config(speed_repeats=2), 1)
     assert rendered == [0.0, tiny_scene().test[-1].time] * 2
     assert speed["fps_raster"] == pytest.approx(1000.0)

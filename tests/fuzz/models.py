@@ -6,7 +6,7 @@ import torch
 
 from fuzz.target import require
 from pipeline.model.model import Model, ModelKind
-from rasterizer import Camera, Frame, Request
+from rasterizer import Camera, Rasterizer, Request
 from rasterizer.gaussians import Motion
 
 VIEW = Request(Camera(9, 7, 8.0, 8.0, 4.5, 3.5, torch.eye(4).tolist()), time=0.5)
@@ -26,4 +26,4 @@ def require_model(model: Model) -> None:
     kind = (gaussians.motion, gaussians.fourier_order, gaussians.sh_degree)
     require(kind == (model.kind.motion, model.kind.fourier_order, model.kind.sh_degree), f"{model.kind} is {kind}")
     require(model.sphere is None or tuple(model.sphere.shape) == (len(model),), "a label for other Gaussians")
-    Frame(threads=1).render(gaussians, VIEW)
+    Rasterizer(threads=1).render(gaussians, VIEW)

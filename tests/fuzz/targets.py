@@ -7,17 +7,17 @@ import importlib
 from fuzz.target import Target
 
 MODULES = {
-    "dnerf": "read_dnerf",
-    "images": "read_images",
-    "videos": "read_videos",
-    "poses": "read_poses",
-    "frames": "read_frames",
-    "checkpoint": "read_checkpoint",
-    "ply": "read_ply",
-    "sfm": "read_sfm",
-    "photographs": "read_photographs",
-    "report": "read_report",
-    "run": "read_run",
+    "dnerf": "readers.dnerf",
+    "images": "readers.images",
+    "videos": "readers.videos",
+    "poses": "readers.poses",
+    "frames": "readers.frames",
+    "checkpoint": "readers.checkpoint",
+    "ply": "readers.ply",
+    "sfm": "readers.sfm",
+    "photographs": "readers.photographs",
+    "report": "readers.report",
+    "run": "readers.run",
     "rasterize": "render",
 }
 

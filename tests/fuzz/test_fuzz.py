@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import faulty_targets
 import pytest
 
+from fuzz import faulty_targets
 from fuzz.__main__ import main, replay
 from fuzz.search import search
 from fuzz.supervise import fuzz

@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from tiny import random_model
 
 from pipeline.model.model import ModelKind
-from pipeline.model.sphere import moving_rows, sphere_points
+from pipeline.model.sphere import sphere_points, trainable_rows
 
 COUNT, CENTRE, RADIUS = 5000, (3.0, -1.0, 2.0), 7.0
 
@@ -44,9 +44,9 @@ def test_turned_by_the_generator() -> None:
 
 def test_who_moves() -> None:
     model, touched = random_model(ModelKind("static", 0, 0), 4), torch.tensor([1, 1, 0, 0], dtype=torch.uint8)
-    assert moving_rows(model, False, None) is None and moving_rows(model, False, touched) is touched
+    assert trainable_rows(model, False, None) is None and trainable_rows(model, False, touched) is touched
     model.sphere = torch.tensor([True, False, True, False])
-    assert moving_rows(model, True, None) is None and moving_rows(model, True, touched) is touched
-    assert moving_rows(model, False, None).tolist() == [0, 1, 0, 1]
-    assert moving_rows(model, False, touched).tolist() == [0, 1, 0, 0]
-    assert moving_rows(model, False, touched).dtype == torch.uint8
+    assert trainable_rows(model, True, None) is None and trainable_rows(model, True, touched) is touched
+    assert trainable_rows(model, False, None).tolist() == [0, 1, 0, 1]
+    assert trainable_rows(model, False, touched).tolist() == [0, 1, 0, 0]
+    assert trainable_rows(model, False, touched).dtype == torch.uint8

@@ -22,7 +22,7 @@ CAMERAS = {
 
 
 def naive_look_up(image: Tensor, camera: Camera) -> Tensor:
-    """(3, H, W) float64: the docstring of environment.py, pixel by pixel."""
+    """(3, H, W) float64: the docstring of environment_map.py, pixel by pixel."""
     image, out = image.double(), torch.zeros(3, camera.height, camera.width, dtype=torch.float64)
     height, width = image.shape[1:]
     for row in range(camera.height):
@@ -44,21 +44,21 @@ def random_map(seed: int, height: int = HEIGHT) -> EnvironmentMap:
 
 @pytest.mark.parametrize("camera", CAMERAS.values(), ids=[str(target) for target in CAMERAS])
 def test_look_up_is_bilinear_by_direction(camera: Camera) -> None:
-    environment = random_map(0)
-    found = environment.look_up(environment.grid(camera))
+    environment_map = random_map(0)
+    found = environment_map.look_up(environment_map.grid(camera))
     # A pixel next to a pole is 0.05 from it: there float32 (6e-8) turns azimuth by 1e-6 rad or so, 5e-6 of a texel,
     # and texels differ by up to 1.
-    torch.testing.assert_close(found.double(), naive_look_up(environment.image, camera), rtol=0, atol=1e-5)
+    torch.testing.assert_close(found.double(), naive_look_up(environment_map.image, camera), rtol=0, atol=1e-5)
 
 
 def test_where_the_axes_of_the_world_are() -> None:
     picture = torch.zeros(3, 100, 200)
     picture[0], picture[1] = torch.arange(200) + 0.5, (torch.arange(100) + 0.5)[:, None]  # column, row of each texel
-    environment = EnvironmentMap(picture)
+    environment_map = EnvironmentMap(picture)
 
     def seen(*direction: float) -> list[float]:
         camera = camera_looking_at((0.0, 0.0, 0.0), width=1, height=1, target=direction)
-        return environment.look_up(environment.grid(camera))[:2, 0, 0].tolist()
+        return environment_map.look_up(environment_map.grid(camera))[:2, 0, 0].tolist()
 
     assert seen(0, 0, 1) == pytest.approx([100, 50], abs=1e-3)  # float32 of values up to 200
     assert seen(1, 0, 0) == pytest.approx([150, 50], abs=1e-3)
@@ -72,11 +72,11 @@ def test_where_the_axes_of_the_world_are() -> None:
 @pytest.mark.parametrize("camera", CAMERAS.values(), ids=[str(target) for target in CAMERAS])
 def test_the_gradient_is_the_adjoint_of_the_look_up(camera: Camera) -> None:
     """⟨look_up(E), d⟩ = ⟨E, gradient(d)⟩ for any E, as looking up is linear in E; and it adds."""
-    environment, other = random_map(1), random_map(2)
+    environment_map, other = random_map(1), random_map(2)
     d_colors = torch.rand(3, camera.height, camera.width, generator=generator(3))
     start = torch.randn(3, HEIGHT, 2 * HEIGHT, generator=generator(4))
     gradient = start.clone()
-    environment.add_gradient(gradient, environment.grid(camera), d_colors)
+    environment_map.add_gradient(gradient, environment_map.grid(camera), d_colors)
     left = (naive_look_up(other.image, camera) * d_colors).sum()
     right = (other.image.double() * (gradient - start)).sum()
     # 5000 positive terms, each good to 1e-5 (see above)
@@ -89,10 +89,10 @@ def test_the_number_of_threads_does_not_matter() -> None:
     try:
         for threads in (1, 2, 3):
             torch.set_num_threads(threads)
-            environment = random_map(6, 40)
-            grid, gradient = environment.grid(camera), torch.zeros_like(environment.image)
-            environment.add_gradient(gradient, grid, d_colors)
-            found.append((environment.look_up(grid), gradient))
+            environment_map = random_map(6, 40)
+            grid, gradient = environment_map.grid(camera), torch.zeros_like(environment_map.image)
+            environment_map.add_gradient(gradient, grid, d_colors)
+            found.append((environment_map.look_up(grid), gradient))
     finally:
         torch.set_num_threads(before)
     for other in found[1:]:
@@ -100,10 +100,10 @@ def test_the_number_of_threads_does_not_matter() -> None:
 
 
 def test_a_copy_is_its_own() -> None:
-    environment = EnvironmentMap.grey(3)
-    assert torch.equal(environment.image, torch.full((3, 3, 6), 0.5)) and environment.bytes == 3 * 3 * 6 * 4
-    environment.copy().image.zero_()
-    assert environment.image.all()
+    environment_map = EnvironmentMap.grey(3)
+    assert torch.equal(environment_map.image, torch.full((3, 3, 6), 0.5)) and environment_map.bytes == 3 * 3 * 6 * 4
+    environment_map.copy().image.zero_()
+    assert environment_map.image.all()
 
 
 def test_another_shape_is_refused() -> None:

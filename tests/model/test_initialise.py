@@ -8,7 +8,8 @@ import torch
 from tiny import tiny_scene
 
 from datasets.scene import Scene
-from pipeline.config.schema import AblationConfig, Config, InitConfig, SceneConfig
+from datasets.settings import SceneConfig
+from pipeline.config.schema import AblationConfig, Config, InitConfig
 from pipeline.config.train_schema import TrainConfig
 from pipeline.data.sfm.photograph import Reconstruction
 from pipeline.model.initialise import from_points, initialise, nearest_distance
@@ -99,7 +100,9 @@ def test_points_of_structure_from_motion_keep_their_places_and_colours() -> None
 def test_the_sphere_stands_round_points_and_cameras_where_cameras_look() -> None:
     scene = tiny_scene()  # cameras 4 before the origin, on an arc, looking along +z
     cfg = Config(
-        scene=SceneConfig(init_points=50), init=InitConfig(sphere_points=4000, sphere_radius=5.0), background="sphere"
+        scene=SceneConfig(init_points=50),
+        init=InitConfig(sphere_points=4000, sphere_radius=5.0),
+        background_model="sphere",
     )
     model = initialise(scene, cfg, np.random.default_rng(0))
     labelled, xyz = model.sphere, model.parameters["mean"][:, :3].double().numpy()

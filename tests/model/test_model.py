@@ -95,11 +95,11 @@ def test_ply_keeps_the_spheres_label(tmp_path) -> None:
 
 def test_a_copy_has_the_background_and_shares_nothing() -> None:
     model = random_model(KINDS[0])
-    assert model.background == "none"
+    assert model.background_model == "none"
     model.sphere = torch.arange(7) >= 4
-    assert model.background == "sphere"
-    model.environment = EnvironmentMap.grey(3)
-    assert model.background == "envmap"
+    assert model.background_model == "sphere"
+    model.environment_map = EnvironmentMap.grey(3)
+    assert model.background_model == "envmap"
     copy = model.copy()
     assert copy.state().keys() == model.state().keys()
     for name, tensor in copy.state().items():

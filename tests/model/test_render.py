@@ -12,9 +12,9 @@ from torch import Tensor
 from pipeline.model.environment_map import EnvironmentMap
 from pipeline.model.model import Model
 from pipeline.model.render import backward, render, render_image
-from rasterizer import Frame, Gaussians, Gradients, Request
-from rasterizer.reference.discontinuities import away_from_jumps, smooth_pixels
-from rasterizer.reference.render import rasterize as reference
+from rasterizer import Gaussians, Gradients, Rasterizer, Request
+from rasterizer.reference import rasterize as reference
+from rasterizer.reference.discontinuities import away_from_discontinuities, smooth_pixels
 
 HEIGHT = 10
 REQUEST = Request(off_centre_camera(), time=0.4, background=(0.2, 0.9, 0.1), outputs=("color", "alpha"))
@@ -22,7 +22,9 @@ REQUEST = Request(off_centre_camera(), time=0.4, background=(0.2, 0.9, 0.1), out
 
 def example() -> tuple[Gaussians, Tensor, Tensor]:
     """Gaussians (float64), a picture (3, h, 2h) float64 and ∂L/∂image (3, H, W), zero where the image jumps."""
-    gaussians = away_from_jumps(random_gaussians(60, "full", generator(0), opacity_logit=(-2.0, 1.0)), REQUEST)
+    gaussians = away_from_discontinuities(
+        random_gaussians(60, "full", generator(0), opacity_logit=(-2.0, 1.0)), REQUEST
+    )
     picture = torch.rand(3, HEIGHT, 2 * HEIGHT, generator=generator(1)).double()
     weights = torch.randn(3, 37, 45, generator=generator(2), dtype=torch.float64)
     return gaussians, picture, weights * smooth_pixels(gaussians, REQUEST)
@@ -30,7 +32,7 @@ def example() -> tuple[Gaussians, Tensor, Tensor]:
 
 def model_of(gaussians: Gaussians, picture: Tensor | None) -> Model:
     model = Model.from_gaussians(gaussians.to(torch.float32))
-    model.environment = None if picture is None else EnvironmentMap(picture.to(torch.float32))
+    model.environment_map = None if picture is None else EnvironmentMap(picture.to(torch.float32))
     return model
 
 
@@ -43,7 +45,7 @@ def true_image(gaussians: Gaussians, behind: Tensor) -> Tensor:
 
 @pytest.mark.parametrize("differentiable", [True, False])
 def test_without_an_environment_it_is_the_rasterizers_image_bit_for_bit(differentiable: bool) -> None:
-    model, frame = model_of(example()[0], None), Frame(threads=1)
+    model, frame = model_of(example()[0], None), Rasterizer(threads=1)
     expected = frame.render(model.gaussians(), REQUEST).color
     assert torch.equal(render(frame, model, REQUEST, differentiable).image, expected)
     assert torch.equal(render_image(frame, model, REQUEST), expected)
@@ -51,7 +53,7 @@ def test_without_an_environment_it_is_the_rasterizers_image_bit_for_bit(differen
 
 def test_the_image_is_the_gaussians_before_the_environment() -> None:
     gaussians, picture, weights = example()
-    found = render_image(Frame(threads=1), model_of(gaussians, picture), REQUEST)
+    found = render_image(Rasterizer(threads=1), model_of(gaussians, picture), REQUEST)
     expected = true_image(gaussians, naive_look_up(picture, REQUEST.camera))
     smooth = (weights != 0).all(0)
     assert smooth.float().mean() > 0.5
@@ -62,7 +64,7 @@ def test_the_image_is_the_gaussians_before_the_environment() -> None:
 def test_its_gradient_by_finite_differences_of_the_truth() -> None:
     """Along a random direction for each field and for the environment, in float64."""
     gaussians, picture, weights = example()
-    model, frame = model_of(gaussians, picture), Frame(threads=1)
+    model, frame = model_of(gaussians, picture), Rasterizer(threads=1)
     gradients, d_environment = Gradients.zeros_like(model.gaussians()), torch.zeros(3, HEIGHT, 2 * HEIGHT)
     rendered = render(frame, model, REQUEST)
     backward(frame, model, rendered, weights.to(torch.float32), gradients, d_environment)
@@ -88,7 +90,7 @@ def test_its_gradient_by_finite_differences_of_the_truth() -> None:
 
 def test_an_environment_that_is_not_trained_changes_no_other_gradient() -> None:
     gaussians, picture, weights = example()
-    model, frame, found = model_of(gaussians, picture), Frame(threads=1), []
+    model, frame, found = model_of(gaussians, picture), Rasterizer(threads=1), []
     for d_environment in (torch.zeros(3, HEIGHT, 2 * HEIGHT), None):
         found.append(Gradients.zeros_like(model.gaussians()))
         backward(frame, model, render(frame, model, REQUEST), weights.to(torch.float32), found[-1], d_environment)

@@ -7,7 +7,7 @@ import torch
 from builders import generator, off_centre_camera, output_weights, random_gaussians
 from torch import Tensor
 
-from rasterizer import Frame, Gaussians, Gradients, Request
+from rasterizer import Gaussians, Gradients, Rasterizer, Request
 from rasterizer.adam import adam_step, sh_adam_step
 
 STEPS = 6
@@ -85,7 +85,7 @@ def test_rows_left_out_are_not_touched_and_the_others_are_stepped_as_ever():
 
 def batch(gaussians: Gaussians, times: list[float], seed: int) -> Gradients:
     """Gradients of a batch of views at the times."""
-    frame, gradients = Frame(threads=1), Gradients.zeros_like(gaussians)
+    frame, gradients = Rasterizer(threads=1), Gradients.zeros_like(gaussians)
     for number, time in enumerate(times):
         request = Request(off_centre_camera(), time=time)
         weights = output_weights(request, torch.ones(37, 45), generator(seed + number))
@@ -146,7 +146,7 @@ def test_sh_rows_left_out_are_not_touched_and_the_others_are_stepped_as_ever(mas
 
 def test_degrees_and_orders_no_view_used_are_left_alone_and_the_others_stepped_as_ever():
     gaussians = random_gaussians(83, "full", generator(8)).to(torch.float32)
-    low = Frame(threads=1), Gradients.zeros_like(gaussians)
+    low = Rasterizer(threads=1), Gradients.zeros_like(gaussians)
     request = Request(off_centre_camera(), time=0.5, sh_degree=1, fourier_order=1)
     low[0].render(gaussians, request)
     low[0].backward(low[1], d_color=torch.ones(3, 37, 45))

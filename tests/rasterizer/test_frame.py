@@ -10,10 +10,10 @@ import torch
 from builders import generator, off_centre_camera, output_weights, outputs_of, random_gaussians, render_and_gradients
 from torch import Tensor
 
-from rasterizer import Frame, Gaussians, Gradients, Request, ViewGradient, rasterize
+from rasterizer import Gaussians, Gradients, Rasterizer, Request, ViewGradient, rasterize
 from rasterizer.reference import render as reference
 from rasterizer.reference.blend import blend
-from rasterizer.reference.discontinuities import away_from_jumps, rows, smooth_pixels
+from rasterizer.reference.discontinuities import away_from_discontinuities, rows, smooth_pixels
 
 MOTIONS = ("full", "separable", "static")
 
@@ -42,7 +42,7 @@ def run_frame(
     gaussians: Gaussians, requests: list[Request], threads: int
 ) -> tuple[dict[str, Tensor], list[ViewGradient]]:
     """Images, summed gradients and compact ones of several views through one Frame, by name."""
-    frame, gradients = Frame(threads=threads), Gradients.zeros_like(gaussians)
+    frame, gradients = Rasterizer(threads=threads), Gradients.zeros_like(gaussians)
     found, views = {}, []
     for number, request in enumerate(requests):
         out = frame.render(gaussians, request)
@@ -86,7 +86,7 @@ def test_gradients_of_views_add_up():
     both, _ = run_frame(gaussians, requests, threads=1)
     expected: dict[str, Tensor] = {}
     for number, request in enumerate(requests):
-        gradients, frame = Gradients.zeros_like(gaussians), Frame(threads=1)
+        gradients, frame = Gradients.zeros_like(gaussians), Rasterizer(threads=1)
         frame.render(gaussians, request)
         frame.backward(gradients, **image_gradients(request, number))
         for name, tensor in (gradients.dense() | {"sh": gradients.sh()}).items():
@@ -97,7 +97,7 @@ def test_gradients_of_views_add_up():
 
 def test_zeroed_gradients_start_afresh():
     gaussians, request = random_gaussians(40, "full", generator(4)).to(torch.float32), request_for("full")
-    frame, gradients = Frame(threads=1), Gradients.zeros_like(gaussians)
+    frame, gradients = Rasterizer(threads=1), Gradients.zeros_like(gaussians)
     for _ in range(2):
         gradients.zero_()
         frame.render(gaussians, request)
@@ -110,9 +110,9 @@ def test_zeroed_gradients_start_afresh():
 def test_what_a_view_says_of_its_gaussians(motion: str):
     """∂L/∂pixel position, ∂L/∂μt and radius of the visible ones, against the twin."""
     request = request_for(motion, outputs=("color",))
-    gaussians = away_from_jumps(random_gaussians(60, motion, generator(5)), request)
+    gaussians = away_from_discontinuities(random_gaussians(60, motion, generator(5)), request)
     weights = output_weights(request, smooth_pixels(gaussians, request), generator(6))
-    frame, gradients = Frame(threads=1), Gradients.zeros_like(gaussians.to(torch.float32))
+    frame, gradients = Rasterizer(threads=1), Gradients.zeros_like(gaussians.to(torch.float32))
     frame.render(gaussians.to(torch.float32), request)
     view = frame.backward(gradients, d_color=weights["color"].to(torch.float32))
 
@@ -144,11 +144,11 @@ def test_what_a_view_says_of_its_gaussians(motion: str):
 
 def test_visible_and_alive_are_counted():
     gaussians, request = random_gaussians(200, "full", generator(7)), request_for("full")
-    frame = Frame(threads=1)
+    frame = Rasterizer(threads=1)
     frame.render(gaussians.to(torch.float32), request)
-    presence = reference.slice_in_time(away_from_jumps(gaussians, request), request.time).presence
+    marginal = reference.slice_in_time(away_from_discontinuities(gaussians, request), request.time).marginal
     # away_from_jumps leaves a few out, which may or may not be alive
-    assert abs(frame.alive - (presence >= 0.05).sum().item()) <= 200 - len(presence)
+    assert abs(frame.alive - (marginal >= 0.05).sum().item()) <= 200 - len(marginal)
     assert 0 < frame.visible <= frame.alive
 
 
@@ -164,7 +164,7 @@ def test_non_finite_parameters_are_named(name: str):
             rasterize(gaussians, off_centre_camera())
 
 
-@pytest.mark.parametrize("entry", [rasterize, lambda g, camera: Frame(threads=1).render(g, Request(camera))])
+@pytest.mark.parametrize("entry", [rasterize, lambda g, camera: Rasterizer(threads=1).render(g, Request(camera))])
 def test_wrong_types_and_layouts_are_named(entry):
     gaussians, camera = random_gaussians(9, "full", generator(9)), off_centre_camera()
     with pytest.raises(ValueError, match=r"^mean must be .*float32 \[9, 4\], got float64"):
@@ -210,7 +210,7 @@ def test_bad_requests_are_named(changes: dict):
 
 def test_backward_asks_for_what_was_rendered():
     gaussians = random_gaussians(9, "full", generator(12)).to(torch.float32)
-    frame, gradients = Frame(threads=1), Gradients.zeros_like(gaussians)
+    frame, gradients = Rasterizer(threads=1), Gradients.zeros_like(gaussians)
     with pytest.raises(RuntimeError, match="must follow Frame.render"):
         frame.backward(gradients)
     frame.render(gaussians, Request(off_centre_camera()))
@@ -225,7 +225,7 @@ def test_backward_asks_for_what_was_rendered():
 def test_backward_refuses_an_image_that_was_changed_in_place():
     """It reads what render returned, so a changed image would give wrong gradients without a word."""
     gaussians, request = random_gaussians(80, "full", generator(14)).to(torch.float32), request_for("full")
-    frame, gradients = Frame(threads=1), Gradients.zeros_like(gaussians)
+    frame, gradients = Rasterizer(threads=1), Gradients.zeros_like(gaussians)
     image = frame.render(gaussians, request).color
     frame.backward(gradients, **image_gradients(request))
     image.clamp_(0.0, 0.5)
@@ -245,7 +245,7 @@ def test_rows_that_are_not_in_view_get_no_gradient():
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_a_view_for_looking_at_only_is_that_image_and_has_no_backward(motion: str):
     gaussians, request = random_gaussians(80, motion, generator(9)).to(torch.float32), request_for(motion)
-    frame = Frame(threads=1)
+    frame = Rasterizer(threads=1)
     images = [frame.render(gaussians, request, differentiable=wanted) for wanted in (True, False)]
     for name in request.outputs:
         # compiled apart, so a colour's sum may be rounded elsewhere: a few units in the last place

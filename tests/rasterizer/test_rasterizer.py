@@ -32,7 +32,7 @@ from torch import Tensor
 from rasterizer import Gaussians, RenderOutput, Request, rasterize
 from rasterizer.kernel import available_isas, kernel
 from rasterizer.reference import render as reference
-from rasterizer.reference.discontinuities import away_from_jumps, smooth_pixels
+from rasterizer.reference.discontinuities import away_from_discontinuities, smooth_pixels
 
 MOTIONS = ("full", "separable", "static")
 IMAGE_TOLERANCE = 3e-5
@@ -66,7 +66,7 @@ def assert_gradients_agree(found: dict[str, Tensor], expected: dict[str, Tensor]
 
 def check_against_twin(gaussians: Gaussians, request: Request) -> None:
     """Images and all gradients of float64 `gaussians`, rendered in float32, against the twin."""
-    gaussians = away_from_jumps(gaussians, request)
+    gaussians = away_from_discontinuities(gaussians, request)
     smooth = smooth_pixels(gaussians, request)
     weights = output_weights(request, smooth, generator(99))
     expected, truth = render_and_gradients(reference.rasterize, gaussians, request, weights)
@@ -117,7 +117,7 @@ def test_counts_around_the_vector_width(motion: str, count: int):
 def test_sizes_around_the_tile(size: tuple[int, int]):
     camera = camera_looking_at((0.3, 0.2, -3), *size, focal=max(size) * 1.1)
     request = make_request(camera=camera)
-    gaussians = away_from_jumps(random_gaussians(40, "full", generator(6)), request)
+    gaussians = away_from_discontinuities(random_gaussians(40, "full", generator(6)), request)
     # Too few pixels to leave a tenth out: images only where smooth, gradients likewise, by the weights.
     smooth = smooth_pixels(gaussians, request)
     weights = output_weights(request, smooth, generator(7))
@@ -133,7 +133,7 @@ def test_core_many_opaque_gaussians_end_pixels_early():
         600, "full", generator(8), log_scale=(-2.5, -1.0), opacity_logit=(3.0, 8.0), sh_degree=1
     )
     request = make_request(outputs=("color", "alpha"))
-    gaussians = away_from_jumps(gaussians, request)
+    gaussians = away_from_discontinuities(gaussians, request)
     smooth = smooth_pixels(gaussians, request)
     weights = output_weights(request, smooth, generator(9))
     expected, truth = render_and_gradients(reference.rasterize, gaussians, request, weights)
@@ -164,7 +164,7 @@ def test_long_fast_streaks(ratio: float):
     gaussians.log_scale[:, 1:3] = math.log(0.5 / ratio)
     gaussians = gaussians.to(torch.float32).to(torch.float64)
     request = make_request()
-    gaussians = away_from_jumps(gaussians, request)
+    gaussians = away_from_discontinuities(gaussians, request)
     smooth = smooth_pixels(gaussians, request, margin=1e-2)
     expected, found = (
         render(reference.rasterize, gaussians, request),
@@ -206,7 +206,7 @@ def test_a_huge_temporal_scale_with_a_tilted_time_axis():
     gaussians.log_scale[:, 3] = math.log(1e6)
     gaussians = gaussians.to(torch.float32).to(torch.float64)
     request = make_request()
-    gaussians = away_from_jumps(gaussians, request)
+    gaussians = away_from_discontinuities(gaussians, request)
     smooth = smooth_pixels(gaussians, request)
     expected = render(reference.rasterize, gaussians, request).color
     found = render(rasterize, gaussians.to(torch.float32), request).color
@@ -218,7 +218,7 @@ def test_a_denormal_quaternion_keeps_its_direction():
     """Its inverse overflows float32; 1e-3 because a denormal of 1e-40 itself has only some 16 bits."""
     gaussians = random_gaussians(30, "full", generator(13))
     request = make_request()
-    gaussians = away_from_jumps(gaussians, request)
+    gaussians = away_from_discontinuities(gaussians, request)
     smooth = smooth_pixels(gaussians, request, margin=1e-2)
     expected = render(reference.rasterize, gaussians, request).color
     single = gaussians.to(torch.float32)

@@ -16,7 +16,7 @@ from builders import generator, off_centre_camera, random_gaussians, render, ren
 
 from rasterizer import Camera, Gaussians, Request, rasterize
 from rasterizer.reference import render as reference
-from rasterizer.reference.discontinuities import away_from_jumps, smooth_pixels
+from rasterizer.reference.discontinuities import away_from_discontinuities, smooth_pixels
 
 MOTIONS = ("full", "separable", "static")
 IMAGE_TOLERANCE = 3e-5
@@ -124,7 +124,7 @@ def test_a_zero_quaternion_is_the_identity():
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_a_world_rotated_with_its_camera_looks_the_same(motion: str):
     request = make_request(outputs=("color", "depth"))
-    gaussians = away_from_jumps(random_gaussians(50, motion, generator(15), sh_degree=0), request)
+    gaussians = away_from_discontinuities(random_gaussians(50, motion, generator(15), sh_degree=0), request)
     turned, camera = rotated_world(gaussians, request.camera, torch.tensor([0.3, -0.5, 0.7, 0.4], dtype=torch.float64))
     before = render(rasterize, gaussians.to(torch.float32), request)
     after = render(rasterize, turned.to(torch.float32), replace(request, camera=camera))
@@ -136,7 +136,7 @@ def test_a_world_rotated_with_its_camera_looks_the_same(motion: str):
 @pytest.mark.parametrize("motion", ["full", "separable"])
 def test_a_4d_gaussian_without_motion_is_the_static_one_at_any_time(motion: str):
     """Its deviation in time is 1e4 durations: float32 must not let that leak into space."""
-    static = away_from_jumps(random_gaussians(50, "static", generator(16)), make_request())
+    static = away_from_discontinuities(random_gaussians(50, "static", generator(16)), make_request())
     count = len(static)
     pad = lambda t, value: torch.cat([t, torch.full((count, 1), value, dtype=t.dtype)], dim=1)  # noqa: E731
     timed = replace(static, mean=pad(static.mean, 0.5), log_scale=pad(static.log_scale, math.log(1e4)))

@@ -83,7 +83,7 @@ def test_the_slice_is_the_4d_density_at_the_time(motion: str):
     conditional = sliced.factor @ sliced.factor.mT
     log_given_time = -0.5 * torch.einsum("ni,nij,nj->n", offset, torch.linalg.inv(conditional), offset)
     # The two inverses have condition numbers up to 1e3: 1e-9 is 1e4 roundings of them.
-    torch.testing.assert_close(log_joint, sliced.presence.log() + log_given_time, rtol=1e-9, atol=1e-9)
+    torch.testing.assert_close(log_joint, sliced.marginal.log() + log_given_time, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("motion", ["full", "separable"])

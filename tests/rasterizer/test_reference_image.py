@@ -32,7 +32,7 @@ from rasterizer.arguments import Request
 from rasterizer.camera import Camera
 from rasterizer.gaussians import Gaussians
 from rasterizer.reference import render as reference
-from rasterizer.reference.discontinuities import away_from_jumps, smooth_pixels
+from rasterizer.reference.discontinuities import away_from_discontinuities, smooth_pixels
 from rasterizer.reference.sh import sh_basis
 
 MOTIONS = ("full", "separable", "static")
@@ -49,7 +49,7 @@ def naive_image(gaussians: Gaussians, request: Request) -> dict[str, np.ndarray]
     entries = []
     for n in range(len(gaussians)):
         elapsed = request.time - mean[n, 3]
-        presence = math.exp(-0.5 * elapsed**2 / sigma[n, 3, 3])
+        marginal = math.exp(-0.5 * elapsed**2 / sigma[n, 3, 3])
         velocity = sigma[n, :3, 3] / sigma[n, 3, 3]
         world = mean[n, :3] + velocity * elapsed
         to_camera = lambda p: camera.world_to_cam[:3, :3] @ p + camera.world_to_cam[:3, 3]  # noqa: E731
@@ -60,7 +60,7 @@ def naive_image(gaussians: Gaussians, request: Request) -> dict[str, np.ndarray]
             ]
         )
         point = to_camera(world)
-        if presence < 0.05 or point[2] <= request.near:
+        if marginal < 0.05 or point[2] <= request.near:
             continue
         limits = [
             (-1.3 * camera.cx / camera.fx, 1.3 * (camera.width - camera.cx) / camera.fx),
@@ -79,7 +79,7 @@ def naive_image(gaussians: Gaussians, request: Request) -> dict[str, np.ndarray]
             color = color + math.cos(2 * math.pi * order * elapsed / request.duration) * (basis @ rows_of_order)
         later = to_camera(world + velocity * request.flow_dt)
         flow = to_pixel(later) - to_pixel(point) if later[2] > request.near else np.zeros(2)
-        opacity = presence / (1 + math.exp(-gaussians.opacity_logit[n].item()))
+        opacity = marginal / (1 + math.exp(-gaussians.opacity_logit[n].item()))
         value = np.concatenate([np.maximum(color, 0), point[2:], flow, [mean[n, 3], sigma[n, 3, 3]]])
         entries.append((point[2], n, to_pixel(point), inverse, opacity, value))
     entries.sort(key=lambda entry: entry[:2])
@@ -184,7 +184,7 @@ def test_gradients_are_those_of_finite_differences(motion: str):
         camera, time=0.45, duration=0.8, background=(0.3, 0.6, 0.1), outputs=outputs_of(motion), flow_dt=0.2
     )
     gaussians = random_gaussians(5, motion, rng, sh_degree=1, fourier_order=1, log_scale=(-2.0, -0.7))
-    gaussians = away_from_jumps(gaussians, request)
+    gaussians = away_from_discontinuities(gaussians, request)
     weights = output_weights(request, smooth_pixels(gaussians, request), rng)
     _, gradients = render_and_gradients(reference.rasterize, gaussians, request, weights)
 

@@ -12,9 +12,10 @@ import pandas as pd
 import pytest
 from report_runs import write_run
 
+from pipeline.presentation.theme import DARK
 from pipeline.report.compare.bands import band, end_of_coarse, split_at
 from pipeline.report.compare.comparisons import Comparison, comparisons
-from pipeline.report.write.plots import DARK, plot
+from pipeline.report.write.plots import plot
 from pipeline.runs.read.collect import Collection, collect
 from pipeline.runs.read.variants import name_variants
 

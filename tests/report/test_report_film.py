@@ -19,7 +19,7 @@ from pipeline.report.tables.batches import batches, without_batch
 from pipeline.report.tables.paper_tables import ablation, plenoptic, plenoptic_per_scene
 from pipeline.report.tables.run_tables import all_runs
 from pipeline.report.tables.scene_tables import scene_table
-from pipeline.report.tables.structure import structure_from_motion
+from pipeline.report.write.structure import structure_from_motion
 from pipeline.runs.read.collect import collect
 from pipeline.runs.read.variants import name_variants
 
@@ -101,7 +101,7 @@ def test_runs_of_two_scenes_fill_table_3(tmp_path) -> None:
     [
         (("scene.path=/elsewhere/salmon", "scene.cache=/tmp/x", "scene=plenoptic/flame_salmon"), "paper"),
         (("scene.frames=30", "train.batch=1"), "paper (scene.frames=30, batch=1)"),
-        (("background=sphere", "init.source=random"), "paper (background=sphere, init.source=random)"),
+        (("background_model=sphere", "init.source=random"), "paper (background_model=sphere, init.source=random)"),
     ],
 )
 def test_part_of_a_scene_does_not_pass_for_it(tmp_path, typed: tuple[str, ...], name: str) -> None:

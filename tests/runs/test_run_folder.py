@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from shell import FORKING
 
-from datasets.files.atomic_write import replacing, write_text
+from datasets.files.atomic_write import atomic_file, write_text
 from pipeline.runs.run_folder import CURVE_COLUMNS, RunFolder, write_csv, write_json
 
 CONFIG = {
@@ -40,7 +40,7 @@ def made(path: Path, config: dict = CONFIG) -> None:
 def test_replacing_is_all_or_nothing(tmp_path: Path) -> None:
     path = tmp_path / "a.json"
     write_json(path, {"a": 1})
-    with pytest.raises(ZeroDivisionError), replacing(path) as temporary:
+    with pytest.raises(ZeroDivisionError), atomic_file(path) as temporary:
         temporary.write_text("half of")
         1 / 0
     assert json.loads(path.read_text()) == {"a": 1}

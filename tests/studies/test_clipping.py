@@ -9,21 +9,21 @@ import pytest
 import torch
 from builders import generator, off_centre_camera, random_gaussians
 
-from pipeline.config.train_schema import RateConfig
+from pipeline.config.train_schema import LearningRates
 from pipeline.model.model import Model
 from pipeline.studies.gradient_clipping import ClippingAdam, Outcome, spike, squares_of, verdict
 from pipeline.training.optimiser import Adam
-from pipeline.training.schedule import rates
-from rasterizer import Frame, Gradients, Request
+from pipeline.training.schedule import learning_rates
+from rasterizer import Gradients, Rasterizer, Request
 
-RATES = rates(1.0, 0.0, RateConfig(), extent=1.0)
+RATES = learning_rates(1.0, 0.0, LearningRates(), extent=1.0)
 
 
 def model_and_gradients() -> tuple[Model, Gradients]:
     """A random model, and what two views of it say."""
     g, camera = generator(31), off_centre_camera()
     gaussians = random_gaussians(300, "full", g).to(torch.float32)
-    gradients, frame = Gradients.zeros_like(gaussians), Frame(1)
+    gradients, frame = Gradients.zeros_like(gaussians), Rasterizer(1)
     for time in (0.4, 0.6):
         frame.render(gaussians, Request(camera, time, 1.0))
         frame.backward(gradients, d_color=torch.randn(3, camera.height, camera.width, generator=g))

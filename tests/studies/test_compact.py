@@ -14,7 +14,7 @@ from pipeline.studies.compression.__main__ import main, measure, smaller, smalle
 from pipeline.studies.compression.importance import keep_most_important
 from pipeline.studies.compression.retrain import retrained
 from pipeline.studies.compression.storage import LEVELS, PRECISIONS, load_compact, save_compact
-from pipeline.training.density.sensitivity_pruning import missed
+from pipeline.training.density.sensitivity_pruning import image_sensitivity
 from pipeline.training.loop import train
 
 
@@ -88,7 +88,7 @@ def test_another_file_is_refused(tmp_path, content):
 
 def test_the_whole_model_comes_first_and_the_smallest_is_within_the_loss(trained):
     scene, cfg = tiny_scene(), tiny_config()
-    worth = missed(trained, scene.train, scene, cfg, 1.0, np.random.default_rng(0), threads=1)
+    worth = image_sensitivity(trained, scene.train, scene, cfg, 1.0, np.random.default_rng(0), threads=1)
     models = {fraction: smaller(trained, worth, scene, cfg, fraction, 0.0) for fraction in (1.0, 0.5)}
     points = measure(models, scene, cfg)
     assert [(p.fraction, p.precision) for p in points] == [(f, p) for p in PRECISIONS for f in (1.0, 0.5)]

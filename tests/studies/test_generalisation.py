@@ -15,7 +15,7 @@ from pipeline.model.initialise import initialise
 from pipeline.studies.overfitting.error_by_motion import moving_pixels, shared_out
 from pipeline.studies.overfitting.history import read_history
 from pipeline.studies.overfitting.plot import mosaic
-from pipeline.studies.overfitting.view_count import views_that_saw
+from pipeline.studies.overfitting.view_count import effective_view_count
 from rasterizer import Request
 from rasterizer.reference.blend import blend
 from rasterizer.reference.render import make_splats
@@ -63,7 +63,9 @@ def test_views_that_saw_by_the_weights_of_the_twin():
     solid = truth.sum(dim=0) > 1  # one pixel in all: of less, a pair or two that just misses 1/255 is a large part
     views = truth.sum(dim=0).square() / truth.square().sum(dim=0).clamp(min=1e-30)
     assert solid.sum() > 50
-    torch.testing.assert_close(views_that_saw(model, scene, cfg, 1)[solid].double(), views[solid], rtol=1e-2, atol=0)
+    torch.testing.assert_close(
+        effective_view_count(model, scene, cfg, 1)[solid].double(), views[solid], rtol=1e-2, atol=0
+    )
 
 
 def test_one_view_is_one_and_as_many_alike_are_as_many():
@@ -71,12 +73,12 @@ def test_one_view_is_one_and_as_many_alike_are_as_many():
     model = initialise(scene, cfg, np.random.default_rng(0))
     model.parameters["mean"][::2, 2] += 100.0  # behind the camera
     alone = dataclasses.replace(scene, train=scene.train[:1])
-    once = views_that_saw(model, alone, cfg, 1)
+    once = effective_view_count(model, alone, cfg, 1)
     seen = once > 0
     assert seen.any() and not seen.all()
     # Exact but for one rounding of the square and of the quotient.
     torch.testing.assert_close(once[seen], torch.ones(int(seen.sum())), rtol=1e-6, atol=0)
-    thrice = views_that_saw(model, dataclasses.replace(scene, train=scene.train[:1] * 3), cfg, 1)
+    thrice = effective_view_count(model, dataclasses.replace(scene, train=scene.train[:1] * 3), cfg, 1)
     torch.testing.assert_close(thrice[seen], torch.full((int(seen.sum()),), 3.0), rtol=1e-6, atol=0)
 
 

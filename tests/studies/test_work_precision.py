@@ -20,9 +20,9 @@ from pipeline.studies.kernel_precision.narrowed import Narrowed
 from pipeline.studies.kernel_precision.pareto import on_front
 from pipeline.studies.kernel_precision.plot import draw
 from pipeline.studies.kernel_precision.table import comma_separated, markdown, verdicts
-from pipeline.studies.kernel_precision.truth import Rendered, render_twin
+from pipeline.studies.kernel_precision.truth import Rendered, render_reference
 from pipeline.studies.kernel_precision.variants import DEFAULT, TRADES, Choices, all_variants, by_name
-from rasterizer import Frame, Gradients, Request
+from rasterizer import Gradients, Rasterizer, Request
 from rasterizer.gaussians import Motion
 from rasterizer.kernel import kernel
 from rasterizer.reference import render as reference
@@ -72,7 +72,7 @@ def test_every_trade_off_has_the_default_among_its_values_and_names_mean_one_thi
 def test_bands_give_the_twins_image_and_gradients() -> None:
     workload = small_workload()
     d_color = workload.image_gradient()
-    found = render_twin(workload, d_color, Thresholds())
+    found = render_reference(workload, d_color, Thresholds())
     out, gradients = render_and_gradients(
         reference.rasterize, workload.gaussians.to(torch.float64), workload.request(), {"color": d_color.double()}
     )
@@ -85,7 +85,7 @@ def test_bands_give_the_twins_image_and_gradients() -> None:
 def test_without_thresholds_everything_in_front_counts() -> None:
     """Against the sum written out: no cut-offs, over all Gaussians, one after another."""
     workload = small_workload(1)
-    splats = reference.make_splats(workload.gaussians.to(torch.float64), workload.request(), min_presence=0)
+    splats = reference.make_splats(workload.gaussians.to(torch.float64), workload.request(), min_marginal=0)
     camera = workload.camera
     rows, columns = torch.meshgrid(torch.arange(camera.height), torch.arange(camera.width), indexing="ij")
     light = torch.ones(camera.height, camera.width, dtype=torch.float64)
@@ -95,7 +95,7 @@ def test_without_thresholds_everything_in_front_counts() -> None:
         alpha = (opacity * torch.exp(-0.5 * ((dx + k * dy) ** 2 / v + dy * dy / c))).clamp(max=0.99)
         image += color[:, None, None] * alpha * light
         light *= 1 - alpha
-    found = render_twin(workload, workload.image_gradient(), NONE).color
+    found = render_reference(workload, workload.image_gradient(), NONE).color
     torch.testing.assert_close(found, image, rtol=0, atol=1e-13)
 
 
@@ -128,14 +128,16 @@ def test_a_later_temporal_cut_off_takes_more_gaussians_and_errs_less(kernels) ->
     assert built[DEFAULT] is kernel and built[variant.name].choices["min_presence"] == 1e-4
     workload = make_workload("W1").cropped(24)
     d_color = workload.image_gradient()
-    truth, same = (render_twin(workload, d_color, thresholds) for thresholds in (NONE, variant.choices.thresholds()))
+    truth, same = (
+        render_reference(workload, d_color, thresholds) for thresholds in (NONE, variant.choices.thresholds())
+    )
     later, default = (render_kernel(built[name], workload, d_color) for name in (variant.name, DEFAULT))
     assert Errors.of(later, truth).image_rms < Errors.of(default, truth).image_rms
     assert Errors.of(later, truth).gradient_rms < Errors.of(default, truth).gradient_rms
     assert Errors.of(later, same).image_rms < 1e-5  # it does what the twin does with that cut-off: float32 apart
     alive = {}
     for name, module in built.items():
-        frame = Frame(1, module)
+        frame = Rasterizer(1, module)
         frame.render(workload.gaussians, workload.request())
         alive[name] = frame.alive
     # p(t) >= c keeps |t - μt| <= σt √(-2 ln c), and W1's moments are uniform beyond both ends
@@ -176,7 +178,7 @@ def test_the_float64_kernel_is_the_float64_twin(kernels, motion: Motion) -> None
     rng, outputs = generator(4), outputs_of(motion)
     gaussians = random_gaussians(60, motion, rng)
     request = Request(off_centre_camera(), time=0.4, outputs=outputs, flow_dt=0.01)
-    frame, gradients = Frame(1, built), Gradients.zeros_like(gaussians)
+    frame, gradients = Rasterizer(1, built), Gradients.zeros_like(gaussians)
     images = frame.render(gaussians, request)
     weights = {name: torch.randn(getattr(images, name).shape, generator=rng, dtype=torch.float64) for name in outputs}
     frame.backward(gradients, **{f"d_{name}": weight for name, weight in weights.items()})

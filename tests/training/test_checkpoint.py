@@ -67,7 +67,7 @@ def test_the_background_is_kept_too(tmp_path) -> None:
     kind = ModelKind("full", 2, 3)
     models = [random_model(kind) for _ in range(2)]
     for model in models:
-        model.sphere, model.environment = torch.rand(7) < 0.5, EnvironmentMap(torch.rand(3, 4, 8))
+        model.sphere, model.environment_map = torch.rand(7) < 0.5, EnvironmentMap(torch.rand(3, 4, 8))
     moments = torch.rand(3, 4, 8), torch.rand(3, 4, 8)
     checkpoint.save(tmp_path / "c", example(model=models[0], best_model=models[1], environment_moments=moments))
     loaded = checkpoint.load(tmp_path / "c")
@@ -89,7 +89,7 @@ def test_without_moments_and_best(tmp_path) -> None:
     checkpoint.save(tmp_path / "c", example(moments=None, best=None, best_model=None))
     loaded = checkpoint.load(tmp_path / "c")
     assert loaded.moments is None and loaded.best is None and loaded.best_model is None
-    assert loaded.environment_moments is None and loaded.model.background == "none"
+    assert loaded.environment_moments is None and loaded.model.background_model == "none"
 
 
 def test_model_alone(tmp_path) -> None:

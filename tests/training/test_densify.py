@@ -22,7 +22,7 @@ from pipeline.training.density.densification import (
 )
 from pipeline.training.optimiser import Adam
 from rasterizer import Camera, ViewGradient
-from rasterizer.reference.render import rotation_4d
+from rasterizer.covariance import rotation_4d
 
 EXTENT = 5.0  # so that clones end and splits begin at 0.05
 FULL = ModelKind("full", 0, 0)

@@ -14,15 +14,24 @@ from pipeline.config.train_schema import DensifyConfig, TrainConfig
 from pipeline.model.environment_map import EnvironmentMap
 from pipeline.model.initialise import initialise
 from pipeline.model.model import Model
-from pipeline.training.density.sensitivity_pruning import MOST_VIEWS, due, least, leave_out, missed, views_to_ask
+from pipeline.training.density.sensitivity_pruning import (
+    MOST_VIEWS,
+    due,
+    image_sensitivity,
+    least_sensitive,
+    leave_out,
+    scoring_views,
+)
 from pipeline.training.optimiser import Adam
-from rasterizer import Frame, Request
-from rasterizer.reference.render import rasterize
+from rasterizer import Rasterizer, Request
+from rasterizer.reference import rasterize
 
 
 def mean_missed(model, scene, cfg, draws: int) -> torch.Tensor:
     """(N,) float64, the mean over so many seeds of the signs."""
-    found = [missed(model, scene.train, scene, cfg, 1.0, np.random.default_rng(seed), 1) for seed in range(draws)]
+    found = [
+        image_sensitivity(model, scene.train, scene, cfg, 1.0, np.random.default_rng(seed), 1) for seed in range(draws)
+    ]
     return torch.stack(found).double().mean(dim=0)
 
 
@@ -76,10 +85,10 @@ def test_what_has_the_colour_of_what_is_behind_it_is_not_missed():
 def test_what_has_the_colour_of_the_environment_is_not_missed_either():
     scene, cfg = tiny_scene(views=2), tiny_config()
     model = loud_model(scene, cfg, 40)
-    model.environment = EnvironmentMap.grey(12)
+    model.environment_map = EnvironmentMap.grey(12)
     model.parameters["sh"].zero_()  # grey
     assert float(mean_missed(model, scene, cfg, draws=1).max()) < 1e-8
-    model.environment = None  # black
+    model.environment_map = None  # black
     assert float(mean_missed(model, scene, cfg, draws=1).max()) > 1
 
 
@@ -100,9 +109,11 @@ def test_an_opaque_one_is_missed_too():
 def test_it_is_a_function_of_the_generator_and_not_of_the_threads():
     scene, cfg = tiny_scene(views=3), tiny_config()
     model = loud_model(scene, cfg, 60)
-    one, two = (missed(model, scene.train, scene, cfg, 0.5, np.random.default_rng(5), threads) for threads in (1, 2))
+    one, two = (
+        image_sensitivity(model, scene.train, scene, cfg, 0.5, np.random.default_rng(5), threads) for threads in (1, 2)
+    )
     assert torch.equal(one, two)
-    assert not torch.equal(one, missed(model, scene.train, scene, cfg, 0.5, np.random.default_rng(6), 1))
+    assert not torch.equal(one, image_sensitivity(model, scene.train, scene, cfg, 0.5, np.random.default_rng(6), 1))
 
 
 def test_of_many_cameras_whole_moments_are_asked_and_of_one_camera_every_view():
@@ -113,26 +124,26 @@ def test_of_many_cameras_whole_moments_are_asked_and_of_one_camera_every_view():
         return dataclasses.replace(scene.train[0], time=i / (times - 1), name=f"{i}/{k}")
 
     alone = dataclasses.replace(scene, train=tuple(view(i, 0) for i in range(2 * MOST_VIEWS)))
-    assert views_to_ask(alone) == list(alone.train)
+    assert scoring_views(alone) == list(alone.train)
     many = dataclasses.replace(scene, train=tuple(view(i, k) for i in range(times) for k in range(cameras)))
-    asked = views_to_ask(many)
+    asked = scoring_views(many)
     chosen = {v.time for v in asked}
     assert len(asked) == cameras * len(chosen) and 0.9 * MOST_VIEWS < len(asked) <= MOST_VIEWS
     assert {0.0, 1.0} <= chosen  # spread from first to last
-    assert views_to_ask(scene) == list(scene.train)
+    assert scoring_views(scene) == list(scene.train)
 
 
 def test_the_least_are_as_many_as_fit_into_their_share():
     weight = torch.from_numpy(np.random.default_rng(0).pareto(1.0, 300).astype(np.float32))
     weight[::7] = 0.0
     for share in (0.0, 1e-3, 0.05, 0.5, 0.999):
-        few = least(weight, share)
+        few = least_sensitive(weight, share)
         inside, outside = weight[few].double(), weight[~few].double()
         total = weight.double().sum()
         assert inside.sum() <= share * total < inside.sum() + outside.min()  # one more would not fit
         assert len(inside) == 0 or inside.max() <= outside.min()
         assert few[weight == 0].all()
-    assert least(torch.ones(10), 0.35).tolist() == [True] * 3 + [False] * 7  # ties by index
+    assert least_sensitive(torch.ones(10), 0.35).tolist() == [True] * 3 + [False] * 7  # ties by index
 
 
 def test_images_change_less_than_by_leaving_out_any_others():
@@ -156,7 +167,7 @@ def test_images_change_less_than_by_leaving_out_any_others():
 def shown(model, scene, cfg) -> list[torch.Tensor]:
     """Its images of the training views, (3, h, w) each."""
     requests = [Request(v.camera, v.time, scene.duration, near=cfg.scene.near) for v in scene.train]
-    return [Frame(threads=1).render(model.gaussians(), request).color.clone() for request in requests]
+    return [Rasterizer(threads=1).render(model.gaussians(), request).color.clone() for request in requests]
 
 
 def test_moments_go_with_what_is_left_out_but_the_sphere_stays_and_never_do_all_go():
@@ -184,11 +195,13 @@ def test_what_no_view_saw_stays_where_not_all_were_asked():
 
 def test_training_leaves_out_what_is_missed_least(tmp_path):
     cfg = tiny_config(60)
-    cfg.train.densify = dataclasses.replace(cfg.train.densify, leave_out=0.01, leave_out_every=20)
+    cfg.train.densify = dataclasses.replace(cfg.train.densify, prune_sensitivity=0.01, prune_sensitivity_every=20)
     model, free = train_tiny(tmp_path / "run", cfg).model, train_tiny(tmp_path / "free", tiny_config(60)).model
     scene = tiny_scene()
     assert len(model) < 0.9 * len(free)  # most of the change is that of a few
-    idle, before = (float(least(mean_missed(m, scene, cfg, draws=20), 0.01).float().mean()) for m in (model, free))
+    idle, before = (
+        float(least_sensitive(mean_missed(m, scene, cfg, draws=20), 0.01).float().mean()) for m in (model, free)
+    )
     assert idle < before
     done = [row for row in TinyRun(tmp_path / "run").rows("log.jsonl") if row["event"] == "leave_out"]
     assert [row["iteration"] for row in done] == [20, 40] and sum(row["left_out"] for row in done) > 0
@@ -196,9 +209,9 @@ def test_training_leaves_out_what_is_missed_least(tmp_path):
 
 
 def test_when_it_is_due():
-    rules = DensifyConfig(leave_out=0.01, leave_out_every=100, start=150, stop=300)
+    rules = DensifyConfig(prune_sensitivity=0.01, prune_sensitivity_every=100, start=150, stop=300)
     cfg = TrainConfig(iterations=580, densify=rules)
     # On after the last densification; not at 500, after which there is less than a period to go.
     assert [i for i in range(581) if due(i, cfg)] == [200, 300, 400]
-    off = TrainConfig(densify=DensifyConfig(leave_out_every=1))
+    off = TrainConfig(densify=DensifyConfig(prune_sensitivity_every=1))
     assert not any(due(i, off) for i in range(1000))  # by default

@@ -90,8 +90,8 @@ def test_rows_left_out_keep_their_values_and_moments() -> None:
 def test_the_environment_is_stepped_by_adam_where_it_has_a_gradient() -> None:
     """torch.optim.Adam in float64; a step without a gradient for it leaves it and its moments alone."""
     model, generator = random_model(KIND, 5), torch.Generator().manual_seed(0)
-    model.environment = EnvironmentMap(torch.rand(3, 4, 8, generator=generator))
-    shadow = model.environment.image.double().requires_grad_()
+    model.environment_map = EnvironmentMap(torch.rand(3, 4, 8, generator=generator))
+    shadow = model.environment_map.image.double().requires_grad_()
     optimiser, truth = Adam(model), torch.optim.Adam([shadow], lr=RATES["environment"], eps=1e-15)
     for _ in range(5):
         d_environment = torch.randn(3, 4, 8, generator=generator)
@@ -99,10 +99,10 @@ def test_the_environment_is_stepped_by_adam_where_it_has_a_gradient() -> None:
         shadow.grad = d_environment.double()
         truth.step()
     # five float32 updates of values up to 1, each rounded to 6e-8 and itself right to some 1e-6 of the rate
-    torch.testing.assert_close(model.environment.image.double(), shadow.detach(), rtol=0, atol=1e-6)
-    before = [model.environment.image.clone(), *(moment.clone() for moment in optimiser.environment)]
+    torch.testing.assert_close(model.environment_map.image.double(), shadow.detach(), rtol=0, atol=1e-6)
+    before = [model.environment_map.image.clone(), *(moment.clone() for moment in optimiser.environment_map)]
     optimiser.step(random_gradients(model, generator), RATES)
-    assert all(map(torch.equal, before, (model.environment.image, *optimiser.environment)))
+    assert all(map(torch.equal, before, (model.environment_map.image, *optimiser.environment_map)))
     assert optimiser.bytes == 2 * model.bytes
 
 

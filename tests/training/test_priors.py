@@ -10,18 +10,18 @@ import torch
 from builders import random_gaussians
 from tiny import tiny_scene
 
-from pipeline.config.train_schema import PriorConfig
+from pipeline.config.train_schema import RegularizationConfig
 from pipeline.model.model import Model
 from pipeline.training.objective.regularization import (
     DECAY_EVERY,
     TILT_SOFTENING,
-    add_prior_gradients,
+    add_regularization_gradients,
     decay_colors,
     lack_of_views,
     tilt,
 )
 from rasterizer import Gradients
-from rasterizer.reference.render import rotation_4d
+from rasterizer.covariance import rotation_4d
 
 SCENE = tiny_scene(views=51)  # one camera, 51 moments of one second
 SPACING = 0.02
@@ -36,7 +36,7 @@ def model(motion: str = "full") -> Model:
     )
 
 
-def penalty(p: dict[str, torch.Tensor], cfg: PriorConfig) -> torch.Tensor:
+def penalty(p: dict[str, torch.Tensor], cfg: RegularizationConfig) -> torch.Tensor:
     """The sum of the priors as the configuration words them, written out; any dtype."""
     turned = torch.sqrt(tilt(p["quat_left"], p["quat_right"]) ** 2 + TILT_SOFTENING**2)
     lifetime = p["log_scale"][:, 3].exp()
@@ -52,9 +52,9 @@ def penalty(p: dict[str, torch.Tensor], cfg: PriorConfig) -> torch.Tensor:
     "keys", [{"motion": 0.7}, {"lifetime": 0.7}, {"opacity": 0.7}, {"opacity": 0.7, "opacity_views": 20.0}]
 )
 def test_the_gradient_is_that_of_the_penalty(keys):
-    found, cfg = model(), PriorConfig(**keys)
+    found, cfg = model(), RegularizationConfig(**keys)
     gradients = Gradients.zeros_like(found.gaussians())
-    add_prior_gradients(gradients, found, cfg, SCENE)
+    add_regularization_gradients(gradients, found, cfg, SCENE)
     leaves = {key: tensor.double().requires_grad_() for key, tensor in found.parameters.items()}
     penalty(leaves, cfg).backward()
     for key, mine in gradients.dense().items():
@@ -65,16 +65,16 @@ def test_the_gradient_is_that_of_the_penalty(keys):
 
 def test_opacity_is_let_be_where_many_views_share_a_lifetime():
     """20 of 51 views: all of the pull on what lives for 0.1 s, half of it on 0.784, 20/51 where nothing moves."""
-    found, cfg = model(), PriorConfig(opacity=1.0, opacity_views=20.0)
+    found, cfg = model(), RegularizationConfig(opacity=1.0, opacity_views=20.0)
     found.parameters["log_scale"][:2, 3] = torch.tensor([0.1, 40 / 51]).log()
     weight = lack_of_views(found, cfg, SCENE)
     torch.testing.assert_close(weight[:2], torch.tensor([1.0, 0.5]))
     assert lack_of_views(model("static"), cfg, SCENE) == pytest.approx(20 / 51)
-    assert lack_of_views(model("static"), PriorConfig(opacity=1.0, opacity_views=60.0), SCENE) == 1.0
+    assert lack_of_views(model("static"), RegularizationConfig(opacity=1.0, opacity_views=60.0), SCENE) == 1.0
 
 
 def test_opacity_is_pulled_at_alike_where_several_cameras_film_what_moves():
-    twice, cfg = replace(SCENE, train=SCENE.train + SCENE.train), PriorConfig(opacity=1.0, opacity_views=20.0)
+    twice, cfg = replace(SCENE, train=SCENE.train + SCENE.train), RegularizationConfig(opacity=1.0, opacity_views=20.0)
     assert twice.moments == SCENE.moments and len(twice.train) == 2 * len(twice.moments)
     assert lack_of_views(model(), cfg, twice) == 1.0
 
@@ -98,7 +98,7 @@ def test_a_rotation_of_space_alone_has_no_tilt():
 def test_no_prior_changes_nothing():
     found = model()
     gradients = Gradients.zeros_like(found.gaussians())
-    add_prior_gradients(gradients, found, PriorConfig(), SCENE)
+    add_regularization_gradients(gradients, found, RegularizationConfig(), SCENE)
     assert all(not tensor.any() for tensor in gradients.dense().values())
 
 
@@ -106,7 +106,7 @@ def test_no_prior_changes_nothing():
 def test_models_without_the_part_get_no_such_pull(motion):
     found = model(motion)
     gradients = Gradients.zeros_like(found.gaussians())
-    add_prior_gradients(gradients, found, PriorConfig(motion=1.0, lifetime=1.0), SCENE)
+    add_regularization_gradients(gradients, found, RegularizationConfig(motion=1.0, lifetime=1.0), SCENE)
     assert not gradients.quat_left.any()
     assert gradients.log_scale[:, 3:].any() == (motion == "separable")
 

@@ -9,7 +9,7 @@ import torch
 from builders import random_gaussians
 
 from pipeline.training.objective.rigid_loss import FALLOFF, MIN_MARGINAL, NEIGHBOURS, VELOCITY_STEP, rigid_loss
-from rasterizer.reference.render import rotation_4d
+from rasterizer.covariance import rotation_4d
 
 TIME, DURATION = 0.4, 1.0
 

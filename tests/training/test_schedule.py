@@ -6,35 +6,38 @@ from dataclasses import replace
 
 import pytest
 
-from pipeline.config.train_schema import RateConfig, ResolutionStep, TrainConfig
-from pipeline.training.schedule import clock, phase, rates, shortened
+from pipeline.config.train_schema import LearningRates, ResolutionStep, TrainConfig
+from pipeline.training.schedule import clock, learning_rates, phase, shortened
 
 EXTENT = 4.4
 
 
 def test_positional_rate_is_log_linear_over_the_extent_and_times_is_constant() -> None:
-    cfg = RateConfig()
+    cfg = LearningRates()
     for now, expected in [(0, 1.6e-4), (15_000, 1.6e-5), (30_000, 1.6e-6), (40_000, 1.6e-6)]:
-        x, y, z, t = rates(now, 0.0, cfg, EXTENT)["mean"]
+        x, y, z, t = learning_rates(now, 0.0, cfg, EXTENT)["mean"]
         # A few float64 operations: relative 1e-12 is thousands of roundings
         assert x == y == z == pytest.approx(expected * EXTENT, rel=1e-12)
         assert t == pytest.approx(1.6e-4 * EXTENT, rel=1e-12)
 
 
 def test_constant_rates() -> None:
-    r = rates(12_345, 0.4, RateConfig(), EXTENT)
+    r = learning_rates(12_345, 0.4, LearningRates(), EXTENT)
     assert (r["log_scale"], r["quat_left"], r["quat_right"], r["opacity_logit"]) == ((5e-3,) * 4, 1e-3, 1e-3, 5e-2)
     assert r["sh"] == (2.5e-3, 1.25e-4, 1.25e-4, 1.25e-4)
 
 
 def test_what_view_time_and_both_do_to_a_colour_has_a_rate_each() -> None:
-    cfg = RateConfig(sh_rest=1e-4, sh_time=1e-3, sh_view_time=3e-5)
-    assert rates(1, 0.0, cfg, EXTENT)["sh"] == (2.5e-3, 1e-4, 1e-3, 3e-5)
-    assert rates(1, 0.0, RateConfig(sh_rest=1e-4), EXTENT)["sh"] == (2.5e-3, 1e-4, 1e-4, 1e-4)
+    cfg = LearningRates(sh_rest=1e-4, sh_time=1e-3, sh_view_time=3e-5)
+    assert learning_rates(1, 0.0, cfg, EXTENT)["sh"] == (2.5e-3, 1e-4, 1e-3, 3e-5)
+    assert learning_rates(1, 0.0, LearningRates(sh_rest=1e-4), EXTENT)["sh"] == (2.5e-3, 1e-4, 1e-4, 1e-4)
 
 
 def test_final_factor_reaches_every_rate_at_the_end() -> None:
-    plain, decayed = rates(100, 1.0, RateConfig(), EXTENT), rates(100, 1.0, RateConfig(final_factor=0.1), EXTENT)
+    plain, decayed = (
+        learning_rates(100, 1.0, LearningRates(), EXTENT),
+        learning_rates(100, 1.0, LearningRates(final_factor=0.1), EXTENT),
+    )
     for name, rate in plain.items():
         for a, b in zip(*(r if isinstance(r, tuple) else (r,) for r in (rate, decayed[name]))):
             assert b == pytest.approx(0.1 * a, rel=1e-12), name
@@ -42,8 +45,8 @@ def test_final_factor_reaches_every_rate_at_the_end() -> None:
 
 @pytest.mark.parametrize("fraction, factor", [(0.0, 1.0), (0.6, 1.0), (0.8, 0.1), (1.0, 0.01)])
 def test_rates_are_held_before_they_decay(fraction: float, factor: float) -> None:
-    held = rates(100, fraction, RateConfig(final_factor=0.01, hold=0.6), EXTENT)
-    assert held["opacity_logit"] == pytest.approx(factor * RateConfig().opacity, rel=1e-12)
+    held = learning_rates(100, fraction, LearningRates(final_factor=0.01, decay_start=0.6), EXTENT)
+    assert held["opacity_logit"] == pytest.approx(factor * LearningRates().opacity, rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -84,7 +87,7 @@ def test_resolution_steps_are_fractions_of_the_schedule() -> None:
 
 def test_backgrounds_are_trained_up_to_and_with_the_iteration_given() -> None:
     trained = {now: phase(now, TrainConfig(), EXTENT, 3, 2) for now in (5000.0, 5001.0, 10_000.0, 10_001.0)}
-    assert [found.environment for found in trained.values()] == [True, False, False, False]
+    assert [found.environment_map for found in trained.values()] == [True, False, False, False]
     assert [found.sphere for found in trained.values()] == [True, True, True, False]
 
 
@@ -102,8 +105,10 @@ def test_a_shortened_schedule_is_the_whole_one_sooner(now: int) -> None:
     short = shortened(cfg, 0.1)
     assert (short.iterations, short.time_budget_s) == (3000, None)
     whole, sooner = phase(now, cfg, EXTENT, 3, 2), phase(0.1 * now, short, EXTENT, 3, 2)
-    assert whole.rates["mean"] == pytest.approx(sooner.rates["mean"], rel=1e-12)  # a few float64 operations
-    assert replace(whole, rates={}) == replace(sooner, rates={})
+    assert whole.learning_rates["mean"] == pytest.approx(
+        sooner.learning_rates["mean"], rel=1e-12
+    )  # a few float64 operations
+    assert replace(whole, learning_rates={}) == replace(sooner, learning_rates={})
     assert (short.densify.start, short.densify.stop, short.densify.every) == (50, 1500, cfg.densify.every)
 
 

@@ -12,7 +12,7 @@ from test_train import assert_same_state, batch_losses
 from tiny import tiny_config, tiny_scene, train_tiny
 
 from datasets.scene import Scene
-from pipeline.config.train_schema import DensifyConfig, RateConfig
+from pipeline.config.train_schema import DensifyConfig, LearningRates
 from pipeline.data.training_views import target_of
 from pipeline.model.initialise import initialise
 from pipeline.training import checkpoint
@@ -51,10 +51,10 @@ def test_the_environment_stands_still_after_its_time(tmp_path) -> None:
     for iterations in (20, 60):
         train_tiny(tmp_path / str(iterations), tiny_config(iterations, "envmap"))
     at_20, at_60 = (final(tmp_path / run) for run in ("20", "60"))
-    assert torch.equal(at_20.model.environment.image, at_60.model.environment.image)
+    assert torch.equal(at_20.model.environment_map.image, at_60.model.environment_map.image)
     assert all(map(torch.equal, at_20.environment_moments, at_60.environment_moments))
-    assert at_20.model.environment.image.min() < 0.5, "trained until then, on a black background"
-    assert at_60.best_model.environment is not None
+    assert at_20.model.environment_map.image.min() < 0.5, "trained until then, on a black background"
+    assert at_60.best_model.environment_map is not None
 
 
 def waves(scene: Scene) -> Scene:
@@ -79,9 +79,9 @@ def test_the_environment_learns_what_is_behind(tmp_path) -> None:
         checkpoint_every=1000,
         init_points=20,
         densify=DensifyConfig(stop=0),
-        environment_until=150,
-        environment_height=40,
-        rate=RateConfig(environment=0.01),
+        envmap_until=150,
+        envmap_height=40,
+        lr=LearningRates(environment_map=0.01),
     )
     losses = {
         background: batch_losses(tmp_path / background, waves(tiny_scene()), tiny_config(150, background, **keys))
@@ -131,7 +131,7 @@ def test_a_checkpoint_with_another_background_is_refused(tmp_path) -> None:
 
 def test_a_broken_environment_never_replaces_a_good_checkpoint(tmp_path) -> None:
     model = train_tiny(tmp_path, tiny_config(7, "envmap")).model
-    model.environment.image[1, 2, 3] = float("nan")
+    model.environment_map.image[1, 2, 3] = float("nan")
     with pytest.raises(guard.NonFiniteError, match="iteration 5: .* NaN or Inf in the environment map; not written"):
         guard.check_model(model, 5)
     with pytest.raises(guard.NonFiniteError, match="found nan; NaN or Inf in the environment map"):

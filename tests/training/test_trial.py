@@ -13,7 +13,7 @@ from tiny_film import tiny_film
 from datasets.scene import Scene, View
 from pipeline.config.compose import CONFIG_DIR, one_line, register_schema, to_config
 from pipeline.config.schema import Config
-from pipeline.config.train_schema import RateConfig
+from pipeline.config.train_schema import LearningRates
 from pipeline.training import select_time_colour as trial
 
 SHARE = 0.5
@@ -38,8 +38,8 @@ def test_they_stay_where_they_show() -> None:
     views = 48
     still = tiny_scene(views, static=True).train
     scene = replace(tiny_scene(), train=tuple(replace(view, time=i / views) for i, view in enumerate(still)))
-    rate = RateConfig(sh_time=1e-2, sh_dc=1e-2, scale=0.0, mean_time=0.0)
-    cfg = config(600, fourier_at=[30, 40], init_time_scale=2.0, rate=rate)
+    rate = LearningRates(sh_time=1e-2, sh_dc=1e-2, scale=0.0, mean_time=0.0)
+    cfg = config(600, fourier_at=[30, 40], init_time_scale=2.0, lr=rate)
     found = trial.judge(flickering(scene), cfg, None, 1, str)
     # Three seeds gave 4.8 to 6.0 dB, of 1.2 dB error.
     assert found.kept and found.gain > 2
@@ -84,7 +84,7 @@ def test_when_there_is_one() -> None:
     scene, cfg = tiny_scene(), config()
     assert trial.due(cfg, scene) and trial.due(cfg, tiny_film())
     assert not trial.due(tiny_config(), scene)
-    assert not trial.due(trial.without_time_colors(cfg), scene)
+    assert not trial.due(trial.without_time_colour(cfg), scene)
     assert not trial.due(cfg, tiny_scene(static=True))
     assert not trial.due(replace(cfg, train=replace(cfg.train, time_budget_s=1.0)), scene)
     assert not trial.due(cfg, replace(scene, train=scene.train[:4]))  # of four one would judge
@@ -95,5 +95,5 @@ def test_when_there_is_one() -> None:
 def test_a_share_out_of_range_is_one_line() -> None:
     register_schema()
     with initialize_config_dir(str(CONFIG_DIR), version_base=None), pytest.raises(Exception) as error:
-        to_config(compose("config", ["scene=synthetic/wheel", "train=fast", "train.trial=1"]))
-    assert "train.trial: expected in [0, 1) (0: none), found 1" in one_line(error.value)
+        to_config(compose("config", ["scene=synthetic/wheel", "train=fast", "train.select_time_colour=1"]))
+    assert "train.select_time_colour: expected in [0, 1) (0: none), found 1" in one_line(error.value)

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
+from pipeline.data.sfm.features import find_features, lens_of, verification
 from pipeline.data.sfm.job import Request
 
 MIN_PAIRS = 12  # explained by the pose; fewer could agree by chance
@@ -19,8 +20,6 @@ MIN_PAIRS = 12  # explained by the pose; fewer could agree by chance
 
 def register(name: str, model: pycolmap.Reconstruction, folder: Path, request: Request) -> dict | None:
     """The lens of photograph `name` as colmap.lens_of gives it; None if it can't be found."""
-    from pipeline.data.sfm.colmap import find_features, lens_of, verification
-
     database = folder / f"with_{name}.db"
     with pycolmap.Database.open(folder / "database.db"):
         database.write_bytes((folder / "database.db").read_bytes())

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets.files.atomic_folder import draft_of, write_json
+from datasets.files.atomic_folder import atomic_folder, write_json
 from datasets.files.errors import DataError, read_json
 from pipeline.config.schema import InitConfig
 from pipeline.data.sfm.photograph import Lens, Photograph, Reconstruction
@@ -62,7 +62,7 @@ def fingerprint(photographs: Sequence[Photograph], cfg: InitConfig, unit: float)
 
 def save(result: Reconstruction, folder: Path) -> None:
     """Write the folder, whole or not at all. Of two processes that make the same, the first one's stands."""
-    with draft_of(folder, proof="result.json") as draft:
+    with atomic_folder(folder, proof="result.json") as draft:
         np.savez(
             draft / "result.npz",
             points=result.points,

@@ -18,7 +18,7 @@ from pipeline.report.tables.verdicts import verdicts
 from pipeline.runs.read.collect import Collection
 
 TRIAL_NOTE = (
-    "Trial of 4DSH: what time-varying colour gave held-out training views in a short training. Train s: the trial's "
+    "Selection of 4DSH: the PSNR that time-varying colour gave held-out training views in a short training. Train s: its "
     "too."
 )
 
@@ -40,7 +40,7 @@ def run_tables(collection: Collection, levels: tuple[float, ...] = ()) -> list[T
 
 def all_runs(runs: pd.DataFrame) -> Table:
     """One row a run: quality and cost."""
-    filmed, tried = runs["final.flicker"].notna().any(), runs["trial.gain"].notna().any()
+    filmed, tried = runs["final.flicker"].notna().any(), runs["selection.gain"].notna().any()
     columns = (
         Column("run", "Run", False),
         Column("model", "Model", False, fold=True),
@@ -63,7 +63,7 @@ def all_runs(runs: pd.DataFrame) -> Table:
         Column("model_mb", "Model MB", group="cost"),
         Column("model_with_optimiser_mb", "+ optimiser MB", group="cost"),
         Column("peak_rss_mb", "Peak RSS MB", group="cost"),
-        *([Column("trial", "Trial of 4DSH, dB", False, group="cost")] if tried else []),
+        *([Column("selection", "Selection of 4DSH, dB", False, group="cost")] if tried else []),
     )
     source = {
         "final_psnr": ("final.psnr", 2),
@@ -92,7 +92,7 @@ def all_runs(runs: pd.DataFrame) -> Table:
                 "run": text(row["run"]),
                 "model": text(row["ablation"]),
                 **{key: number(row[metric], decimals) for key, (metric, decimals) in source.items()},
-                "trial": _trial(row),
+                "selection": _selection(row),
             }
         )
         for row in runs.to_dict("records")
@@ -112,12 +112,12 @@ def all_runs(runs: pd.DataFrame) -> Table:
     )
 
 
-def _trial(run: dict[str, Any]) -> Cell:
-    """What a run's trial said."""
-    if math.isnan(run["trial.gain"]):
+def _selection(run: dict[str, Any]) -> Cell:
+    """What a run's selection of time-varying colour found."""
+    if math.isnan(run["selection.gain"]):
         return text("none")
-    said = "kept" if run["trial.kept"] else "left out"
-    return text(f"{run['trial.gain']:+.2f} ± {run['trial.standard_error']:.2f}: {said}")
+    said = "kept" if run["selection.kept"] else "left out"
+    return text(f"{run['selection.gain']:+.2f} ± {run['selection.standard_error']:.2f}: {said}")
 
 
 def provenance(runs: pd.DataFrame) -> Table:

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 from pipeline.presentation.table import Table
 from pipeline.presentation.table_files import markdown
-from pipeline.report.tables.structure import Structure
 from pipeline.report.tables.summary import Summary, summary_markdown
 from pipeline.report.tables.variants_study import STUDY
 from pipeline.report.write.strips import Strip
+from pipeline.report.write.structure import Structure
 
 _COMPARISONS = ("equal_time", "time_to_psnr", "batches")  # slugs of tables that set schedules side by side
 _RAW = ("all_runs", "provenance")

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import io
 import math
-from dataclasses import dataclass
 
 import matplotlib
 import pandas as pd
@@ -17,6 +16,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
+from pipeline.presentation.theme import LIGHT, Theme
 from pipeline.report.compare.bands import band, end_of_coarse, split_at
 from pipeline.report.compare.comparisons import Comparison, Line
 from pipeline.report.read import paper, scenes
@@ -25,19 +25,6 @@ from pipeline.runs.read.model_labels import ablation_of
 
 _LOG_RATIO = 4  # a schedule so many times longer than another squeezes it to a wall: logarithmic axis then
 
-
-@dataclass(frozen=True)
-class Theme:
-    """Colours on one background; colour-blind readers tell the ablations apart too (after Okabe, Ito)."""
-
-    name: str
-    ink: str
-    faint: str
-    ablations: tuple[str, ...]  # full, no_4drot, no_4dsh, no_time_split, any other; lines of other figures in turn
-
-
-LIGHT = Theme("light", "#1d2430", "#d9dde3", ("#0072b2", "#d55e00", "#009e73", "#b5519b", "#7a7f87"))
-DARK = Theme("dark", "#e4e7ec", "#3a414d", ("#5ab6f0", "#f2955c", "#3ccb9e", "#e39bcf", "#a6abb3"))
 
 _ROWS = (("train_seconds", "training time, s (evaluation left out)"), ("iteration", "iteration"))
 _COLUMNS = (

@@ -1,7 +1,7 @@
 """Reads run folders into tidy frames.
 
 A run folder is any folder with a config.yaml or a metrics.json. One that is unfinished or whose metrics.json
-can't be trusted is named in one line and left out; a missing or damaged side file (curve, environment) is a
+can't be trusted is named in one line and left out; a missing or damaged side file (curve, provenance) is a
 warning and the run stays, without that part.
 """
 
@@ -45,7 +45,7 @@ COST = (
 REQUIRED = ("final.psnr", "final.ssim", "iterations", "train_seconds", "n_gaussians")
 CURVE_COLUMNS = ("train_seconds", "iteration", "psnr", "n_gaussians")
 CURVE_MORE = ("ssim", "test_loss")  # a curve without them is drawn without them
-ENVIRONMENT = ("machine", "date", "git_commit", "command")  # these stand beside the numbers
+PROVENANCE = ("machine", "date", "git_commit", "command")  # these stand beside the numbers
 MOTIONS = ("static", "separable", "full")  # rasterizer.gaussians.Motion
 LARGEST_NUMBER = 1e15  # of a measurement; its square is a number too
 LARGEST_SEED = 2**63 - 1  # of pandas
@@ -67,8 +67,8 @@ class Collection:
 
     runs:     one row a run: run (its path under RUNS_DIR), folder, scene, ablation, train, seed, machine,
               date, git_commit, command, *_note, and the metrics as `final.psnr`, `best_on_test.psnr`,
-              `n_gaussians` … (floats; NaN: not measured), `trial.gain` and `trial.standard_error` (dB; NaN:
-              no trial), `trial.kept`. `*.dssim_ms` = (1 - MS-SSIM) / 2 is the paper's
+              `n_gaussians` … (floats; NaN: not measured), `selection.gain` and `selection.standard_error` (dB; NaN:
+              no selection), `selection.kept`. `*.dssim_ms` = (1 - MS-SSIM) / 2 is the paper's
               DSSIM; `*.flicker_levels` is flicker in levels of 255. `model.motion` (one of MOTIONS; "": not said),
               `model.fourier_order`, `model.sh_degree` (floats; NaN: not said): the model that was trained. As collect
               returns them, ablation and train are the names the run gives itself; name_variants makes them true
@@ -101,7 +101,11 @@ def collect(runs_dir: Path) -> Collection:
             left_out.append(f"{run}: left out: {error}")
             continue
         row |= _or_warn(
-            read_environment, folder / "environment.json", dict.fromkeys(ENVIRONMENT, "unknown"), run, warnings
+            read_provenance,
+            folder / "environment.json",
+            dict.fromkeys(PROVENANCE, "unknown") | {"overrides": ()},
+            run,
+            warnings,
         )
         rows.append(row)
         settings[run] = config
@@ -163,20 +167,20 @@ def read_metrics(path: Path) -> dict[str, Any]:
     for key in REQUIRED:
         if math.isnan(row[key]):
             raise BrokenRun(f"metrics.json: {key}: expected a number, found none")
-    trial = data.get("trial") or {}
-    if not isinstance(trial, dict):
-        raise BrokenRun(f"metrics.json: trial: expected an object, found {trial!r}")
+    selection = data.get("select_time_colour") or data.get("trial") or {}  # its name up to version 0.1
+    if not isinstance(selection, dict):
+        raise BrokenRun(f"metrics.json: select_time_colour: expected an object, found {selection!r}")
     for key in ("gain", "standard_error"):
-        row[f"trial.{key}"] = _number(trial.get(key), f"trial.{key}")
-    row["trial.kept"] = trial.get("kept") is True
-    row |= _model(data.get("model"), left_out=trial.get("kept") is False)
+        row[f"selection.{key}"] = _number(selection.get(key), f"select_time_colour.{key}")
+    row["selection.kept"] = selection.get("kept") is True
+    row |= _model(data.get("model"), left_out=selection.get("kept") is False)
     for key in ("lpips_note", "ms_ssim_note"):  # why a number is missing
         row[key] = _note(data["final"].get(key))
     return row
 
 
 def _model(said: Any, left_out: bool) -> dict[str, Any]:
-    """The trained model; of a run that does not say it, no more is known than that its trial left 4DSH out."""
+    """The trained model; of a run that does not say it, no more is known than that selection left 4DSH out."""
     if said is None:
         return {"model.motion": "", "model.fourier_order": 0.0 if left_out else math.nan, "model.sh_degree": math.nan}
     if not isinstance(said, dict):
@@ -216,12 +220,15 @@ def read_curve(path: Path) -> pd.DataFrame:
     return numbers.join(more).sort_values("iteration", kind="stable").reset_index(drop=True)
 
 
-def read_environment(path: Path) -> dict[str, str]:
-    """machine, date, git_commit and command of environment.json; `unknown` where one is not there."""
+def read_provenance(path: Path) -> dict[str, Any]:
+    """machine, date, git_commit and command of environment.json; `unknown` where one is not there. And `overrides`, the
+    command line's as a tuple; empty where they are not recorded."""
     if not path.is_file():
         raise BrokenRun(f"no {path.name}: machine and date unknown")
     data = _object(path)
-    return {key: _note(data.get(key)) or "unknown" for key in ENVIRONMENT}
+    overrides = data.get("overrides")
+    overrides = tuple(map(_note, overrides)) if isinstance(overrides, list) else ()
+    return {key: _note(data.get(key)) or "unknown" for key in PROVENANCE} | {"overrides": overrides}
 
 
 def read_settings(path: Path) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """Which model a run trained, in words: `full`, `no_4dsh`, `full, 4DSH left out`, `full (fourier_order=1)`.
 
 A run asks for a model by the name of an ablation, but need not train that one. The schedule may select by validation
-(its trial) and leave time-varying colour, the Fourier orders of 4DSH, out; and a command may change keys of
+and leave time-varying colour, the Fourier orders of 4DSH, out; and a command may change keys of
 `ablation`. Both are part of the name here, so that no model passes for another.
 """
 

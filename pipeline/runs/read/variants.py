@@ -13,15 +13,15 @@ that conf/ablation gives the name.
 from __future__ import annotations
 
 import json
-import shlex
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import PurePath
 from typing import Any
 
 import pandas as pd
 
+from pipeline.config.renamed_keys import renamed_key
 from pipeline.runs.read import model_labels as models
 from pipeline.runs.read.collect import Collection
 from pipeline.runs.read.names import with_parts
@@ -41,7 +41,7 @@ _FREE = (
     "evaluate",
     "hydra",
 )
-_TYPED = ("train.", "scene.", "init.", "background=")  # what a command changes, of these, goes into the name
+_NAMED = ("train.", "scene.", "init.", "background_model=")  # what a command changes, of these, goes into the name
 VALIDATION = "scene.validation_every"
 _SHOWN = 3  # differing keys spelled out in a name
 
@@ -51,8 +51,8 @@ def name_variants(collection: Collection) -> Collection:
     runs, settings = collection.runs, collection.settings
     runs = runs.assign(
         train=[
-            _as_typed(name, command, settings[run])
-            for name, command, run in zip(runs["train"], runs["command"], runs["run"])
+            _with_overrides(name, overrides, settings[run])
+            for name, overrides, run in zip(runs["train"], runs["overrides"], runs["run"])
         ]
     )
     runs = runs.assign(
@@ -75,20 +75,24 @@ def name_variants(collection: Collection) -> Collection:
     return replace(collection, runs=runs, curves=curves.reset_index(drop=True), left_out=collection.left_out + left_out)
 
 
-def _as_typed(name: str, command: str, settings: dict[str, Any]) -> str:
+def _with_overrides(name: str, overrides: Sequence[str], settings: dict[str, Any]) -> str:
     """`name`, plus the settings of schedule, scene and start that the run's command line changed.
 
     And that it was not measured on test views but on training views held out for validation, whoever changed that.
     """
-    try:
-        words = shlex.split(command)
-    except ValueError:
-        words = []  # not a command line
     free = (*_FREE, "scene.path", "scene.name")  # of the folder, schedule_settings compares the name
-    changed = [w.removeprefix("train.") for w in words if w.startswith(_TYPED) and w.split("=")[0] not in free]
+    changed = [
+        w.removeprefix("train.") for w in map(_today, overrides) if w.startswith(_NAMED) and w.split("=")[0] not in free
+    ]
     if measured_on_validation(settings) and not any(part.startswith(f"{VALIDATION}=") for part in changed):
         changed.append(f"{VALIDATION}={settings[VALIDATION]}")
     return with_parts(name, changed)
+
+
+def _today(override: str) -> str:
+    """`key=value` under the key's name of today; without the + that adds a key."""
+    key, equals, value = override.lstrip("+").partition("=")
+    return renamed_key(key) + equals + value
 
 
 def measured_on_validation(settings: dict[str, Any]) -> bool:

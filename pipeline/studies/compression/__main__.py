@@ -19,16 +19,17 @@ from pipeline.config.random_streams import Stream, stream
 from pipeline.config.schema import Config
 from pipeline.evaluation.evaluate import frames_per_second, held_out_psnr, quick_evaluate
 from pipeline.model.model import Model
-from pipeline.runs.provenance import environment
+from pipeline.runs.provenance import provenance
 from pipeline.studies.compression.importance import keep_most_important
 from pipeline.studies.compression.plot import draw
 from pipeline.studies.compression.retrain import retrained
 from pipeline.studies.compression.storage import PRECISIONS, Precision, load_compact, save_compact
 from pipeline.studies.open_run import open_run
 from pipeline.terminal.closed_pipe import quiet_on_closed_pipe
-from pipeline.training.density.sensitivity_pruning import missed
-from pipeline.training.loop import Progress, thread_count
-from rasterizer import Frame
+from pipeline.training.density.sensitivity_pruning import image_sensitivity
+from pipeline.training.loop import Progress
+from rasterizer import Rasterizer
+from rasterizer.cores import thread_count
 
 FRACTIONS = (0.8, 0.7, 0.6, 0.5, 0.4)
 OUTPUT = "compact.safetensors"
@@ -53,7 +54,7 @@ def smaller(model: Model, worth: Tensor, scene: Scene, cfg: Config, fraction: fl
     """
     if fraction == 1:
         return model
-    frame = Frame(threads=thread_count(cfg.threads))
+    frame = Rasterizer(threads=thread_count(cfg.threads))
 
     def look(state: Model, progress: Progress) -> dict:
         return quick_evaluate(state, scene, cfg, frame)
@@ -149,7 +150,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 1
     cfg, model = run.cfg, run.model
     threads = thread_count(cfg.threads)
-    worth = missed(
+    worth = image_sensitivity(
         model,
         run.scene.train,
         run.scene,
@@ -165,7 +166,7 @@ def main(arguments: list[str] | None = None) -> int:
     points = measure(models, run.scene, cfg)
     chosen = smallest(points, options.loss)
     typed = sys.argv[1:] if arguments is None else arguments
-    made = environment(" ".join(["python -m pipeline.studies.compression", *map(str, typed)]))
+    made = provenance(" ".join(["python -m pipeline.studies.compression", *map(str, typed)]))
     heading = (
         f"{cfg.scene.name}, {cfg.ablation.name}, {cfg.train.name}, seed {cfg.seed}. {made['machine']}; "
         f"{made['date'][:16]}; commit {made['git_commit'][:10]}; `{made['command']}`."

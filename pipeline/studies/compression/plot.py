@@ -10,7 +10,7 @@ import matplotlib
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
-from pipeline.report.write.plots import LIGHT, Theme
+from pipeline.presentation.theme import LIGHT, Theme
 
 _PANELS = (("megabytes", "MB on disk"), ("fps", "frames a second"))
 

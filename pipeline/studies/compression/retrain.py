@@ -11,16 +11,16 @@ from dataclasses import replace
 from datasets.scene import Scene
 from pipeline.config.schema import Config
 from pipeline.model.model import Model
-from pipeline.training.loop import Evaluate, train
-from pipeline.training.unrecorded import no_record
+from pipeline.training.loop import EvaluateFn, train
+from pipeline.training.run_log import unrecorded
 
 
-def retrained(model: Model, scene: Scene, cfg: Config, share: float, evaluate: Evaluate) -> Model:
+def retrained(model: Model, scene: Scene, cfg: Config, share: float, evaluate: EvaluateFn) -> Model:
     """`model`, in place, after the last `share` (0 to 1) of the schedule `cfg.train`; no Gaussian is added or pruned.
 
     evaluate: called once, at the end. Adam starts anew.
     """
-    steady = replace(cfg.train.densify, stop=0, leave_out=0.0)
+    steady = replace(cfg.train.densify, stop=0, prune_sensitivity=0.0)
     schedule = replace(
         cfg.train,
         densify=steady,
@@ -31,5 +31,5 @@ def retrained(model: Model, scene: Scene, cfg: Config, share: float, evaluate: E
     first = round(cfg.train.iterations * (1 - share))
     if first == cfg.train.iterations:
         return model
-    with no_record() as run:
+    with unrecorded() as run:
         return train(model, scene, replace(cfg, train=schedule, resume=False), run, evaluate, begin=first).model

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import torch
 
-from pipeline.runs.provenance import environment
+from pipeline.runs.provenance import provenance
 from pipeline.studies.kernel_precision.build import BuildError, load_variants
 from pipeline.studies.kernel_precision.measure import measure
 from pipeline.studies.kernel_precision.plot import draw
@@ -69,7 +69,7 @@ def main(arguments: list[str] | None = None) -> int:
         lambda line: print(line, flush=True),
     )
     typed = sys.argv[1:] if arguments is None else arguments
-    made = environment(" ".join(["python -m pipeline.studies.kernel_precision", *typed]))
+    made = provenance(" ".join(["python -m pipeline.studies.kernel_precision", *typed]))
     heading = (
         f"{what}, {len(workload.gaussians):,} Gaussians, {workload.camera.width}×{workload.camera.height}, "
         f"instruction set {kernel.__name__.rsplit('_', 1)[1]}; errors of its middle "

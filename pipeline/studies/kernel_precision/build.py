@@ -59,7 +59,7 @@ def _build(variants: Sequence[Variant], folder: Path) -> None:
     cmake = shutil.which("cmake", path=tools)
     if cmake is None:
         raise BuildError("work-precision: expected cmake on the path to build kernels with, found none: run make first")
-    environment = os.environ | {"PATH": tools}
+    provenance = os.environ | {"PATH": tools}
     described = ";".join("|".join([_module(v), _isa(), *v.choices.definitions()]) for v in variants)
     configure = [cmake, "-S", str(SOURCE), "-B", str(folder), f"-DRASTERIZER_VARIANTS={described}"]
     if not (folder / "CMakeCache.txt").exists():  # not set up by `make`: say what scikit-build-core says there
@@ -71,12 +71,12 @@ def _build(variants: Sequence[Variant], folder: Path) -> None:
             f"-Dnanobind_DIR={nanobind.cmake_dir()}",
         ]
         configure += ["-G", "Ninja"] if shutil.which("ninja", path=tools) else []
-    _call(configure, environment)
-    _call([cmake, "--build", str(folder), "--target", *map(_module, variants)], environment)
+    _call(configure, provenance)
+    _call([cmake, "--build", str(folder), "--target", *map(_module, variants)], provenance)
 
 
-def _call(command: list[str], environment: dict[str, str]) -> None:
-    done = subprocess.run(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+def _call(command: list[str], provenance: dict[str, str]) -> None:
+    done = subprocess.run(command, env=provenance, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     if done.returncode:
         found = re.search(r"[^\n]*[Ee]rror[\s\S]*", done.stdout)
         said = " ".join((found.group() if found else done.stdout).split())

@@ -12,9 +12,9 @@ from types import ModuleType
 import torch
 from torch import Tensor
 
-from pipeline.studies.kernel_precision.truth import Rendered, render_twin
+from pipeline.studies.kernel_precision.truth import Rendered, render_reference
 from pipeline.studies.kernel_precision.variants import TRADES, Variant
-from rasterizer import Frame, Gaussians, Gradients
+from rasterizer import Gaussians, Gradients, Rasterizer
 from rasterizer.reference.blend import Thresholds
 from rasterizer.timing.workloads import Workload
 
@@ -80,7 +80,7 @@ class Twins:
 
     def __call__(self, thresholds: Thresholds) -> Rendered:
         if thresholds not in self._made:
-            self._made[thresholds] = render_twin(self.workload, self.d_color, thresholds)
+            self._made[thresholds] = render_reference(self.workload, self.d_color, thresholds)
         return self._made[thresholds]
 
 
@@ -99,7 +99,7 @@ class _Typed:
 
 
 def render_kernel(kernel: ModuleType, workload: Workload, d_color: Tensor) -> Rendered:
-    frame = Frame(1, kernel)
+    frame = Rasterizer(1, kernel)
     typed = _Typed.of(workload.gaussians, d_color, frame.dtype)
     color = frame.render(typed.gaussians, workload.request()).color
     frame.backward(typed.gradients, d_color=typed.d_color)
@@ -128,7 +128,7 @@ def time_kernels(
     counts: dict[str, tuple[int, int]] = {}
     for _ in range(rounds):
         for name, kernel in kernels.items():
-            frame, best = Frame(1, kernel), (math.inf, math.inf)
+            frame, best = Rasterizer(1, kernel), (math.inf, math.inf)
             typed = typed_as(frame.dtype)
             for _ in range(TOGETHER):
                 typed.gradients.zero_(kernel=kernel)
@@ -160,14 +160,14 @@ def measure(
     workload: Workload,
     crop: Workload,
     rounds: int,
-    say: Callable[[str], None] = lambda line: None,
+    log: Callable[[str], None] = lambda line: None,
 ) -> list[Point]:
     """All variants, and the twin itself in float64 and float32 with the kernel's thresholds; its time is not taken."""
     twins, found = Twins(crop), {}
     for variant in variants:
-        say(f"errors: {variant.name}")
+        log(f"errors: {variant.name}")
         found[variant] = render_kernel(kernels[variant.name], crop, twins.d_color)
-    say("times")
+    log("times")
     times = time_kernels(kernels, workload, rounds)
     points = []
     for variant, rendered in found.items():
@@ -177,7 +177,7 @@ def measure(
             _point(variant.name, variant.trade, variant.label, times[variant.name], rendered, twins, thresholds, free)
         )
     own = Thresholds()
-    single = render_twin(crop, twins.d_color, own, torch.float32)
+    single = render_reference(crop, twins.d_color, own, torch.float32)
     for name, rendered in (("float64", twins(own)), ("float32", single)):
         points.append(
             _point(f"twin_{name}", "readable twin", f"readable twin, {name}", UNTIMED, rendered, twins, own, own)

@@ -10,7 +10,7 @@ import matplotlib
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
-from pipeline.report.write.plots import LIGHT, Theme
+from pipeline.presentation.theme import LIGHT, Theme
 from pipeline.studies.kernel_precision.measure import Point
 from pipeline.studies.kernel_precision.pareto import on_front
 from pipeline.studies.kernel_precision.variants import DEFAULT

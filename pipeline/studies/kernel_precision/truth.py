@@ -30,7 +30,7 @@ class Rendered:
     gradients: dict[str, Tensor]  # by field of Gaussians, its shape
 
 
-def render_twin(
+def render_reference(
     workload: Workload, d_color: Tensor, thresholds: Thresholds, dtype: torch.dtype = torch.float64
 ) -> Rendered:
     """The workload's view over black by the readable twin. d_color: (3, H, W).
@@ -41,7 +41,7 @@ def render_twin(
     request, everything = workload.request(), workload.gaussians.to(dtype)
     rows = _rows_in_reach(everything, workload, thresholds)
     leaves = {name: tensor[rows].requires_grad_() for name, tensor in everything.tensors().items()}
-    splats = reference.make_splats(Gaussians(**{"quat_right": None, **leaves}), request, thresholds.min_presence)
+    splats = reference.make_splats(Gaussians(**{"quat_right": None, **leaves}), request, thresholds.min_marginal)
     made = [splats.center, splats.ellipse, splats.opacity, splats.features]
     cut = [tensor.detach().requires_grad_() for tensor in made]
     detached = Splats(splats.index, *cut)
@@ -69,7 +69,7 @@ def _rows_in_reach(gaussians: Gaussians, workload: Workload, thresholds: Thresho
     dᵀ Σ⁻¹ d is at least |d|² times the smaller eigenvalue of Σ⁻¹.
     """
     camera = workload.camera
-    splats = reference.make_splats(gaussians, workload.request(), thresholds.min_presence)
+    splats = reference.make_splats(gaussians, workload.request(), thresholds.min_marginal)
     size = splats.center.new_tensor([camera.width, camera.height])
     offset = splats.center - splats.center.clamp(min=torch.zeros_like(size), max=size)
     lean, across, along = splats.ellipse.unbind(-1)

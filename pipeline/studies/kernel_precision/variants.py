@@ -22,7 +22,7 @@ MACROS = {  # of rasterizer/src/choices.hpp
 class Choices:
     """What `rasterizer/src/choices.hpp` names, with its values; `kernel.choices` says what a kernel was built with."""
 
-    min_presence: float = 0.05
+    min_marginal: float = 0.05
     min_alpha: float = 1 / 255
     min_transmittance: float = 1e-4
     exp_degree: int = 4
@@ -38,7 +38,7 @@ class Choices:
 
     def thresholds(self) -> Thresholds:
         """The same cut-offs for the readable twin."""
-        return Thresholds(self.min_presence, self.min_alpha, self.min_transmittance)
+        return Thresholds(self.min_marginal, self.min_alpha, self.min_transmittance)
 
 
 def _in_cpp(value: float | str) -> str:
@@ -62,7 +62,7 @@ class Variant:
 
 # A trade-off, and the twin's thresholds that its own error leaves standing: those that it sets are zero.
 TRADES = {
-    "temporal cut-off": Thresholds(min_presence=0),
+    "temporal cut-off": Thresholds(min_marginal=0),
     "alpha cut-off": Thresholds(min_alpha=0),
     "transmittance stop": Thresholds(min_transmittance=0),
     "exp degree": Thresholds(),
@@ -128,7 +128,7 @@ def all_variants() -> list[Variant]:
                 "several at once",
                 name,
                 f"p >= {p:g}, α' >= {label}, T >= {stop:g}, degree {degree}",
-                min_presence=p,
+                min_marginal=p,
                 min_alpha=alpha,
                 min_transmittance=stop,
                 exp_degree=degree,

@@ -13,9 +13,9 @@ import torch
 from torch import Tensor
 
 from pipeline.studies.kernel_stability.measure import full_scale, relative_error, weights_of
-from rasterizer import Frame, Gaussians, Gradients, RenderOutput, Request
+from rasterizer import Gaussians, Gradients, Rasterizer, RenderOutput, Request
 from rasterizer.kernel import available_isas, load_kernel
-from rasterizer.reference.discontinuities import away_from_jumps, smooth_pixels
+from rasterizer.reference.discontinuities import away_from_discontinuities, smooth_pixels
 
 Tensors = dict[str, Tensor]  # by output or field
 
@@ -35,10 +35,10 @@ class Spread:
 def measure_spread(gaussians: Gaussians, request: Request) -> Spread:
     """Of float64 `gaussians` whose values float32 holds."""
     isas = available_isas()
-    away = away_from_jumps(gaussians, request)
+    away = away_from_discontinuities(gaussians, request)
     smooth = smooth_pixels(away, request)
     single = away.to(torch.float32)
-    seen = Frame(1, load_kernel(isas[0])).render(single, request, differentiable=False)
+    seen = Rasterizer(1, load_kernel(isas[0])).render(single, request, differentiable=False)
     scale, weights = full_scale(seen, request), weights_of(seen, request, smooth)
     found = [images_and_gradients(isa, 1, single, request, weights) for isa in isas]
     images = [{name: image * smooth for name, image in images.items()} for images, _ in found]
@@ -62,7 +62,7 @@ def images_and_gradients(
 ) -> tuple[Tensors, Tensors]:
     """The request's images, and ∂L/∂parameter for L = Σ weights · images, by the kernel for `isa`."""
     kernel = load_kernel(isa)
-    frame, gradients = Frame(threads, kernel), Gradients.zeros_like(gaussians)
+    frame, gradients = Rasterizer(threads, kernel), Gradients.zeros_like(gaussians)
     out = frame.render(gaussians, request)
     frame.backward(gradients, **{f"d_{name}": weight.to(torch.float32) for name, weight in weights.items()})
     sh = gradients.sh(threads, kernel=kernel)

@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 
 from pipeline.studies.kernel_stability.scene import generator
-from rasterizer import Frame, Gaussians, Gradients, RenderOutput, Request
+from rasterizer import Gaussians, Gradients, Rasterizer, RenderOutput, Request
 from rasterizer.reference import render as reference
-from rasterizer.reference.discontinuities import away_from_jumps, smooth_pixels
+from rasterizer.reference.discontinuities import away_from_discontinuities, smooth_pixels
 
 LEARNING_RATE = 1e-3  # of the optimiser steps, on every parameter
 EPSILON = 1e-8  # Adam's: with 1e-15 a gradient that is zero but for rounding moves as far as any other
@@ -45,8 +45,8 @@ def full_scale(truth: RenderOutput, request: Request) -> dict[str, float]:
     """The largest value of each image, but at least 1 of colour and alpha and a pixel of flow: of what hardly moves
     float32 has no relative accuracy, nor is it asked for."""
     scale = {name: getattr(truth, name).detach().abs().max().item() for name in request.outputs}
-    least = {"color": 1.0, "alpha": 1.0, "flow": 1.0}
-    return {name: max(value, least.get(name, 1e-30)) for name, value in scale.items()}
+    least_sensitive = {"color": 1.0, "alpha": 1.0, "flow": 1.0}
+    return {name: max(value, least_sensitive.get(name, 1e-30)) for name, value in scale.items()}
 
 
 def weights_of(truth: RenderOutput, request: Request, smooth: Tensor) -> dict[str, Tensor]:
@@ -143,7 +143,7 @@ def step_error(
 
 def kernel_indefinite(gaussians: Gaussians, request: Request) -> int:
     """Visible Gaussians whose ellipse has no finite radius on the screen, as the kernel itself reports."""
-    frame = Frame(threads=1)
+    frame = Rasterizer(threads=1)
     single = gaussians.to(torch.float32)
     frame.render(single, request)
     color = torch.zeros(3, request.camera.height, request.camera.width)
@@ -160,7 +160,7 @@ def measure(
     dtype: torch.dtype = torch.float32,
 ) -> Errors:
     """A program's errors on float64 `gaussians` whose values float32 holds."""
-    away = away_from_jumps(gaussians, request)
+    away = away_from_discontinuities(gaussians, request)
     smooth = smooth_pixels(away, request)
     truth = call(reference.rasterize, away, request)
     weights, scale = weights_of(truth, request, smooth), full_scale(truth, request)

@@ -64,7 +64,7 @@ def rasterize(gaussians: Gaussians, **arguments) -> RenderOutput:
         index,
         reference.project_point(mean_cam, request.camera),
         ellipse(covariance_2d(gaussians, mean_cam, request)),
-        reference.opacity(gaussians.opacity_logit) * sliced.presence,
+        reference.opacity(gaussians.opacity_logit) * sliced.marginal,
         features,
     )
     sums, transmittance = blend(splats, request.camera)

@@ -20,10 +20,10 @@ from pipeline.studies.open_run import TrainedRun, open_run
 from pipeline.studies.overfitting.error_by_motion import error_by_motion
 from pipeline.studies.overfitting.history import read_history
 from pipeline.studies.overfitting.plot import draw, mosaic
-from pipeline.studies.overfitting.view_count import views_that_saw
+from pipeline.studies.overfitting.view_count import effective_view_count
 from pipeline.terminal.closed_pipe import quiet_on_closed_pipe
-from pipeline.training.loop import thread_count
-from rasterizer import Frame
+from rasterizer import Rasterizer
+from rasterizer.cores import thread_count
 
 ONE_VIEW = 1.5  # seen by fewer, effectively, is seen by one
 
@@ -34,7 +34,7 @@ def moment(runs: list[TrainedRun]) -> list[list[np.ndarray]]:
     for run in runs:
         unseen = run.scene.test[len(run.scene.test) // 2]
         seen = min(run.scene.train, key=lambda view: abs(view.time - unseen.time))
-        renderer = Renderer(run.model, run.scene, run.cfg, Frame())
+        renderer = Renderer(run.model, run.scene, run.cfg, Rasterizer())
         for row, view in zip(rows, (seen, unseen)):
             target = target_of(view, run.cfg.train.resolution_scale)
             if not row:
@@ -58,7 +58,7 @@ def main(arguments: list[str] | None = None) -> int:
     except ValueError as error:
         print(error, file=sys.stderr)
         return 1
-    views = [views_that_saw(run.model, run.scene, run.cfg, thread_count(run.cfg.threads)).numpy() for run in runs]
+    views = [effective_view_count(run.model, run.scene, run.cfg, thread_count(run.cfg.threads)).numpy() for run in runs]
     options.out.mkdir(parents=True, exist_ok=True)
     (options.out / "generalisation.svg").write_text(draw(histories, views), encoding="utf-8")
     mosaic(moment(runs)).save(options.out / "moment.webp", quality=90)

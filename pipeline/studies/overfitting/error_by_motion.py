@@ -11,7 +11,7 @@ from datasets.scene import View
 from pipeline.data.training_views import target_of
 from pipeline.evaluation.evaluate import Renderer
 from pipeline.studies.open_run import TrainedRun
-from rasterizer import Frame
+from rasterizer import Rasterizer
 
 CHANGE = 0.03  # of full scale: a pixel that is ever farther from its median, in any channel, moves; eight grey levels
 WIDEN = 2  # pixels round those that count as moving too, for what is shown in the wrong place
@@ -31,7 +31,7 @@ def error_by_motion(run: TrainedRun) -> ErrorByMotion | None:
     """None where the test views' camera moves, or where nothing or everything in them does."""
     if not _one_place(run.scene.test):
         return None
-    renderer = Renderer(run.model, run.scene, run.cfg, Frame())
+    renderer = Renderer(run.model, run.scene, run.cfg, Rasterizer())
     targets = [target_of(view, run.cfg.train.resolution_scale) for view in run.scene.test]
     truth = np.stack([target.image.numpy().transpose(1, 2, 0) for target in targets])
     found = np.stack([renderer.image(target.camera, target.time) for target in targets])

@@ -14,7 +14,7 @@ from matplotlib.ticker import PercentFormatter
 from PIL import Image
 
 from pipeline.evaluation.lifetimes import BIN_EDGES
-from pipeline.report.write.plots import LIGHT, Theme
+from pipeline.presentation.theme import LIGHT, Theme
 from pipeline.studies.overfitting.history import History
 
 _GAP = 6  # pixels between pictures

@@ -15,10 +15,10 @@ from datasets.scene import Scene
 from pipeline.config.schema import Config
 from pipeline.data.training_views import camera_at
 from pipeline.model.model import Model
-from rasterizer import Frame, Gradients, Request
+from rasterizer import Gradients, Rasterizer, Request
 
 
-def views_that_saw(model: Model, scene: Scene, cfg: Config, threads: int) -> Tensor:
+def effective_view_count(model: Model, scene: Scene, cfg: Config, threads: int) -> Tensor:
     """(N,) (Σ w)² / Σ w² over the training views, w the sum of a Gaussian's blending weights α' T in one.
 
     The effective number of views: 1 if one has all, V if V have as much, 0 for what none has seen. The derivative of a
@@ -26,7 +26,7 @@ def views_that_saw(model: Model, scene: Scene, cfg: Config, threads: int) -> Ten
     are shown in grey: a black one's colour is clamped at zero and would have no derivative, though it hides what is
     behind it.
     """
-    frame, first, second = Frame(threads=threads), torch.zeros(len(model)), torch.zeros(len(model))
+    frame, first, second = Rasterizer(threads=threads), torch.zeros(len(model)), torch.zeros(len(model))
     grey = replace(model.gaussians(), sh=torch.zeros(len(model), 1, 3))
     gradients = Gradients.zeros_like(grey)
     for view in scene.train:

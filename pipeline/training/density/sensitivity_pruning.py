@@ -1,12 +1,12 @@
-"""Leaving out the Gaussians that the training images would miss least.
+"""Pruning by sensitivity: Gaussians whose removal changes the training images least are removed.
 
-A pixel C is affine in each opacity o (docs/method.md 1.3; but for its cut-offs), so that without a Gaussian it changes
-by exactly -o ∂C/∂o. Summed over the pixels of the training views the squares of that are the error which leaving it out
-makes: little for what is hidden, faint or of the colour of what stands behind it, however much of the image it makes.
+A pixel C is affine in each opacity o (docs/method.md 1.3, but for its cut-offs), so that removing a Gaussian changes it
+by exactly -o ∂C/∂o. The sensitivity of a Gaussian is the sum of the squares of that over the pixels of the training
+views. It is small for a Gaussian that is hidden, faint, or of the colour of what stands behind it.
 
-One backward pass with an image s gives Σ s o ∂C/∂o of every Gaussian. With random signs for s the square of that is the
-sum of the squares on average (the diagonal of JᵀJ as Bekas, Kokiopoulou & Saad 2007 estimate one), so that a draw a
-view will do.
+One backward pass with an image s gives Σ s o ∂C/∂o of every Gaussian. With random signs for s, the expectation of its
+square is the sum of the squares: Hutchinson's estimate of the diagonal of JᵀJ (Bekas, Kokiopoulou & Saad 2007). One
+draw a view is enough.
 """
 
 from __future__ import annotations
@@ -25,30 +25,31 @@ from pipeline.data.training_views import camera_at, spread
 from pipeline.model.model import Model
 from pipeline.model.render import backward, render
 from pipeline.training.optimiser import Adam
-from rasterizer import Frame, Gradients, Request
+from rasterizer import Gradients, Rasterizer, Request
 
-MOST_VIEWS = 400  # of many cameras that are asked each time
-OPAQUE = 0.98  # what is more opaque counts as this: at α = 0.99 blending is clamped and has no derivative
+MAX_VIEWS = 400  # that score, where several cameras film each moment
+OPAQUE = 0.98  # a higher opacity counts as this: at α = 0.99 blending is clamped and has no derivative
 
 
-def missed(
+def image_sensitivity(
     model: Model,
     views: Iterable[View],
     scene: Scene,
     cfg: Config,
     resolution: float,
-    generator: np.random.Generator,
+    rng: np.random.Generator,
     threads: int,
 ) -> Tensor:
-    """(N,) by how much each Gaussian's absence alone would change the images of `views` at `resolution` of their size:
-    the sum over pixels and channels of the squared change, estimated. 0: unseen. generator: of the signs.
+    """(N,) by how much removing each Gaussian alone would change the images of `views` at `resolution` of their size:
+    the sum over pixels and channels of the squared change, estimated. 0: in none of the images. rng: of the signs.
     """
-    frame, change = Frame(threads=threads), torch.zeros(len(model))
+    rasterizer, change = Rasterizer(threads=threads), torch.zeros(len(model))
     limit = float(np.log(OPAQUE / (1 - OPAQUE)))
-    asked = Model.restored(
+    clamped = Model.restored(
         model.kind, {**model.state(), "opacity_logit": model.parameters["opacity_logit"].clamp(max=limit)}
     )
-    gradients, transparency = Gradients.zeros_like(asked.gaussians()), torch.sigmoid(-asked.parameters["opacity_logit"])
+    gradients = Gradients.zeros_like(clamped.gaussians())
+    transparency = torch.sigmoid(-clamped.parameters["opacity_logit"])
     for view in views:
         request = Request(
             camera_at(view.camera, resolution),
@@ -57,65 +58,67 @@ def missed(
             near=cfg.scene.near * scene.unit,
             background=scene.background,
         )
-        shown = render(frame, asked, request)
-        signs = 2.0 * torch.from_numpy(generator.integers(0, 2, tuple(shown.image.shape), dtype=np.int8)) - 1.0
+        rendered = render(rasterizer, clamped, request)
+        signs = 2.0 * torch.from_numpy(rng.integers(0, 2, tuple(rendered.image.shape), dtype=np.int8)) - 1.0
         gradients.zero_(threads)
         gradients.views.clear()
-        rows = backward(frame, asked, shown, signs, gradients).visible.long()
+        rows = backward(rasterizer, clamped, rendered, signs, gradients).visible.long()
         # ∂/∂logit = o (1 - o) ∂/∂o
         change.index_add_(0, rows, (gradients.opacity_logit[rows] / transparency[rows]).square())
     return change
 
 
-def views_to_ask(scene: Scene) -> list[View]:
-    """All training views; where several cameras film each moment and that is many, those of moments spread evenly.
+def scoring_views(scene: Scene) -> list[View]:
+    """The views that sensitivity is measured on: all training views, or where several cameras film each moment and that
+    is more than MAX_VIEWS, those of evenly spread moments.
 
-    Whole moments, for what lives between two of them is seen from as many places as there are cameras.
+    A moment is taken whole: a Gaussian that lives there is then seen from as many places as there are cameras.
     """
     cameras = Counter(view.time for view in scene.train)
-    if len(scene.train) <= MOST_VIEWS or min(cameras.values()) < 2:
+    if len(scene.train) <= MAX_VIEWS or min(cameras.values()) < 2:
         return list(scene.train)
     times = sorted(cameras)
-    chosen = {times[i] for i in spread(len(times), max(1, MOST_VIEWS * len(times) // len(scene.train)))}
+    chosen = {times[i] for i in spread(len(times), max(1, MAX_VIEWS * len(times) // len(scene.train)))}
     return [view for view in scene.train if view.time in chosen]
 
 
 def due(iteration: int, cfg: TrainConfig) -> bool:
-    """Every `leave_out_every` iterations, on after the last densification, but not so late that what is left has no
-    time to make up for it."""
+    """Every `prune_sensitivity_every` iterations, also after the last densification, until so late that the remaining
+    Gaussians could not adapt."""
     rules = cfg.densify
     return (
-        rules.leave_out > 0
+        rules.prune_sensitivity > 0
         and iteration > rules.start
-        and iteration % rules.leave_out_every == 0
-        and iteration + rules.leave_out_every <= cfg.iterations
+        and iteration % rules.prune_sensitivity_every == 0
+        and iteration + rules.prune_sensitivity_every <= cfg.iterations
     )
 
 
-def least(worth: Tensor, share: float) -> Tensor:
-    """(N,) bool: those worth least that together have no more than `share` of what all are worth; ties by index."""
-    order = torch.sort(worth.double(), stable=True)
+def least_sensitive(sensitivity: Tensor, share: float) -> Tensor:
+    """(N,) bool: the Gaussians of lowest sensitivity that together have at most `share` of the total; ties by index."""
+    order = torch.sort(sensitivity.double(), stable=True)
     together = torch.cumsum(order.values, dim=0)
-    few = torch.zeros(len(worth), dtype=torch.bool)
-    few[order.indices] = together <= share * together[-1]
-    return few
+    lowest = torch.zeros(len(sensitivity), dtype=torch.bool)
+    lowest[order.indices] = together <= share * together[-1]
+    return lowest
 
 
-def leave_out(optimiser: Adam, change: Tensor, share: float, all_asked: bool = True) -> int:
-    """Remove what is missed least, together `share` of the (N,) `change` of all that may go. Returns how many.
+def prune_by_sensitivity(optimiser: Adam, sensitivity: Tensor, share: float, all_scored: bool = True) -> int:
+    """Remove the Gaussians of lowest sensitivity, (N,), together `share` of the total. Returns how many.
 
-    The background's sphere may not. What no view has seen goes if all were asked (all_asked), or else it may live
-    between the moments that were. Nothing goes where that would leave nothing.
+    The background's sphere stays. all_scored: every training view scored, so that sensitivity 0 means in no image; else
+    a Gaussian of sensitivity 0 may live between the moments that scored, and stays. A pruning that would leave nothing
+    is not done.
     """
-    model, may_go = optimiser.model, torch.ones_like(change, dtype=torch.bool)
-    if not all_asked:
-        may_go &= change > 0
+    model, candidates = optimiser.model, torch.ones_like(sensitivity, dtype=torch.bool)
+    if not all_scored:
+        candidates &= sensitivity > 0
     if model.sphere is not None:
-        may_go &= ~model.sphere
-    gone = may_go & least(change * may_go, share)
-    removed = int(gone.sum())
-    if removed == len(model):
+        candidates &= ~model.sphere
+    pruned = candidates & least_sensitive(sensitivity * candidates, share)
+    count = int(pruned.sum())
+    if count == len(model):
         return 0
-    if removed:
-        optimiser.keep(~gone)
-    return removed
+    if count:
+        optimiser.keep(~pruned)
+    return count

@@ -3,31 +3,22 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from rasterizer.loss import L1Ssim
+from rasterizer.loss import L1Ssim, LossValue
 
 
-@dataclass(frozen=True)
-class ViewLoss:
-    """The loss of one view, and what it contributes to the gradient of the batch."""
+def view_loss(criterion: L1Ssim, image: Tensor, target: Tensor, batch: int) -> LossValue:
+    """The loss of one view of a batch of `batch`; its `d_image` is ∂(batch loss)/∂image. image, target: (3, H, W).
 
-    loss: float
-    l1: float
-    ssim: float
-    d_image: Tensor  # (3, H, W) ∂(batch loss)/∂image, so already divided by the batch's size
-
-
-def view_loss(criterion: L1Ssim, image: Tensor, target: Tensor, batch: int) -> ViewLoss:
-    """image, target: (3, H, W). The image is not clamped: a pixel too bright must still be pulled back."""
-    value = criterion(image, target, share=1.0 / batch)
-    return ViewLoss(value.loss, value.l1, value.ssim, value.d_image)
+    The image is not clamped: a pixel too bright must still be pulled back.
+    """
+    return criterion(image, target, share=1.0 / batch)
 
 
 def psnr(image: Tensor, target: Tensor) -> float:
-    """Of the clamped image, in dB; infinite where equal. For the progress display; metrics.py is what counts."""
+    """Of the clamped image, in dB; infinite where equal. For the progress bar; evaluation/metrics.py is what counts."""
     error = torch.mean((image.clamp(0.0, 1.0) - target) ** 2).item()
     return math.inf if error == 0 else -10.0 * math.log10(error)

@@ -14,7 +14,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from datasets.scene import Scene
-from pipeline.config.train_schema import PriorConfig
+from pipeline.config.train_schema import RegularizationConfig
 from pipeline.model.model import Model
 from rasterizer import Gradients
 
@@ -22,7 +22,7 @@ TILT_SOFTENING = 1e-3  # radians: the norm's slope is smooth within this of stan
 DECAY_EVERY = 10  # iterations between decays of the coefficients, a pass over most of the model's bytes
 
 
-def add_prior_gradients(gradients: Gradients, model: Model, cfg: PriorConfig, scene: Scene) -> None:
+def add_regularization_gradients(gradients: Gradients, model: Model, cfg: RegularizationConfig, scene: Scene) -> None:
     """Add ∂/∂parameters of the priors on motion, lifetime and opacity to `gradients`, in place."""
     p, share = model.parameters, 1.0 / len(model)
     if cfg.motion > 0 and model.kind.motion == "full":
@@ -39,7 +39,7 @@ def add_prior_gradients(gradients: Gradients, model: Model, cfg: PriorConfig, sc
         )
 
 
-def lack_of_views(model: Model, cfg: PriorConfig, scene: Scene) -> Tensor | float:
+def lack_of_views(model: Model, cfg: RegularizationConfig, scene: Scene) -> Tensor | float:
     """(N,) or one for all, in (0, 1]: opacity_views / training views within a standard deviation of the lifetime.
 
     1 where there are fewer, where opacity_views is 0, and where several cameras film what moves: there Gaussians are

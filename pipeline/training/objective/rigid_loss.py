@@ -11,7 +11,7 @@ from torch import Tensor
 
 from pipeline.model.model import Model
 from rasterizer import Gradients
-from rasterizer.reference.render import rotation_4d
+from rasterizer.covariance import rotation_4d
 
 NEIGHBOURS = 20
 FALLOFF = 100.0  # weight exp(-100 d²), d in world units: 0.1 away counts 1/e

@@ -11,12 +11,12 @@ import pytest
 from datasets import load_scene
 from datasets.dnerf import read_dnerf
 from datasets.scene import SceneError
+from datasets.settings import SceneConfig
 from datasets.synthetic import PHOTOGRAPHED, build_scene, make_scene
 from datasets.synthetic.__main__ import main
 from datasets.synthetic.camera_path import held_out_shots, training_shots
 from datasets.synthetic.trace import Traced, trace
 from datasets.synthetic.write import read_truth, to_rgba
-from pipeline.config.schema import SceneConfig
 from rasterizer.camera import Camera
 
 # --- cameras --------------------------------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from fuzz.edits.bytes import changed_files, edit_bytes
 from fuzz.edits.json import edit_tree
 from fuzz.models import model_of, require_model
 from fuzz.target import Changes, Files, Target, require, valid_or_refused
-from pipeline import checkpoint
+from pipeline.training import checkpoint
 from pipeline.model.environment_map import EnvironmentMap
 from pipeline.training.density.densification import Statistics
 

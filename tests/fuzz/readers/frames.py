@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from hypothesis.strategies import SearchStrategy
 
-from datasets.plenoptic.frame_store import read_frames, write_frames
+from datasets.files.frame_store import read_frames, write_frames
 from fuzz.edits.arrays import edit_npy
 from fuzz.edits.bytes import changed_files
 from fuzz.edits.json import edit_json

@@ -16,11 +16,11 @@ from pipeline.report.compare.bands import end_of_coarse
 from pipeline.report.compare.comparisons import comparisons
 from pipeline.report.tables import paper_tables
 from pipeline.report.tables.run_tables import run_tables
-from pipeline.report.tables.structure import structure_from_motion
 from pipeline.report.tables.summary import summarise
 from pipeline.report.write.content import Content, report_markdown, terminal_text
 from pipeline.report.write.page import render_page
 from pipeline.report.write.strips import make_strips
+from pipeline.report.write.structure import structure_from_motion
 from pipeline.runs.read.collect import COST, PROTOCOLS, QUALITY, REQUIRED, collect
 from pipeline.runs.read.variants import name_variants
 

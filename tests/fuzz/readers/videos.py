@@ -74,7 +74,7 @@ def check(folder: Path) -> str:
     with valid_or_refused(folder) as outcome:
         require_scene(
             read_plenoptic(
-                folder, name="fuzz/videos", downscale=2, cache=folder / "cache", threads=1, say=lambda text: None
+                folder, name="fuzz/videos", downscale=2, cache=folder / "cache", threads=1, log=lambda text: None
             )
         )
     return outcome[0]

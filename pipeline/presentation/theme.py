@@ -1,0 +1,19 @@
+"""The colours of plots, on a light and on a dark page."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Theme:
+    """Colours on one background; colour-blind readers tell the ablations apart too (after Okabe, Ito)."""
+
+    name: str
+    ink: str
+    faint: str
+    ablations: tuple[str, ...]  # full, no_4drot, no_4dsh, no_time_split, any other; lines of other figures in turn
+
+
+LIGHT = Theme("light", "#1d2430", "#d9dde3", ("#0072b2", "#d55e00", "#009e73", "#b5519b", "#7a7f87"))
+DARK = Theme("dark", "#e4e7ec", "#3a414d", ("#5ab6f0", "#f2955c", "#3ccb9e", "#e39bcf", "#a6abb3"))
