@@ -71,7 +71,7 @@ def known_keys(schema: type = Config, prefix: str = "") -> list[str]:
 def _static_override_keys() -> set[str]:
     """`train.static_overrides` holds keys of `train`, but itself."""
     keys = (key.removeprefix("train.") for key in known_keys() if key.startswith("train."))
-    return {f"train.static_overrides.{key}" for key in keys if key != "where_still"}
+    return {f"train.static_overrides.{key}" for key in keys if key != "static_overrides"}
 
 
 def one_line(error: BaseException) -> str:

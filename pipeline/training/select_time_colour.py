@@ -15,7 +15,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from datasets.scene import Scene, SceneError
+from datasets.files.errors import SceneError
+from datasets.scene import Scene
 from datasets.validation import hold_out_poses
 from pipeline.config.random_streams import Stream, stream
 from pipeline.config.schema import Config

@@ -15,7 +15,7 @@ from pipeline.config.schema import AblationConfig, Config
 from pipeline.config.train_schema import ResolutionStep, TrainConfig
 from pipeline.model.scene_settings import resolved
 
-DIFFERENCES = {"init_points": 70, "rate": {"sh_rest": 1e-3}, "resolution_steps": [{"until": 0.5, "scale": 0.5}]}
+DIFFERENCES = {"init_points": 70, "lr": {"sh_rest": 1e-3}, "resolution_steps": [{"until": 0.5, "scale": 0.5}]}
 
 
 BLACK = SceneConfig(background="black")
@@ -66,7 +66,7 @@ def test_it_is_the_model_that_moves_or_does_not() -> None:
             "train.static_overrides.lr.mean=1",
             "not among this schedule's differences; add it as +train.static_overrides.lr.mean",
         ),
-        ("+train.static_overrides.where_still.batch=1", "no such key"),
+        ("+train.static_overrides.static_overrides.batch=1", "no such key"),
         ("train.static_overrides.lr.sh_rest=-1", "train.lr.sh_rest: expected >= 0, found -1"),
         ("train.static_overrides.init_points=many", "train.init_points: Value 'many'"),
     ],

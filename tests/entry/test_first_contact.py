@@ -205,11 +205,11 @@ def test_the_configuration_is_written_resolved_and_older_ones_still_open(shell: 
     assert "nothing moves: trained with the differences of train.static_overrides" in out
     path = shell.folder / "still/config.yaml"
     text = path.read_text()
-    assert "  batch: 3\n" in text and "where_still: null" in text
+    assert "  batch: 3\n" in text and "static_overrides: null" in text
     assert re.search(r"background:\n +- 0.0\n +- 0.0\n +- 0.0\n", text)
     # As it was written before: what was asked for.
     path.write_text(
-        text.replace("  batch: 3\n", "  batch: 2\n").replace("where_still: null", "where_still: {batch: 3}")
+        text.replace("  batch: 3\n", "  batch: 2\n").replace("static_overrides: null", "static_overrides: {batch: 3}")
     )
     out, _ = shell(*command)
     assert "train: already done" in out and path.read_text() == text

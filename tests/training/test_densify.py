@@ -180,7 +180,7 @@ def test_densify_puts_it_together() -> None:
     for tensors in (optimiser.first, optimiser.second):
         for tensor in tensors.values():
             tensor.fill_(1.0)
-    statistics, done = densify(
+    done = densify(
         optimiser,
         statistics_of([3e-4, 3e-4, 3e-4, 0], [0] * 4),
         600,
@@ -194,7 +194,6 @@ def test_densify_puts_it_together() -> None:
     assert torch.allclose(model.parameters["log_scale"][:, 0].exp(), torch.tensor([0.01, 0.03, 0.01, 0.125, 0.125]))
     assert torch.equal(model.parameters["mean"][:3, 0], torch.tensor([0.0, 3.0, 0.0]))
     assert optimiser.first["sh"].reshape(5, -1)[:, 0].tolist() == [1, 1, 0, 0, 0], "new ones have no past"
-    assert len(statistics.space) == 5 and not statistics.iterations.any()
 
 
 @pytest.mark.parametrize("by_cause", [False, True])
@@ -211,7 +210,7 @@ def test_a_split_that_space_asked_for_keeps_the_lifetime_only_by_cause(by_cause:
 
 def test_a_prune_of_everything_is_not_done() -> None:
     optimiser = Adam(model_of([0.01, 0.02], opacity=0.001))
-    _, done = densify(optimiser, Statistics(2), 600, DensifyConfig(), EXTENT, True, torch.Generator())
+    done = densify(optimiser, Statistics(2), 600, DensifyConfig(), EXTENT, True, torch.Generator())
     assert done.total == 2 and done.pruned == 0
 
 
@@ -260,7 +259,7 @@ def test_a_frozen_sphere_goes_through_densification_and_opacity_reset_unchanged(
         for tensor in tensors.values():
             tensor.fill_(1.0)
     before = {name: tensor[model.sphere].clone() for name, tensor in model.parameters.items()}
-    _, done = densify(
+    done = densify(
         optimiser,
         statistics_of([9e-4] * 5, [0] * 5),
         3100,

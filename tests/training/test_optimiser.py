@@ -19,9 +19,9 @@ RATES = {
     "quat_right": 1e-3,
     "opacity_logit": 5e-2,
     "sh": (2.5e-3, 1.25e-4, 5e-4, 6e-5),
-    "environment": 0.02,
+    "environment_map": 0.02,
 }
-FIELDS = RATES.keys() - {"sh", "environment"}
+FIELDS = RATES.keys() - {"sh", "environment_map"}
 
 
 def random_gradients(model: Model, generator: torch.Generator) -> Gradients:
@@ -92,11 +92,11 @@ def test_the_environment_is_stepped_by_adam_where_it_has_a_gradient() -> None:
     model, generator = random_model(KIND, 5), torch.Generator().manual_seed(0)
     model.environment_map = EnvironmentMap(torch.rand(3, 4, 8, generator=generator))
     shadow = model.environment_map.image.double().requires_grad_()
-    optimiser, truth = Adam(model), torch.optim.Adam([shadow], lr=RATES["environment"], eps=1e-15)
+    optimiser, truth = Adam(model), torch.optim.Adam([shadow], lr=RATES["environment_map"], eps=1e-15)
     for _ in range(5):
-        d_environment = torch.randn(3, 4, 8, generator=generator)
-        optimiser.step(random_gradients(model, generator), RATES, d_environment=d_environment)
-        shadow.grad = d_environment.double()
+        d_environment_map = torch.randn(3, 4, 8, generator=generator)
+        optimiser.step(random_gradients(model, generator), RATES, d_environment_map=d_environment_map)
+        shadow.grad = d_environment_map.double()
         truth.step()
     # five float32 updates of values up to 1, each rounded to 6e-8 and itself right to some 1e-6 of the rate
     torch.testing.assert_close(model.environment_map.image.double(), shadow.detach(), rtol=0, atol=1e-6)

@@ -75,7 +75,7 @@ def test_opacity_is_let_be_where_many_views_share_a_lifetime():
 
 def test_opacity_is_pulled_at_alike_where_several_cameras_film_what_moves():
     twice, cfg = replace(SCENE, train=SCENE.train + SCENE.train), RegularizationConfig(opacity=1.0, opacity_views=20.0)
-    assert twice.moments == SCENE.moments and len(twice.train) == 2 * len(twice.moments)
+    assert twice.train_times == SCENE.train_times and len(twice.train) == 2 * len(twice.train_times)
     assert lack_of_views(model(), cfg, twice) == 1.0
 
 

@@ -105,10 +105,8 @@ def test_a_shortened_schedule_is_the_whole_one_sooner(now: int) -> None:
     short = shortened(cfg, 0.1)
     assert (short.iterations, short.time_budget_s) == (3000, None)
     whole, sooner = phase(now, cfg, EXTENT, 3, 2), phase(0.1 * now, short, EXTENT, 3, 2)
-    assert whole.learning_rates["mean"] == pytest.approx(
-        sooner.learning_rates["mean"], rel=1e-12
-    )  # a few float64 operations
-    assert replace(whole, learning_rates={}) == replace(sooner, learning_rates={})
+    assert whole.lr["mean"] == pytest.approx(sooner.lr["mean"], rel=1e-12)  # a few float64 operations
+    assert replace(whole, lr={}, clock=0.0) == replace(sooner, lr={}, clock=0.0)
     assert (short.densify.start, short.densify.stop, short.densify.every) == (50, 1500, cfg.densify.every)
 
 

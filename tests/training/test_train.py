@@ -18,10 +18,7 @@ from pipeline.config.train_schema import ResolutionStep
 from pipeline.data.training_views import TrainingViews, area_weights, target_of
 from pipeline.model.initialise import initialise
 from pipeline.model.model import Model
-from pipeline.training import checkpoint
-from pipeline.training import finite_checks as guard
-from pipeline.training import loop as train_module
-from pipeline.training import step as batch_module
+from pipeline.training import checkpoint, finite_checks, loop, step
 from pipeline.training.loop import train
 
 
@@ -61,18 +58,18 @@ def uninterrupted(tmp_path_factory) -> Path:
 def batch_losses(path: Path, scene, cfg) -> list[float]:
     """Mean loss of the first and the last ten iterations."""
     losses: list[float] = []
-    original = train_module.Batch.backward
+    original = step.Batch.backward
 
     def record(self, target, gradients, generator=None):
         view = original(self, target, gradients, generator)
         losses.append(view.loss)
         return view
 
-    train_module.Batch.backward = record
+    step.Batch.backward = record
     try:
         train_tiny(path, cfg, scene)
     finally:
-        train_module.Batch.backward = original
+        step.Batch.backward = original
     tenth = 10 * cfg.train.batch
     return [float(np.mean(losses[:tenth])), float(np.mean(losses[-tenth:]))]
 
@@ -129,14 +126,14 @@ def test_the_same_seed_gives_the_same_run(uninterrupted: Path, tmp_path) -> None
 @pytest.mark.parametrize("stop", [14, 31])
 def test_resuming_after_a_stop_at_any_iteration(uninterrupted: Path, tmp_path, stop: int, monkeypatch) -> None:
     """Dies in iteration `stop`, between checkpoints, after rows later than the checkpoint were logged."""
-    original = guard.check_gradients
+    original = finite_checks.check_gradients
 
     def die(gradients, iteration, *rest) -> None:
         original(gradients, iteration, *rest)
         if iteration == stop:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(guard, "check_gradients", die)
+    monkeypatch.setattr(finite_checks, "check_gradients", die)
     with pytest.raises(KeyboardInterrupt):
         train_tiny(tmp_path)
     monkeypatch.undo()
@@ -231,7 +228,7 @@ def test_evaluation_is_off_the_clock(tmp_path) -> None:
 
 def poison_gradient(monkeypatch, at_call: int, row: int) -> None:
     """From the `at_call`-th view on, that view's backward pass puts a NaN into the mean's gradient."""
-    original, names = train_module.Batch.backward, []
+    original, names = step.Batch.backward, []
 
     def backward(self, target, background, gradients):
         view = original(self, target, background, gradients)
@@ -240,12 +237,12 @@ def poison_gradient(monkeypatch, at_call: int, row: int) -> None:
             gradients.mean[row, 1] = float("nan")
         return view
 
-    monkeypatch.setattr(train_module.Batch, "backward", backward)
+    monkeypatch.setattr(step.Batch, "backward", backward)
 
 
 def test_non_finite_gradient_names_iteration_view_and_gaussian(tmp_path, monkeypatch) -> None:
     poison_gradient(monkeypatch, at_call=2 * 8 + 1, row=13)  # the second view of the ninth batch
-    with pytest.raises(guard.NonFiniteError, match=r"iteration 9, view train/r_\d: .* mean of Gaussian 13") as error:
+    with pytest.raises(finite_checks.NonFiniteError, match=r"iteration 9, view train/r_\d: .* mean of Gaussian 13") as error:
         train_tiny(tmp_path)
     assert "\n" not in str(error.value)
     saved = checkpoint.load(tmp_path / checkpoint.FILE_NAME)
@@ -254,7 +251,7 @@ def test_non_finite_gradient_names_iteration_view_and_gaussian(tmp_path, monkeyp
 
 def test_a_view_that_breaks_over_one_background_is_found(tmp_path, monkeypatch) -> None:
     """Random backgrounds: the search for the broken view renders each view over the colour it was trained over."""
-    original = train_module.Batch.backward
+    original = step.Batch.backward
 
     def backward(self, target, background, gradients):
         view = original(self, target, background, gradients)
@@ -262,16 +259,16 @@ def test_a_view_that_breaks_over_one_background_is_found(tmp_path, monkeypatch) 
             gradients.mean[13, 1] = float("nan")
         return view
 
-    monkeypatch.setattr(train_module.Batch, "backward", backward)
+    monkeypatch.setattr(step.Batch, "backward", backward)
     scene = tiny_scene()
     views = tuple(replace(view, coverage=np.uint8(255) * (view.image[..., 0] > 0)) for view in scene.train)
-    with pytest.raises(guard.NonFiniteError, match=r"iteration \d+, view train/r_\d: .* mean of Gaussian 13"):
+    with pytest.raises(finite_checks.NonFiniteError, match=r"iteration \d+, view train/r_\d: .* mean of Gaussian 13"):
         train_tiny(tmp_path, tiny_config(random_background=True), replace(scene, train=views))
 
 
 def test_the_log_counts_the_gaussians_that_were_rendered(tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(train_module, "SHOW_EVERY", 1)
-    monkeypatch.setattr(train_module, "LOG_EVERY", 1)
+    monkeypatch.setattr(loop, "SHOW_EVERY", 1)
+    monkeypatch.setattr(loop, "LOG_EVERY", 1)
     train_tiny(tmp_path)
     rows = TinyRun(tmp_path).rows("log.jsonl")
     after, total = {row["iteration"]: row["n_gaussians"] for row in rows if row["event"] == "densify"}, 200
@@ -282,23 +279,23 @@ def test_the_log_counts_the_gaussians_that_were_rendered(tmp_path, monkeypatch) 
 
 
 def test_non_finite_loss_names_iteration_and_view(tmp_path, monkeypatch) -> None:
-    original, calls = batch_module.view_loss, []
+    original, calls = step.view_loss, []
 
     def view_loss(criterion, image, *rest):
         calls.append(1)
         return original(criterion, image * float("nan") if len(calls) == 6 else image, *rest)
 
-    monkeypatch.setattr(batch_module, "view_loss", view_loss)
-    with pytest.raises(guard.NonFiniteError, match=r"iteration 3, view train/r_\d: expected a finite loss, found nan"):
+    monkeypatch.setattr(step, "view_loss", view_loss)
+    with pytest.raises(finite_checks.NonFiniteError, match=r"iteration 3, view train/r_\d: expected a finite loss, found nan"):
         train_tiny(tmp_path)
 
 
 def test_a_broken_model_never_replaces_a_good_checkpoint() -> None:
     model = initialise(tiny_scene(), tiny_config(), np.random.default_rng(0))
-    guard.check_model(model, 5)
+    finite_checks.check_model(model, 5)
     model.parameters["log_scale"][17, 2] = float("inf")
-    with pytest.raises(guard.NonFiniteError, match="iteration 5: .* log_scale of Gaussian 17"):
-        guard.check_model(model, 5)
+    with pytest.raises(finite_checks.NonFiniteError, match="iteration 5: .* log_scale of Gaussian 17"):
+        finite_checks.check_model(model, 5)
 
 
 def test_coarser_views_are_averaged_over_areas() -> None:

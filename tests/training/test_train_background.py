@@ -15,10 +15,10 @@ from datasets.scene import Scene
 from pipeline.config.train_schema import DensifyConfig, LearningRates
 from pipeline.data.training_views import target_of
 from pipeline.model.initialise import initialise
-from pipeline.training import checkpoint
-from pipeline.training import finite_checks as guard
+from pipeline.training import checkpoint, finite_checks
+from pipeline.training.kernels import Kernels
 from pipeline.training.schedule import phase
-from pipeline.training.step import Batch, Kernels
+from pipeline.training.step import Batch
 from rasterizer import Gradients
 
 BACKGROUNDS = ("sphere", "envmap")
@@ -95,7 +95,7 @@ def test_the_environment_learns_what_is_behind(tmp_path) -> None:
 @pytest.mark.parametrize("background", BACKGROUNDS)
 @pytest.mark.parametrize("stop", [14, 31])
 def test_resuming_before_and_after_it_is_frozen(tmp_path, background: str, stop: int, monkeypatch) -> None:
-    original, cfg = guard.check_gradients, tiny_config(60, background)
+    original, cfg = finite_checks.check_gradients, tiny_config(60, background)
 
     def die(gradients, iteration, *rest) -> None:
         original(gradients, iteration, *rest)
@@ -103,7 +103,7 @@ def test_resuming_before_and_after_it_is_frozen(tmp_path, background: str, stop:
             raise KeyboardInterrupt
 
     train_tiny(tmp_path / "whole", cfg)
-    monkeypatch.setattr(guard, "check_gradients", die)
+    monkeypatch.setattr(finite_checks, "check_gradients", die)
     with pytest.raises(KeyboardInterrupt):
         train_tiny(tmp_path / "stopped", cfg)
     monkeypatch.undo()
@@ -132,10 +132,10 @@ def test_a_checkpoint_with_another_background_is_refused(tmp_path) -> None:
 def test_a_broken_environment_never_replaces_a_good_checkpoint(tmp_path) -> None:
     model = train_tiny(tmp_path, tiny_config(7, "envmap")).model
     model.environment_map.image[1, 2, 3] = float("nan")
-    with pytest.raises(guard.NonFiniteError, match="iteration 5: .* NaN or Inf in the environment map; not written"):
-        guard.check_model(model, 5)
-    with pytest.raises(guard.NonFiniteError, match="found nan; NaN or Inf in the environment map"):
-        guard.check_loss(float("nan"), 5, "train/r_0", model)
+    with pytest.raises(finite_checks.NonFiniteError, match="iteration 5: .* NaN or Inf in the environment map; not written"):
+        finite_checks.check_model(model, 5)
+    with pytest.raises(finite_checks.NonFiniteError, match="found nan; NaN or Inf in the environment map"):
+        finite_checks.check_loss(float("nan"), 5, "train/r_0", model)
 
 
 @pytest.mark.parametrize("unit, sees", [(1.0, True), (100.0, False)])

@@ -51,7 +51,7 @@ def lack_of_views(model: Model, cfg: RegularizationConfig, scene: Scene) -> Tens
         return 1.0
     if model.kind.dims == 3:
         return min(1.0, cfg.opacity_views / views)
-    if views >= 2 * len(scene.moments):
+    if views >= 2 * len(scene.train_times):
         return 1.0
     shared = torch.exp(model.parameters["log_scale"][:, 3]).mul_(views / scene.duration)
     return (cfg.opacity_views / shared).clamp_(max=1.0)

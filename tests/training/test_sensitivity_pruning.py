@@ -1,5 +1,4 @@
-"""What the training images miss of each Gaussian: against leaving each out of the float64 twin, in closed form, and what
-training does with it."""
+"""Pruning by sensitivity: the estimate against removing each Gaussian in turn, closed forms, and the pruning itself."""
 
 from __future__ import annotations
 
@@ -15,11 +14,11 @@ from pipeline.model.environment_map import EnvironmentMap
 from pipeline.model.initialise import initialise
 from pipeline.model.model import Model
 from pipeline.training.density.sensitivity_pruning import (
-    MOST_VIEWS,
+    MAX_VIEWS,
     due,
     image_sensitivity,
     least_sensitive,
-    leave_out,
+    prune_by_sensitivity,
     scoring_views,
 )
 from pipeline.training.optimiser import Adam
@@ -27,7 +26,7 @@ from rasterizer import Rasterizer, Request
 from rasterizer.reference import rasterize
 
 
-def mean_missed(model, scene, cfg, draws: int) -> torch.Tensor:
+def mean_sensitivity(model, scene, cfg, draws: int) -> torch.Tensor:
     """(N,) float64, the mean over so many seeds of the signs."""
     found = [
         image_sensitivity(model, scene.train, scene, cfg, 1.0, np.random.default_rng(seed), 1) for seed in range(draws)
@@ -35,7 +34,7 @@ def mean_missed(model, scene, cfg, draws: int) -> torch.Tensor:
     return torch.stack(found).double().mean(dim=0)
 
 
-def loud_model(scene, cfg, count: int) -> Model:
+def random_model(scene, cfg, count: int) -> Model:
     """Opacities from faint to nearly opaque, and colours that differ."""
     rng = np.random.default_rng(1)
     model = initialise(scene, cfg, np.random.default_rng(0))
@@ -47,10 +46,10 @@ def loud_model(scene, cfg, count: int) -> Model:
     return model
 
 
-def test_what_is_missed_is_what_changes_without_it():
-    """The float64 twin without each Gaussian in turn: the squared change of three images, summed."""
+def test_sensitivity_is_the_squared_change_of_the_images():
+    """Truth: the float64 reference implementation renders three views without each Gaussian in turn."""
     scene, cfg = tiny_scene(views=3), tiny_config()
-    model = loud_model(scene, cfg, 60)
+    model = random_model(scene, cfg, 60)
     doubles = type(model.gaussians())(**{name: tensor.double() for name, tensor in model.gaussians().tensors().items()})
 
     def images(kept) -> torch.Tensor:
@@ -62,53 +61,53 @@ def test_what_is_missed_is_what_changes_without_it():
     everything = torch.arange(len(model))
     whole = images(everything)
     truth = torch.stack([(images(everything[everything != i]) - whole).square().sum() for i in range(len(model))])
-    found = mean_missed(model, scene, cfg, draws=400)
+    found = mean_sensitivity(model, scene, cfg, draws=400)
     # The square of a sum with random signs has a standard deviation of at most √2 of its mean: 0.07 of it after 400
     # draws, of one Gaussian (4.5 of these for sixty of them), and less of all. What is behind it may end earlier.
-    loud = truth > 1e-3
-    assert loud.sum() > 40
-    torch.testing.assert_close(found[loud], truth[loud], rtol=0.32, atol=0)
+    above = truth > 1e-3
+    assert above.sum() > 40
+    torch.testing.assert_close(found[above], truth[above], rtol=0.32, atol=0)
     torch.testing.assert_close(found.sum(), truth.sum(), rtol=0.05, atol=0)
 
 
-def test_what_has_the_colour_of_what_is_behind_it_is_not_missed():
+def test_a_gaussian_of_the_background_colour_has_no_sensitivity():
     scene, cfg = dataclasses.replace(tiny_scene(views=2), background=(1.0, 1.0, 1.0)), tiny_config()
-    model = loud_model(scene, cfg, 40)
+    model = random_model(scene, cfg, 40)
     model.parameters["sh"].zero_()
     model.parameters["sh"][:, 0] = 0.5 / 0.28209479177387814  # white, as what is behind
-    seen = mean_missed(model, scene, cfg, draws=1)
-    assert float(seen.max()) < 1e-8  # 3,072 products of float32, each wrong by 1e-7, of random signs, squared
+    found = mean_sensitivity(model, scene, cfg, draws=1)
+    assert float(found.max()) < 1e-8  # 3,072 products of float32, each wrong by 1e-7, of random signs, squared
     model.parameters["sh"][:20, 0] = 0.0  # grey
-    assert float(mean_missed(model, scene, cfg, draws=1).max()) > 1
+    assert float(mean_sensitivity(model, scene, cfg, draws=1).max()) > 1
 
 
-def test_what_has_the_colour_of_the_environment_is_not_missed_either():
+def test_a_gaussian_of_the_environment_maps_colour_has_no_sensitivity():
     scene, cfg = tiny_scene(views=2), tiny_config()
-    model = loud_model(scene, cfg, 40)
+    model = random_model(scene, cfg, 40)
     model.environment_map = EnvironmentMap.grey(12)
     model.parameters["sh"].zero_()  # grey
-    assert float(mean_missed(model, scene, cfg, draws=1).max()) < 1e-8
+    assert float(mean_sensitivity(model, scene, cfg, draws=1).max()) < 1e-8
     model.environment_map = None  # black
-    assert float(mean_missed(model, scene, cfg, draws=1).max()) > 1
+    assert float(mean_sensitivity(model, scene, cfg, draws=1).max()) > 1
 
 
-def test_an_opaque_one_is_missed_too():
-    """Where alpha is clamped at 0.99 there is no derivative, though nothing would be missed more."""
+def test_an_opaque_gaussian_has_the_sensitivity_of_opacity_098():
+    """At alpha = 0.99 the clamp has no derivative, so the estimate uses a lower opacity."""
     scene, cfg = tiny_scene(views=2), tiny_config()
-    model = loud_model(scene, cfg, 1)
+    model = random_model(scene, cfg, 1)
     model.parameters["mean"].zero_()
     model.parameters["log_scale"].fill_(-0.5)  # as large as the image
     model.parameters["opacity_logit"].fill_(3.0)
-    translucent = mean_missed(model, scene, cfg, draws=100)
+    translucent = mean_sensitivity(model, scene, cfg, draws=100)
     model.parameters["opacity_logit"].fill_(20.0)
-    opaque = mean_missed(model, scene, cfg, draws=100)
+    opaque = mean_sensitivity(model, scene, cfg, draws=100)
     # (0.98/0.953)², and four standard deviations of a hundred draws
     assert float(opaque / translucent) == pytest.approx((0.98 / 0.9526) ** 2, rel=4 * (2 / 100) ** 0.5)
 
 
-def test_it_is_a_function_of_the_generator_and_not_of_the_threads():
+def test_it_depends_on_the_rng_and_not_on_the_threads():
     scene, cfg = tiny_scene(views=3), tiny_config()
-    model = loud_model(scene, cfg, 60)
+    model = random_model(scene, cfg, 60)
     one, two = (
         image_sensitivity(model, scene.train, scene, cfg, 0.5, np.random.default_rng(5), threads) for threads in (1, 2)
     )
@@ -116,24 +115,24 @@ def test_it_is_a_function_of_the_generator_and_not_of_the_threads():
     assert not torch.equal(one, image_sensitivity(model, scene.train, scene, cfg, 0.5, np.random.default_rng(6), 1))
 
 
-def test_of_many_cameras_whole_moments_are_asked_and_of_one_camera_every_view():
+def test_scoring_views_are_whole_moments_of_many_cameras_and_every_view_of_one_camera():
     scene = tiny_scene(views=4)
     times, cameras = 300, 3
 
     def view(i, k):
         return dataclasses.replace(scene.train[0], time=i / (times - 1), name=f"{i}/{k}")
 
-    alone = dataclasses.replace(scene, train=tuple(view(i, 0) for i in range(2 * MOST_VIEWS)))
+    alone = dataclasses.replace(scene, train=tuple(view(i, 0) for i in range(2 * MAX_VIEWS)))
     assert scoring_views(alone) == list(alone.train)
     many = dataclasses.replace(scene, train=tuple(view(i, k) for i in range(times) for k in range(cameras)))
-    asked = scoring_views(many)
-    chosen = {v.time for v in asked}
-    assert len(asked) == cameras * len(chosen) and 0.9 * MOST_VIEWS < len(asked) <= MOST_VIEWS
+    scoring = scoring_views(many)
+    chosen = {v.time for v in scoring}
+    assert len(scoring) == cameras * len(chosen) and 0.9 * MAX_VIEWS < len(scoring) <= MAX_VIEWS
     assert {0.0, 1.0} <= chosen  # spread from first to last
     assert scoring_views(scene) == list(scene.train)
 
 
-def test_the_least_are_as_many_as_fit_into_their_share():
+def test_least_sensitive_takes_as_many_as_fit_into_the_share():
     weight = torch.from_numpy(np.random.default_rng(0).pareto(1.0, 300).astype(np.float32))
     weight[::7] = 0.0
     for share in (0.0, 1e-3, 0.05, 0.5, 0.999):
@@ -146,14 +145,14 @@ def test_the_least_are_as_many_as_fit_into_their_share():
     assert least_sensitive(torch.ones(10), 0.35).tolist() == [True] * 3 + [False] * 7  # ties by index
 
 
-def test_images_change_less_than_by_leaving_out_any_others():
+def test_images_change_less_than_by_removing_others():
     scene, cfg = tiny_scene(views=3), tiny_config()
-    whole, rng = loud_model(scene, cfg, 60), np.random.default_rng(2)
-    change, before, share = mean_missed(whole, scene, cfg, draws=50), shown(whole, scene, cfg), 0.02
+    whole, rng = random_model(scene, cfg, 60), np.random.default_rng(2)
+    change, before, share = mean_sensitivity(whole, scene, cfg, draws=50), shown(whole, scene, cfg), 0.02
 
-    def changed(worth: torch.Tensor, part: float) -> tuple[float, int]:
+    def changed(sensitivity: torch.Tensor, part: float) -> tuple[float, int]:
         model = whole.copy()
-        removed = leave_out(Adam(model), worth, part)
+        removed = prune_by_sensitivity(Adam(model), sensitivity, part)
         return sum(float((a - b).square().sum()) for a, b in zip(shown(model, scene, cfg), before)), removed
 
     least_change, removed = changed(change, share)
@@ -170,7 +169,7 @@ def shown(model, scene, cfg) -> list[torch.Tensor]:
     return [Rasterizer(threads=1).render(model.gaussians(), request).color.clone() for request in requests]
 
 
-def test_moments_go_with_what_is_left_out_but_the_sphere_stays_and_never_do_all_go():
+def test_moments_follow_the_pruning_the_sphere_stays_and_never_all_go():
     model = initialise(tiny_scene(), tiny_config(), np.random.default_rng(0))
     count = len(model)
     model = Model.restored(model.kind, model.state() | {"sphere": torch.arange(count) < 10})
@@ -178,33 +177,33 @@ def test_moments_go_with_what_is_left_out_but_the_sphere_stays_and_never_do_all_
     adam.first["mean"][:, 0] = torch.arange(count)
     change = (torch.arange(count) % 2).float()
     change[:10] = 1e6  # the sphere's, which has no part in what the share is of
-    assert leave_out(adam, change, 1e-3) == count // 2 - 5  # of no worth; the share is less than one of the others
+    assert prune_by_sensitivity(adam, change, 1e-3) == count // 2 - 5  # all of sensitivity 0; the share is less than one of the others
     kept = [i for i in range(count) if i % 2 or i < 10]
     assert adam.first["mean"][:, 0].tolist() == kept
     model.sphere = None
-    assert leave_out(adam, torch.zeros(len(kept)), 0.5) == 0 and len(model) == len(kept)
+    assert prune_by_sensitivity(adam, torch.zeros(len(kept)), 0.5) == 0 and len(model) == len(kept)
 
 
-def test_what_no_view_saw_stays_where_not_all_were_asked():
+def test_sensitivity_0_is_pruned_only_where_all_views_scored():
     model = initialise(tiny_scene(), tiny_config(), np.random.default_rng(0))
     count = len(model)
     change = torch.tensor([0.0, 1.0, 100.0, 100.0]).repeat(count // 4)
-    assert leave_out(Adam(model.copy()), change, 0.01) == count // 2
-    assert leave_out(Adam(model), change, 0.01, all_asked=False) == count // 4
+    assert prune_by_sensitivity(Adam(model.copy()), change, 0.01) == count // 2
+    assert prune_by_sensitivity(Adam(model), change, 0.01, all_scored=False) == count // 4
 
 
-def test_training_leaves_out_what_is_missed_least(tmp_path):
+def test_training_prunes_by_sensitivity(tmp_path):
     cfg = tiny_config(60)
     cfg.train.densify = dataclasses.replace(cfg.train.densify, prune_sensitivity=0.01, prune_sensitivity_every=20)
     model, free = train_tiny(tmp_path / "run", cfg).model, train_tiny(tmp_path / "free", tiny_config(60)).model
     scene = tiny_scene()
     assert len(model) < 0.9 * len(free)  # most of the change is that of a few
     idle, before = (
-        float(least_sensitive(mean_missed(m, scene, cfg, draws=20), 0.01).float().mean()) for m in (model, free)
+        float(least_sensitive(mean_sensitivity(m, scene, cfg, draws=20), 0.01).float().mean()) for m in (model, free)
     )
     assert idle < before
-    done = [row for row in TinyRun(tmp_path / "run").rows("log.jsonl") if row["event"] == "leave_out"]
-    assert [row["iteration"] for row in done] == [20, 40] and sum(row["left_out"] for row in done) > 0
+    done = [row for row in TinyRun(tmp_path / "run").rows("log.jsonl") if row["event"] == "prune_sensitivity"]
+    assert [row["iteration"] for row in done] == [20, 40] and sum(row["pruned"] for row in done) > 0
     assert done[-1]["n_gaussians"] >= len(model)
 
 

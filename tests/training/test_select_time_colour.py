@@ -1,4 +1,4 @@
-"""The trial of colours that change with time: they stay where they show, and go where they do not."""
+"""Selection of time-varying colour by validation: kept where colours change with time, left out where they do not."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from datasets.scene import Scene, View
 from pipeline.config.compose import CONFIG_DIR, one_line, register_schema, to_config
 from pipeline.config.schema import Config
 from pipeline.config.train_schema import LearningRates
-from pipeline.training import select_time_colour as trial
+from pipeline.training.select_time_colour import Selection, due, mean_and_error, select, without_time_colour
 
 SHARE = 0.5
 
 
 def config(iterations: int = 400, **train_keys) -> Config:
-    return tiny_config(iterations, trial=SHARE, **train_keys)
+    return tiny_config(iterations, select_time_colour=SHARE, **train_keys)
 
 
 def flickering(scene: Scene) -> Scene:
@@ -33,31 +33,31 @@ def flickering(scene: Scene) -> Scene:
     return replace(scene, train=tuple(map(at, scene.train)))
 
 
-def test_they_stay_where_they_show() -> None:
+def test_kept_where_colours_change_with_time() -> None:
     """Gaussians that live throughout and neither move nor change their size have nothing else to flicker by."""
     views = 48
     still = tiny_scene(views, static=True).train
     scene = replace(tiny_scene(), train=tuple(replace(view, time=i / views) for i, view in enumerate(still)))
-    rate = LearningRates(sh_time=1e-2, sh_dc=1e-2, scale=0.0, mean_time=0.0)
-    cfg = config(600, fourier_at=[30, 40], init_time_scale=2.0, lr=rate)
-    found = trial.judge(flickering(scene), cfg, None, 1, str)
+    lr = LearningRates(sh_time=1e-2, sh_dc=1e-2, scale=0.0, mean_time=0.0)
+    cfg = config(600, fourier_at=[30, 40], init_time_scale=2.0, lr=lr)
+    found = select(flickering(scene), cfg, None, 1, str)
     # Three seeds gave 4.8 to 6.0 dB, of 1.2 dB error.
     assert found.kept and found.gain > 2
 
 
-def test_they_go_where_they_do_not() -> None:
-    """Both trainings are the same where orders come in after the end: a gain of exactly nothing."""
-    found = trial.judge(tiny_scene(12), config(60, fourier_at=[80, 80]), None, 1, str)
+def test_left_out_where_they_do_not() -> None:
+    """Fourier orders that begin after the last iteration change nothing: the gain is exactly 0."""
+    found = select(tiny_scene(12), config(60, fourier_at=[80, 80]), None, 1, str)
     assert (found.gain, found.standard_error, found.views) == (0.0, 0.0, 3) and not found.kept
     assert found.seconds > 0
 
 
-def test_neither_the_test_views_nor_the_model_that_follows_have_a_say() -> None:
-    scene, cfg, said = tiny_scene(12), config(60), []
-    found = trial.judge(scene, cfg, None, 1, said.append)
-    other = trial.judge(replace(scene, test=flickering(scene).train), cfg, None, 1, said.append)
+def test_the_test_views_do_not_matter() -> None:
+    scene, cfg, lines = tiny_scene(12), config(60), []
+    found = select(scene, cfg, None, 1, lines.append)
+    other = select(replace(scene, test=flickering(scene).train), cfg, None, 1, lines.append)
     assert replace(other, seconds=found.seconds) == found
-    assert said[0].startswith("trial: with colours that change with time, 30 iterations; 9 training views, 3 judge")
+    assert lines[0] == "select_time_colour: with time-varying colour, 30 iterations; 9 training views, 3 validation views"
 
 
 @pytest.mark.parametrize(
@@ -68,28 +68,28 @@ def test_neither_the_test_views_nor_the_model_that_follows_have_a_say() -> None:
         ([1.0, 3.0], "aa", 2.0, 1.0),
     ],
 )  # frames where there is one pose
-def test_views_of_one_camera_are_one_witness(gains: list[float], poses: str, mean: float, error: float) -> None:
-    assert trial.mean_and_error(np.array(gains), poses) == (mean, error)
+def test_the_standard_error_is_over_poses(gains: list[float], poses: str, mean: float, error: float) -> None:
+    assert mean_and_error(np.array(gains), poses) == (mean, error)
 
 
-def test_a_gain_must_be_twice_its_error_and_worth_having() -> None:
-    assert trial.Verdict(0.41, 0.2, 6, 1.0).kept
-    assert not trial.Verdict(0.39, 0.2, 6, 1.0).kept
-    assert trial.Verdict(0.21, 0.01, 6, 1.0).kept
-    assert not trial.Verdict(0.19, 0.01, 6, 1.0).kept
-    assert not trial.Verdict(-0.3, 0.1, 6, 1.0).kept
+def test_a_gain_must_exceed_two_standard_errors_and_the_minimum() -> None:
+    assert Selection(0.41, 0.2, 6, 1.0).kept
+    assert not Selection(0.39, 0.2, 6, 1.0).kept
+    assert Selection(0.21, 0.01, 6, 1.0).kept
+    assert not Selection(0.19, 0.01, 6, 1.0).kept
+    assert not Selection(-0.3, 0.1, 6, 1.0).kept
 
 
-def test_when_there_is_one() -> None:
+def test_when_it_is_due() -> None:
     scene, cfg = tiny_scene(), config()
-    assert trial.due(cfg, scene) and trial.due(cfg, tiny_film())
-    assert not trial.due(tiny_config(), scene)
-    assert not trial.due(trial.without_time_colour(cfg), scene)
-    assert not trial.due(cfg, tiny_scene(static=True))
-    assert not trial.due(replace(cfg, train=replace(cfg.train, time_budget_s=1.0)), scene)
-    assert not trial.due(cfg, replace(scene, train=scene.train[:4]))  # of four one would judge
+    assert due(cfg, scene) and due(cfg, tiny_film())
+    assert not due(tiny_config(), scene)
+    assert not due(without_time_colour(cfg), scene)
+    assert not due(cfg, tiny_scene(static=True))
+    assert not due(replace(cfg, train=replace(cfg.train, time_budget_s=1.0)), scene)
+    assert not due(cfg, replace(scene, train=scene.train[:4]))  # a single validation view
     two = tuple(replace(view, camera=scene.train[i % 2].camera) for i, view in enumerate(scene.train))
-    assert not trial.due(cfg, replace(scene, train=two))  # of two poses none can be spared
+    assert not due(cfg, replace(scene, train=two))  # two poses: none can be held out
 
 
 def test_a_share_out_of_range_is_one_line() -> None:
