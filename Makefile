@@ -15,7 +15,7 @@ took = s=$$(( $$(date +%s) - $(STARTED) )); echo "make $@: $(1) in $$(( s / 60 )
 # What make compares to decide whether there is work: packages after the lock, kernel after its sources.
 INSTALLED := .venv/.installed
 BUILT := build/.built
-KERNEL_SOURCES := CMakeLists.txt $(wildcard rasterizer/src/*)
+KERNEL_SOURCES := CMakeLists.txt $(wildcard rasterizer/src/*.?pp rasterizer/src/*/*.hpp)
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)

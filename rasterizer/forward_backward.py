@@ -21,7 +21,7 @@ from rasterizer.kernel import kernel
 from rasterizer.number import is_whole, shown
 from rasterizer.output import RenderOutput
 
-STAGES = ("prepare", "sort", "bin", "blend", "blend_backward", "gaussian_backward")
+STAGES = ("preprocess", "sort", "intersect_tiles", "blend", "blend_backward", "preprocess_backward")
 _EXTRAS = ("depth", "flow", "stats")
 MOST_THREADS = 1024  # each has a stack and a share of the lists
 _CHANNELS = {"color": 3, "alpha": 1, "depth": 1, "flow": 2, "stats": 2}
@@ -277,7 +277,7 @@ class Rasterizer:
     @property
     def alive(self) -> int:
         """How many have p(t) >= 0.05 in the last view."""
-        return self._frame.alive
+        return self._frame.in_time
 
     @property
     def entries(self) -> int:
@@ -286,7 +286,7 @@ class Rasterizer:
 
     def count_pairs(self) -> tuple[int, int]:
         """(pixel, Gaussian) pairs the last view evaluated, and those of them that count; for the benchmark."""
-        return self._frame.count_pairs()
+        return self._frame.count_pixel_gaussian_pairs()
 
     @property
     def stage_ms(self) -> dict[str, float]:

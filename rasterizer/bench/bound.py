@@ -37,7 +37,7 @@ class Work:
 
 
 def measure_rates() -> Rates:
-    return Rates(*kernel.measure_rates())
+    return Rates(*kernel.measure_throughput())
 
 
 def work_of(c: Counts, sh_bytes: int) -> dict[str, Work]:
@@ -46,14 +46,14 @@ def work_of(c: Counts, sh_bytes: int) -> dict[str, Work]:
     return {
         # time row and marginal 105 a Gaussian; slice and projection 380 one alive; Fourier sum and its slope
         # 5/3 a coefficient, basis, colour and its derivatives 360
-        "prepare": Work(
+        "preprocess": Work(
             105 * c.gaussians + 380 * c.alive + (5 / 3 * coefficients + 360) * c.visible,
             GEOMETRY * c.gaussians + (sh_bytes + 2 * LINE + 4) * c.visible,
         ),
         # keys made of depths, and moved in two passes
         "sort": Work(10 * c.visible, (4 + 6 * 8) * c.visible),
         # the quadratic form's largest value in sixteen blocks: 25 operations each
-        "bin": Work(16 * 25 * c.entries, LINE * c.visible + (12 + 10) * c.entries),
+        "intersect_tiles": Work(16 * 25 * c.entries, LINE * c.visible + (12 + 10) * c.entries),
         # offset 2, exponent 5, its power of two 6, cut-offs 2, transmittance 4, colour 3
         "blend": Work(22 * c.pairs, 6 * c.entries + LINE * c.visible + 12 * c.pixels),
         # the same but for the colour 19, along the gradient and what is left 4, inverse 3, ∂alpha 4, moments and sums 11;
@@ -62,7 +62,7 @@ def work_of(c: Counts, sh_bytes: int) -> dict[str, Work]:
             41 * c.pairs + 9 * 15 * c.entries, (10 + LINE) * c.entries + LINE * c.visible + 2 * 12 * c.pixels
         ),
         # slots added up; slice and projection again, then backwards
-        "gaussian_backward": Work(
+        "preprocess_backward": Work(
             16 * c.entries + 1100 * c.visible, LINE * c.entries + (3 * GEOMETRY + 2 * LINE + 52) * c.visible
         ),
     }

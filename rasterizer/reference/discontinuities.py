@@ -23,7 +23,7 @@ from rasterizer.gaussians import Gaussians
 from rasterizer.reference import render as reference
 from rasterizer.reference.blend import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, pixel_centers, squared_distance
 
-FAR_NEAR_PLANES = 32_768  # the kernel's (rasterizer/src/far.hpp)
+FAR_NEAR_PLANES = 32_768  # the kernel's (rasterizer/src/forward/depth_in_double.hpp)
 SAME_DEPTH, SAME_FAR_DEPTH = 3e-6, 1e-12  # of the distance: below it rounding decides; float32 rounds to 6e-8
 
 

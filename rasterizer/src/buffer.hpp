@@ -1,4 +1,4 @@
-// Scratch memory of a frame: 64-byte aligned, grows and never shrinks, contents not kept when it grows.
+// A scratch array: 64-byte aligned, grows and never shrinks, and does not keep its contents when it grows.
 #pragma once
 
 #include <cstddef>
@@ -23,7 +23,7 @@ public:
         if (count <= capacity_) return;
         std::free(data_);
         capacity_ = count + count / 4 + 64;
-        // Large buffers start on 2 MiB pages: fewer page-table walks (15 % of a W1 frame).
+        // Large buffers use 2 MiB pages, which need fewer page-table walks (15 % of a W1 view).
         const size_t page = capacity_ * sizeof(T) > (size_t{4} << 20) ? size_t{2} << 20 : 64;
         const size_t bytes = (capacity_ * sizeof(T) + page - 1) / page * page;
         data_ = static_cast<T*>(std::aligned_alloc(page, bytes));

@@ -1,4 +1,4 @@
-// Which compiled kernels this processor can run, best first.
+// Says which of the compiled kernels this processor can run, best first.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>

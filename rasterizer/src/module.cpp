@@ -1,5 +1,7 @@
-// The kernel's Python interface. Arguments are checked in Python (arguments.py), where the messages are made;
-// here arrays are views of the caller's memory, nothing is copied.
+// The kernel's Python bindings. Start reading in render.hpp.
+//
+// Arguments are checked in Python (arguments.py), with their error messages. Arrays are views of the caller's
+// memory; nothing is copied.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/array.h>
@@ -14,20 +16,20 @@
 #include <tuple>
 #include <vector>
 
-#include "adam.hpp"
-#include "dispatch.hpp"
-#include "loss.hpp"
-#include "pairs.hpp"
-#include "rates.hpp"
-#include "statistics.hpp"
-#include "sweep.hpp"
+#include "benchmark/machine_throughput.hpp"
+#include "benchmark/pixel_gaussian_pairs.hpp"
+#include "render.hpp"
+#include "training/adam.hpp"
+#include "training/array_passes.hpp"
+#include "training/densification_statistics.hpp"
+#include "training/loss.hpp"
 
 #define SPLAT_TEXT_OF(x) #x
-#define SPLAT_TEXT(x) SPLAT_TEXT_OF(x)  // of what the macro x stands for
+#define SPLAT_TEXT(x) SPLAT_TEXT_OF(x)  // of the expansion of x
 
 namespace nb = nanobind;
 
-// Arrays of narrow SH coefficients by the names Python knows them by.
+// Names of the 16-bit types of SH coefficients in Python.
 template <>
 struct nanobind::detail::dtype_traits<splat::Float16> {
     static constexpr nb::dlpack::dtype value{static_cast<uint8_t>(nb::dlpack::dtype_code::Float), 16, 1};
@@ -53,7 +55,7 @@ T* pointer(const std::optional<Array<T>>& a) {
     return a ? a->data() : nullptr;
 }
 
-// The stored model as the kernel sees it; holds the arrays while it lives.
+// The stored model; keeps its arrays alive.
 struct Model {
     In mean, log_scale, quat_left;
     std::optional<In> quat_right;
@@ -78,12 +80,13 @@ struct Model {
     }
 };
 
-using Exact = splat::CameraOf<double>;
+using CameraDouble = splat::CameraOf<double>;
 
-// position: the camera's centre. The moment comes with the view.
-Exact camera_from(int width, int height, const std::vector<double>& intrinsics,
-                  Array<const double> world_to_cam, const std::vector<double>& position) {
-    Exact c{width, height, intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3], {}, {}, {}, 0.0, 0.0};
+// position: the camera's centre. The time comes with set_view.
+CameraDouble camera_from(int width, int height, const std::vector<double>& intrinsics,
+                         Array<const double> world_to_cam, const std::vector<double>& position) {
+    CameraDouble c{width, height, intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3], {}, {}, {},
+                   0.0,   0.0};
     for (int i = 0; i < 3; ++i) {
         for (int j = 0; j < 3; ++j) c.rotation[i][j] = world_to_cam.data()[4 * i + j];
         c.position[i] = position[i];
@@ -91,15 +94,16 @@ Exact camera_from(int width, int height, const std::vector<double>& intrinsics,
     return c;
 }
 
-class Frame {
+// Python's Frame: the state of one view, with the rendered images, which the backward pass reads.
+class FrameBinding {
 public:
-    void set_view(const Exact& camera, double time, double duration, scalar near_plane,
+    void set_view(const CameraDouble& camera, double time, double duration, scalar near_plane,
                   const std::vector<scalar>& background, scalar flow_dt, int sh_degree, int fourier_order,
                   std::tuple<bool, bool, bool> extras, bool differentiable, int threads) {
-        frame_.exact_camera = camera;
-        frame_.exact_camera.time = time;
-        frame_.camera = splat::rounded(frame_.exact_camera);
-        frame_.settings = {duration,
+        state_.camera_double = camera;
+        state_.camera_double.time = time;
+        state_.camera = splat::rounded(state_.camera_double);
+        state_.settings = {duration,
                            near_plane,
                            {background[0], background[1], background[2]},
                            flow_dt,
@@ -117,7 +121,7 @@ public:
                                       pointer(stats)};
         rendered_ = {color, alpha, depth, flow, stats};
         nb::gil_scoped_release release;
-        splat::render(frame_, model.motion(), model.parameters(), out);
+        splat::render(state_, model.motion(), model.parameters(), out);
     }
     void backward(const Model& model, std::optional<In> color, std::optional<In> alpha,
                   std::optional<In> depth, std::optional<In> flow, std::optional<In> stats, Out mean,
@@ -132,24 +136,24 @@ public:
         const splat::ViewGradient view{id.data(), mean2d.data(), mean_t.data(), radius.data(),
                                        reinterpret_cast<splat::ColorGradient*>(color_gradient.data())};
         nb::gil_scoped_release release;
-        splat::render_backward(frame_, model.motion(), model.parameters(), rendered, d, out, view);
+        splat::render_backward(state_, model.motion(), model.parameters(), rendered, d, out, view);
     }
-    uint32_t visible() const { return frame_.visible; }
-    uint32_t alive() const { return frame_.alive; }
-    size_t entries() const { return frame_.entry_slot.size(); }
-    std::tuple<uint64_t, uint64_t> count_pairs() const {
-        const splat::Pairs pairs = splat::count_pairs(frame_);
+    uint32_t visible() const { return state_.visible; }
+    uint32_t in_time() const { return state_.in_time; }
+    size_t entries() const { return state_.gradient_index.size(); }
+    std::tuple<uint64_t, uint64_t> count_pixel_gaussian_pairs() const {
+        const splat::PixelGaussianPairs pairs = splat::count_pixel_gaussian_pairs(state_);
         return {pairs.evaluated, pairs.contributing};
     }
-    std::vector<double> stage_ms() const { return {frame_.stage_ms, frame_.stage_ms + 6}; }
+    std::vector<double> stage_ms() const { return {state_.stage_ms, state_.stage_ms + 6}; }
 
 private:
-    splat::Frame frame_;
-    std::array<std::optional<Out>, 5> rendered_;  // the images, which the backward pass reads
+    splat::ViewState state_;
+    std::array<std::optional<Out>, 5> rendered_;
 };
 
-using View = std::tuple<Array<const int32_t>, In, int,
-                        int>;  // id [V], color gradient [V, 8], sh_degree, fourier_order
+// id [V], color gradient [V, 8], sh_degree, fourier_order
+using View = std::tuple<Array<const int32_t>, In, int, int>;
 
 std::vector<splat::ViewColors> view_colors(const std::vector<View>& views) {
     std::vector<splat::ViewColors> out;
@@ -162,8 +166,8 @@ std::vector<splat::ViewColors> view_colors(const std::vector<View>& views) {
 void expand_sh(const std::vector<View>& views, Out dense, int coefficients, int orders, int threads) {
     const auto colors = view_colors(views);
     nb::gil_scoped_release release;
-    splat::expand_dense(colors, static_cast<uint32_t>(dense.shape(0)), coefficients, orders, dense.data(),
-                        threads);
+    splat::dense_sh_gradient(colors, static_cast<uint32_t>(dense.shape(0)), coefficients, orders,
+                             dense.data(), threads);
 }
 
 void adam(Out p, In g, Out m, Out v, const std::vector<scalar>& lr, std::optional<Array<const uint8_t>> keep,
@@ -198,7 +202,7 @@ bool all_finite(In array, int threads) {
 
 void add_view(Array<const int32_t> id, In mean2d, In mean_t, In radius, scalar half_width, scalar half_height,
               scalar duration, Out space, Out time, Out views, Out largest_radius, int threads) {
-    const splat::Statistics to{space.data(), time.data(), views.data(), largest_radius.data()};
+    const splat::DensificationStatistics to{space.data(), time.data(), views.data(), largest_radius.data()};
     nb::gil_scoped_release release;
     splat::add_view(id.data(), mean2d.data(), mean_t.data(), radius.data(), static_cast<int64_t>(id.size()),
                     half_width, half_height, duration, to, threads);
@@ -221,8 +225,8 @@ std::tuple<double, double> l1_ssim(In image, In target, Out gradient, scalar ssi
 }  // namespace
 
 NB_MODULE(KERNEL_MODULE_NAME, m) {
-    nb::set_leak_warnings(
-        false);  // autograd graphs still alive when the interpreter ends hold frames; that is no leak
+    // Autograd graphs that exist when the interpreter ends hold frames; that is no leak.
+    nb::set_leak_warnings(false);
     nb::class_<Model>(m, "Model")
         .def(
             "__init__",
@@ -233,24 +237,25 @@ NB_MODULE(KERNEL_MODULE_NAME, m) {
             },
             nb::arg("mean"), nb::arg("log_scale"), nb::arg("quat_left"), nb::arg("quat_right").none(),
             nb::arg("opacity_logit"), nb::arg("sh"), nb::arg("coefficients"), nb::arg("stored_order"));
-    nb::class_<Exact>(m, "Camera").def_static("make", &camera_from);
-    nb::class_<Frame>(m, "Frame")
+    nb::class_<CameraDouble>(m, "Camera").def_static("make", &camera_from);
+    nb::class_<FrameBinding>(m, "Frame")
         .def(nb::init<>())
-        .def("set_view", &Frame::set_view, nb::arg("camera"), nb::arg("time"), nb::arg("duration"),
+        .def("set_view", &FrameBinding::set_view, nb::arg("camera"), nb::arg("time"), nb::arg("duration"),
              nb::arg("near"), nb::arg("background"), nb::arg("flow_dt"), nb::arg("sh_degree"),
              nb::arg("fourier_order"), nb::arg("extras"), nb::arg("differentiable"), nb::arg("threads"))
-        .def("render", &Frame::render, nb::arg("model"), nb::arg("color").none(), nb::arg("alpha").none(),
-             nb::arg("depth").none(), nb::arg("flow").none(), nb::arg("stats").none())
-        .def("backward", &Frame::backward, nb::arg("model"), nb::arg("d_color").none(),
+        .def("render", &FrameBinding::render, nb::arg("model"), nb::arg("color").none(),
+             nb::arg("alpha").none(), nb::arg("depth").none(), nb::arg("flow").none(),
+             nb::arg("stats").none())
+        .def("backward", &FrameBinding::backward, nb::arg("model"), nb::arg("d_color").none(),
              nb::arg("d_alpha").none(), nb::arg("d_depth").none(), nb::arg("d_flow").none(),
              nb::arg("d_stats").none(), nb::arg("mean"), nb::arg("log_scale"), nb::arg("quat_left"),
              nb::arg("quat_right").none(), nb::arg("opacity_logit"), nb::arg("id"), nb::arg("mean2d"),
              nb::arg("mean_t"), nb::arg("radius"), nb::arg("color_gradient"))
-        .def_prop_ro("visible", &Frame::visible)
-        .def_prop_ro("alive", &Frame::alive)
-        .def_prop_ro("entries", &Frame::entries)
-        .def("count_pairs", &Frame::count_pairs)
-        .def_prop_ro("stage_ms", &Frame::stage_ms);
+        .def_prop_ro("visible", &FrameBinding::visible)
+        .def_prop_ro("in_time", &FrameBinding::in_time)
+        .def_prop_ro("entries", &FrameBinding::entries)
+        .def("count_pixel_gaussian_pairs", &FrameBinding::count_pixel_gaussian_pairs)
+        .def_prop_ro("stage_ms", &FrameBinding::stage_ms);
     m.def("expand_sh", &expand_sh, nb::arg("views"), nb::arg("dense"), nb::arg("coefficients"),
           nb::arg("orders"), nb::arg("threads"));
     m.def("adam", &adam, nb::arg("p"), nb::arg("g"), nb::arg("m"), nb::arg("v"), nb::arg("lr"),
@@ -266,8 +271,8 @@ NB_MODULE(KERNEL_MODULE_NAME, m) {
     m.def("mark_seen", &mark_seen, nb::arg("id"), nb::arg("seen"), nb::arg("threads"));
     m.def("set_to_zero", &set_to_zero, nb::arg("arrays"), nb::arg("threads"));
     m.def("all_finite", &all_finite, nb::arg("array"), nb::arg("threads"));
-    nb::dict choices;  // what this kernel was built with (choices.hpp)
-    choices["min_presence"] = splat::kMinPresence;
+    nb::dict choices;  // what this kernel was built with (numerical_choices.hpp)
+    choices["min_marginal"] = splat::kMinMarginal;
     choices["min_alpha"] = splat::kMinAlpha;
     choices["min_transmittance"] = RASTERIZER_MIN_TRANSMITTANCE;
     choices["exp_degree"] = splat::kAlphaExpDegree;
@@ -276,8 +281,8 @@ NB_MODULE(KERNEL_MODULE_NAME, m) {
     choices["float64"] = static_cast<bool>(RASTERIZER_FLOAT64);
     choices["sh_type"] = SPLAT_TEXT(RASTERIZER_SH_TYPE);
     m.attr("choices") = choices;
-    m.def("measure_rates", [] {
-        const splat::Rates rates = splat::measure_rates();
+    m.def("measure_throughput", [] {
+        const splat::MachineThroughput rates = splat::measure_throughput();
         return std::tuple{rates.fma_per_second, rates.copy_bytes_per_second};
     });
     m.def("l1_ssim", &l1_ssim, nb::arg("image"), nb::arg("target"), nb::arg("gradient"),

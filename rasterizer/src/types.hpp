@@ -1,27 +1,28 @@
-// The data that goes from stage to stage, and the numbers the method fixes (docs/method.md 1).
+// The data that stages pass to each other, and the constants that the method fixes (docs/method.md 1).
 #pragma once
 
 #include <cstddef>
 #include <cstdint>
 
-#include "choices.hpp"
+#include "numerical_choices.hpp"
 
 namespace splat {
 
 inline constexpr scalar kDilation = 0.3;       // px² added to the 2D covariance's diagonal
-inline constexpr scalar kFrustumMargin = 1.3;  // x/z and y/z are clamped to so many half fields of view
+inline constexpr scalar kFrustumMargin = 1.3;  // x/z and y/z are clamped to this many half fields of view
 inline constexpr scalar kMaxAlpha = 0.99;
 
-inline constexpr int kTile = 16;  // a tile is 16×16 pixels ...
-inline constexpr int kBlock =
-    4;  // ... made of sixteen 4×4 blocks, a block's pixels being the lanes of a Float
-inline constexpr int kBlocks = 16;  // 8×8 tiles have 1.7× the entries; 16×1 and 8×2 blocks lose too
+// A tile is 16×16 pixels, made of sixteen 4×4 blocks. The pixels of a block are the lanes of a Float.
+// Measured alternatives are slower: 8×8 tiles have 1.7 times the intersections; so are 16×1 and 8×2 blocks.
+inline constexpr int kTile = 16;
+inline constexpr int kBlock = 4;
+inline constexpr int kBlocks = 16;
 
-// What a model has; what it does not have is not compiled into its path.
+// The kind of model. Each kind is compiled separately, without code for what it lacks.
 enum class Motion {
-    kStatic,     // no time: ordinary 3D Gaussian Splatting
-    kSeparable,  // time apart from space: no 4D rotation
-    kFull,       // 4D rotation
+    kStatic,     // no time: 3D Gaussian Splatting
+    kSeparable,  // a temporal marginal, but no 4D rotation: nothing moves
+    kFull,       // 4D rotation: Gaussians move
 };
 
 // The stored parameters (before activation), row-major.
@@ -34,12 +35,11 @@ struct Parameters {
     const scalar* opacity_logit;  // [N]
     const ShStored* sh;           // [N, (stored_order + 1) · coefficients, 3]
     int coefficients;             // per Fourier order: 1, 4, 9 or 16
-    int stored_order;             // Fourier orders stored beyond 0
+    int stored_order;             // highest Fourier order stored
 };
 
-// A pinhole and the moment it looks at, in single or double. With Scalar = float, centre and time have a
-// second float each for what the first cannot hold: μ - centre and t - μt keep their digits far from any
-// origin.
+// A pinhole camera and the time of the view, in float or double. With Scalar = float, position and time are
+// each a sum of two floats: μ - position and t - μt then keep their digits far from the origin.
 template <class Scalar>
 struct CameraOf {
     int width, height;
@@ -74,14 +74,14 @@ inline Camera rounded(const CameraOf<double>& c) {
     return r;
 }
 
-// What is asked of a frame.
+// What to render.
 struct Settings {
     double duration;
     scalar near_plane;
     scalar background[3];
     scalar flow_dt;
-    int sh_degree;      // degrees above it are left out
-    int fourier_order;  // orders above it are left out
+    int sh_degree;      // highest SH degree used
+    int fourier_order;  // highest Fourier order used
     bool depth, flow, stats;
     bool differentiable;  // a backward pass will follow
     int threads;
@@ -89,62 +89,64 @@ struct Settings {
     int extra_channels() const { return depth + 2 * flow + 2 * stats; }
 };
 
-inline constexpr int kMaxExtra = 5;
+inline constexpr int kMaxExtraChannels = 5;
 
-// One Gaussian on the screen: one cache line of floats, all that blending reads.
+// A projected Gaussian: all that blending reads, in one cache line (of floats).
 struct alignas(64) Splat {
-    scalar x, y;  // pixel coordinates of the mean; pixel (i, j)'s centre is at (i, j) here
-    // log2 of alpha at (px, py): log2_opacity + across (px - intercept + lean py)² + along (py - y)²
-    scalar intercept, lean, across, along;
+    scalar x, y;  // mean2d in pixels; the centre of pixel (i, j) is (i, j) here
+    // The conic as two squares (project_ewa.hpp): with u = px - sheared_x + shear py and v = py - y,
+    //     log2 alpha(px, py) = log2_opacity + conic_u u² + conic_v v².
+    scalar sheared_x, shear, conic_u, conic_v;
     scalar log2_opacity;  // of opacity · p(t)
     scalar r, g, b;
-    scalar depth;                    // z in the camera's frame
-    scalar half_width, half_height;  // of the box round the alpha >= 1/255 ellipse, pixels
-    scalar radius;                   // 3 standard deviations along the longer axis, pixels
+    scalar depth;                    // z in camera axes
+    scalar half_width, half_height;  // bounding box of the alpha >= 1/255 ellipse, pixels
+    scalar radius;                   // 3 standard deviations along the major axis, pixels
     uint32_t id;                     // row in the parameters
     uint32_t unused;
 };
 static_assert(sizeof(Splat) == 16 * sizeof(scalar));
 
-// How a visible Gaussian's colour changes with what it is seen from and when, kept from forward to backward
-// pass. One cache line.
-struct alignas(64) ColorSlope {
-    scalar by_offset[3][3];  // ∂rgb_c / ∂(camera centre to μ(t))_i
-    scalar by_dt[3];         // ∂rgb_c / ∂(t - μt)
-    scalar shown[3];         // 0 where rgb_c was negative and is shown as 0, else 1
+// Derivatives of a visible Gaussian's colour by its position and time, from the forward to the backward pass.
+// One cache line.
+struct alignas(64) ColorJacobian {
+    scalar wrt_offset[3][3];  // ∂rgb_c / ∂(μ(t) - camera position)_i
+    scalar wrt_dt[3];         // ∂rgb_c / ∂(t - μt)
+    scalar not_clamped[3];    // 0 where rgb_c was negative and clamped to 0, else 1
     scalar unused;
 };
-static_assert(sizeof(ColorSlope) == 16 * sizeof(scalar));
+static_assert(sizeof(ColorJacobian) == 16 * sizeof(scalar));
 
-// The gradient a (tile, Gaussian) entry collects; entries of one Gaussian are added in a fixed order. One
-// cache line.
-struct alignas(64) Slot {
+// The gradient of one (tile, splat) intersection, by GradientField. Those of a splat are added up in a fixed
+// order. One cache line.
+struct alignas(64) IntersectionGradient {
     scalar value[16];
 };
-enum SlotField {
-    kSlotR,
-    kSlotG,
-    kSlotB,
-    kSlotPower,
-    kSlotAcross,
-    kSlotAlong,
-    kSlotAcross2,
-    kSlotBoth,
-    kSlotAlong2,
-    kSlotExtra
+// With δ = ∂L/∂ln(alpha) of a pixel and u, v as in Splat, summed over the tile's pixels:
+enum GradientField {
+    kGradR,
+    kGradG,
+    kGradB,
+    kGradLogAlpha,  // Σ δ
+    kMomentU,       // Σ δ u
+    kMomentV,       // Σ δ v
+    kMomentUU,      // Σ δ u²
+    kMomentUV,      // Σ δ u v
+    kMomentVV,      // Σ δ v²
+    kGradExtra      // ∂L/∂ of depth, flow and statistics, as far as rendered
 };
-inline constexpr int kSlotFields = 9;
-static_assert(kSlotFields + kMaxExtra <= 16);
+inline constexpr int kGradientFields = 9;
+static_assert(kGradientFields + kMaxExtraChannels <= 16);
 
-// The colour gradient of one visible Gaussian in one view: all that the gradient of its up to 144 SH
-// coefficients needs, ∂L/∂k_nlm = color ⊗ Y_lm(direction) · cos(2πn dt/T). Never expanded per view.
+// The colour gradient of one visible Gaussian in one view. The gradient of its up to 144 SH coefficients is
+// an outer product of it: ∂L/∂k_nlm = color ⊗ Y_lm(direction) · cos(2πn dt/T), which is not stored per view.
 struct ColorGradient {
     scalar color[3];
     scalar direction[3];
     scalar cosine[2];  // of Fourier orders 1 and 2
 };
 
-// Gradients of the parameters, added to; same shapes as the parameters.
+// Gradients of the parameters, in the parameters' shapes. The backward pass adds to them.
 struct ParameterGradients {
     scalar* mean;
     scalar* log_scale;

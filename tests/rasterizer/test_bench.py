@@ -61,7 +61,7 @@ def test_the_command_measures_the_instruction_set_it_was_told(isa: str) -> None:
     for part in ("forward", "backward", "total"):
         assert found[f"{part}_ms"] == one[part]["minimum"]
     assert found["stages"] == {stage: ms["minimum"] for stage, ms in one["stages"].items()}
-    assert w1["bound_ms"] > 0 and found["rates"]["operations"] > 0 and set(one["stages"]) >= {"prepare", "blend"}
+    assert w1["bound_ms"] > 0 and found["rates"]["operations"] > 0 and set(one["stages"]) >= {"preprocess", "blend"}
 
 
 def test_contributing_pairs_are_those_of_a_naive_count() -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-SH_TYPES = {"Float16": torch.float16, "Bfloat16": torch.bfloat16}  # by their names in rasterizer/src/choices.hpp
+SH_TYPES = {"Float16": torch.float16, "Bfloat16": torch.bfloat16}  # named as in numerical_choices.hpp
 
 
 class Narrowed:

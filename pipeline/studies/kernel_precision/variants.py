@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 
 from rasterizer.reference.blend import Thresholds
 
-MACROS = {  # of rasterizer/src/choices.hpp
+MACROS = {  # of rasterizer/src/numerical_choices.hpp
     "min_presence": "RASTERIZER_MIN_PRESENCE",
     "min_alpha": "RASTERIZER_MIN_ALPHA",
     "min_transmittance": "RASTERIZER_MIN_TRANSMITTANCE",
@@ -20,7 +20,7 @@ MACROS = {  # of rasterizer/src/choices.hpp
 
 @dataclass(frozen=True)
 class Choices:
-    """What `rasterizer/src/choices.hpp` names, with its values; `kernel.choices` says what a kernel was built with."""
+    """What numerical_choices.hpp names, with its values; `kernel.choices` says what a kernel was built with."""
 
     min_marginal: float = 0.05
     min_alpha: float = 1 / 255

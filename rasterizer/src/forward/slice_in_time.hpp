@@ -1,0 +1,129 @@
+// Slices 4D Gaussians at time t: the conditional 3D Gaussian and the temporal marginal (paper, section 3.2).
+//
+// Sixteen Gaussians at a time, one in each lane. M = R diag(s), Σ = M Mᵀ. With m_t the time row of M:
+//     Σtt = |m_t|²,   h = Σ_xyz,t / Σtt,   μ(t) = μ_xyz + h (t - μt),   Σ(t) = A Aᵀ,   A = M_xyz - h m_tᵀ.
+// Equivalently A = M_xyz (I - v vᵀ) with v = m_t/|m_t|. The textbook form Σ_xyz - Σ_xyz,t Σ_t,xyz / Σtt
+// suffers from cancellation in float32.
+#pragma once
+
+#include "forward/quaternion.hpp"
+
+namespace splat {
+
+// Columns of M that count: the axes of the ellipsoid.
+template <Motion motion>
+inline constexpr int kAxes = motion == Motion::kFull ? 4 : 3;
+
+// The stored parameters of sixteen Gaussians, or of one in double.
+template <Motion motion, class Real>
+struct Stored {
+    Real mean[4], log_scale[4], quat_left[4], quat_right[4], opacity_logit;
+
+    SPLAT_INLINE static Stored load(const Parameters& p, const uint32_t* ids) {
+        Stored s;
+        auto gather = [&](const scalar* base, int stride, int column) {
+            alignas(64) scalar lane[kLanes];
+            for (int l = 0; l < kLanes; ++l) lane[l] = base[static_cast<size_t>(stride) * ids[l] + column];
+            return Float::load(lane);
+        };
+        if constexpr (motion == Motion::kStatic) {
+            for (int i = 0; i < 3; ++i)
+                s.mean[i] = gather(p.mean, 3, i), s.log_scale[i] = gather(p.log_scale, 3, i);
+        } else {
+            load_rows4(p.mean, ids, s.mean);
+            load_rows4(p.log_scale, ids, s.log_scale);
+        }
+        load_rows4(p.quat_left, ids, s.quat_left);
+        if constexpr (motion == Motion::kFull) load_rows4(p.quat_right, ids, s.quat_right);
+        s.opacity_logit = gather(p.opacity_logit, 1, 0);
+        return s;
+    }
+    SPLAT_INLINE Stored<motion, double> lane(int l) const {
+        Stored<motion, double> s;
+        for (int i = 0; i < (motion == Motion::kStatic ? 3 : 4); ++i) {
+            s.mean[i] = lane_of(mean[i], l);
+            s.log_scale[i] = lane_of(log_scale[i], l);
+        }
+        for (int i = 0; i < 4; ++i) {
+            s.quat_left[i] = lane_of(quat_left[i], l);
+            if constexpr (motion == Motion::kFull) s.quat_right[i] = lane_of(quat_right[i], l);
+        }
+        return s;
+    }
+};
+
+// The Gaussians at time t, with the intermediate values that the backward pass needs.
+template <Motion motion, class Real>
+struct Slice {
+    UnitQuaternion<Real> left, right;
+    Real scale[4];
+    Real axes[4][4];                // M; 3×3 unless motion is full
+    Real dt;                        // t - μt
+    Real var_t, inverse_var;        // Σtt and its inverse
+    Real log2_marginal;             // log2 p(t)
+    Real velocity[3];               // h; full motion only
+    Real offset[3];                 // μ(t) - camera position
+    Real factor[3][kAxes<motion>];  // A
+};
+
+// Σtt is at least this: 1/Σtt must not overflow.
+inline constexpr scalar kMinTimeVariance = 1e-30f;
+
+template <Motion motion, class Real>
+SPLAT_INLINE Slice<motion, Real> slice_in_time(const Stored<motion, Real>& s,
+                                               const CameraOf<ScalarOf<Real>>& c) {
+    Slice<motion, Real> g;
+    g.left = normalise(s.quat_left);
+    constexpr int kDims = motion == Motion::kStatic ? 3 : 4;
+    for (int i = 0; i < kDims; ++i) g.scale[i] = exp(s.log_scale[i]);
+    if constexpr (motion == Motion::kFull) {
+        g.right = normalise(s.quat_right);
+        rotation_4d(g.left, g.right, g.axes);
+        for (int i = 0; i < 4; ++i)
+            for (int j = 0; j < 4; ++j) g.axes[i][j] *= g.scale[j];
+        const Real(&m_t)[4] = g.axes[3];
+        g.var_t = max(m_t[0] * m_t[0] + m_t[1] * m_t[1] + m_t[2] * m_t[2] + m_t[3] * m_t[3],
+                      Real(kMinTimeVariance));
+    } else {
+        Real R[3][3];
+        rotation_3d(g.left, R);
+        for (int i = 0; i < 3; ++i)
+            for (int j = 0; j < 3; ++j) g.axes[i][j] = R[i][j] * g.scale[j];
+        if constexpr (motion == Motion::kSeparable)
+            g.var_t = max(g.scale[3] * g.scale[3], Real(kMinTimeVariance));
+    }
+    if constexpr (motion == Motion::kStatic) {
+        g.log2_marginal = 0.f;
+    } else {
+        g.dt = (Real(c.time) - s.mean[3]) + Real(c.time_low);
+        g.inverse_var = Real(1.f) / g.var_t;
+        g.log2_marginal = g.dt * g.dt * g.inverse_var * Real(-0.5f * kLog2E);
+    }
+    Real v[4];
+    if constexpr (motion == Motion::kFull)
+        for (int j = 0; j < 4; ++j) v[j] = g.axes[3][j] * sqrt(g.inverse_var);
+    for (int i = 0; i < 3; ++i) {
+        const Real(&m)[4] = g.axes[i];
+        g.offset[i] = (s.mean[i] - Real(c.position[i])) - Real(c.position_low[i]);
+        if constexpr (motion == Motion::kFull) {
+            const Real(&m_t)[4] = g.axes[3];
+            g.velocity[i] = (m[0] * m_t[0] + m[1] * m_t[1] + m[2] * m_t[2] + m[3] * m_t[3]) * g.inverse_var;
+            g.offset[i] += g.velocity[i] * g.dt;
+            // (I - v vᵀ) with 1 - v_k² as the sum of the other squares, which does not cancel for a huge st.
+            for (int k = 0; k < 4; ++k) {
+                Real others(0.f), dot_others(0.f);
+                for (int j = 0; j < 4; ++j) {
+                    if (j == k) continue;
+                    others += v[j] * v[j];
+                    dot_others += m[j] * v[j];
+                }
+                g.factor[i][k] = m[k] * others - v[k] * dot_others;
+            }
+        } else {
+            for (int j = 0; j < 3; ++j) g.factor[i][j] = m[j];
+        }
+    }
+    return g;
+}
+
+}  // namespace splat

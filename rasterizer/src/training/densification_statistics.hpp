@@ -1,0 +1,41 @@
+// Running statistics of view-space gradients, by which densification decides (docs/method.md 2).
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+
+#include "numerical_choices.hpp"
+
+namespace splat {
+
+// Per Gaussian, over the views since the arrays were cleared.
+struct DensificationStatistics {
+    scalar* space;   // Σ |∂L/∂mean2d|, normalised device coordinates
+    scalar* time;    // Σ |∂L/∂μt|, per duration
+    scalar* views;   // how many show it
+    scalar* radius;  // largest, pixels
+};
+
+// Adds one view of `count` Gaussians, each at most once, with mean2d [count, 2] in pixels.
+inline void add_view(const int32_t* id, const scalar* mean2d, const scalar* mean_t, const scalar* radius,
+                     int64_t count, scalar half_width, scalar half_height, scalar duration,
+                     const DensificationStatistics& to, int threads) {
+#pragma omp parallel for schedule(static) num_threads(threads)
+    for (int64_t i = 0; i < count; ++i) {
+        const int32_t g = id[i];
+        const scalar x = mean2d[2 * i] * half_width, y = mean2d[2 * i + 1] * half_height;
+        to.space[g] += std::sqrt(x * x + y * y);
+        to.time[g] += std::abs(mean_t[i]) * duration;
+        to.views[g] += 1.f;
+        to.radius[g] = std::max(to.radius[g], radius[i]);
+    }
+}
+
+// Sets seen[id] = 1 for each of `count` Gaussians.
+inline void mark_seen(const int32_t* id, int64_t count, uint8_t* seen, int threads) {
+#pragma omp parallel for schedule(static) num_threads(threads)
+    for (int64_t i = 0; i < count; ++i) seen[id[i]] = 1;
+}
+
+}  // namespace splat

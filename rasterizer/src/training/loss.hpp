@@ -1,0 +1,244 @@
+// The loss (1-λ) L1 + λ (1-SSIM) and its gradient (Wang et al. 2004, as in 3D Gaussian Splatting).
+//
+// SSIM has an 11×11 Gaussian window with σ = 1.5, zero padding, C1 = 0.01², C2 = 0.03². The window is
+// separable: columns are filtered, then rows. With m, n the windowed means of x and y, and s, r those of
+// x²+y² and xy,
+//     SSIM = A1 A2 / (B1 B2),  A1 = 2mn + C1,  A2 = 2(r - mn) + C2,  B1 = m² + n² + C1,
+//     B2 = s - m² - n² + C2,
+// and since the window is symmetric, ∂ΣSSIM/∂x = window(∂/∂m) + 2x window(∂/∂s) + y window(∂/∂r).
+//
+// A thread goes down a band of rows, four at a time, and keeps only the last rows of each intermediate map,
+// in the second-level cache. No map of the whole image is written.
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <vector>
+
+#include "simd/vec.hpp"
+
+namespace splat {
+
+inline constexpr int kWindowReach = 5, kWindow = 2 * kWindowReach + 1;
+// Rows filtered together: 14 rows are then loaded instead of 44.
+inline constexpr int kRows = 4;
+inline constexpr int kMeans = 4, kPartials = 3;
+
+inline std::array<scalar, kWindow> window_weights() {
+    std::array<scalar, kWindow> w{};
+    double total = 0;
+    for (int k = -kWindowReach; k <= kWindowReach; ++k) total += std::exp(-k * k / 4.5);
+    for (int k = -kWindowReach; k <= kWindowReach; ++k)
+        w[k + kWindowReach] = static_cast<scalar>(std::exp(-k * k / 4.5) / total);
+    return w;
+}
+
+// Filters the columns of `maps` maps for kRows rows. at(k, value) gives the maps' values k - kWindowReach
+// rows below the first.
+template <int maps, class At>
+SPLAT_INLINE void filter_columns(const scalar* w, At&& at, Float (&out)[maps][kRows]) {
+    for (auto& map : out)
+        for (auto& row : map) row = 0.f;
+#pragma GCC unroll 14
+    for (int k = 0; k < kWindow + kRows - 1; ++k) {
+        Float value[maps];
+        at(k, value);
+#pragma GCC unroll 4
+        for (int j = 0; j < kRows; ++j)
+            if (k >= j && k - j < kWindow)
+#pragma GCC unroll 4
+                for (int m = 0; m < maps; ++m) out[m][j] += Float(w[k - j]) * value[m];
+    }
+}
+
+SPLAT_INLINE Float filter_row(const scalar* w, const scalar* centre) {
+    Float sum(0.f);
+#pragma GCC unroll 11
+    for (int k = 0; k < kWindow; ++k) sum += Float(w[k]) * Float::load(centre + k - kWindowReach);
+    return sum;
+}
+
+struct LossValue {
+    double l1, ssim;  // means over pixels and channels
+};
+
+// A band of rows of one channel, and where its results go.
+struct LossBand {
+    const scalar *image, *target;  // of the channel
+    scalar* gradient;
+    double *row_l1, *row_ssim;  // sums of each row
+    int width, height, first, last;
+    scalar l1_scale, ssim_scale;  // of the gradient
+};
+
+// Scratch rows of one thread, with zeros on both sides: filtering along a row then needs no border case.
+class LossRows {
+public:
+    explicit LossRows(int width)
+        : stride_((width + kLanes - 1) / kLanes * kLanes + 2 * kLanes),
+          data_(static_cast<size_t>(stride_) * (kMeans * kRows + kPartials * kRing + 1), 0.f) {}
+    scalar* column_filtered(int map, int row) { return at(map * kRows + row); }
+    scalar* partial(int map, int row) { return at(kMeans * kRows + map * kRing + (row & (kRing - 1))); }
+    const scalar* zeros() { return at(kMeans * kRows + kPartials * kRing); }
+
+private:
+    static constexpr int kRing = 32;  // at least 14 rows being read and 4 being written
+    scalar* at(int row) { return data_.data() + static_cast<size_t>(stride_) * row + kLanes; }
+    int stride_;
+    std::vector<scalar> data_;
+};
+
+SPLAT_INLINE Float first_lanes(const Float& v, int count) {
+    if (count >= kLanes) return v;
+    alignas(64) scalar lane[kLanes];
+    v.store(lane);
+    return Float::load_first(lane, count);
+}
+SPLAT_INLINE scalar sum_of_lanes(const Float& v) {
+    alignas(64) scalar lane[kLanes];
+    v.store(lane);
+    scalar sum = 0;
+    for (scalar x : lane) sum += x;
+    return sum;
+}
+
+// Rows [row, row + kRows): the three partial derivatives of ΣSSIM, and the sums of SSIM.
+inline void ssim_rows(const LossBand& p, const scalar* w, int row, LossRows& rows) {
+    const scalar *x[kWindow + kRows - 1], *y[kWindow + kRows - 1];
+    for (int k = 0; k < kWindow + kRows - 1; ++k) {
+        const int r = row + k - kWindowReach;
+        const bool inside = r >= 0 && r < p.height;
+        x[k] = inside ? p.image + static_cast<size_t>(r) * p.width : rows.zeros();
+        y[k] = inside ? p.target + static_cast<size_t>(r) * p.width : rows.zeros();
+    }
+    auto filter_lanes = [&](int i, auto&& load) {
+        Float mean[kMeans][kRows];
+        filter_columns<kMeans>(
+            w,
+            [&](int k, Float(&value)[kMeans]) {
+                value[0] = load(x[k] + i), value[1] = load(y[k] + i);
+                value[2] = value[0] * value[0] + value[1] * value[1], value[3] = value[0] * value[1];
+            },
+            mean);
+        for (int m = 0; m < kMeans; ++m)
+            for (int j = 0; j < kRows; ++j) mean[m][j].store(rows.column_filtered(m, j) + i);
+    };
+    const int whole = p.width / kLanes * kLanes, rest = p.width - whole;
+    for (int i = 0; i < whole; i += kLanes)
+        filter_lanes(i, [](const scalar* from) { return Float::load(from); });
+    if (rest) filter_lanes(whole, [&](const scalar* from) { return Float::load_first(from, rest); });
+
+    const Float c1(1e-4f), c2(9e-4f), one(1.f), two(2.f);
+    for (int j = 0; j < std::min(kRows, p.height - row); ++j) {
+        Float total(0.f);
+        for (int i = 0; i < p.width; i += kLanes) {
+            Float mean[kMeans];
+            for (int m = 0; m < kMeans; ++m) mean[m] = filter_row(w, rows.column_filtered(m, j) + i);
+            const Float &a = mean[0], &b = mean[1], ab = a * b, q = a * a + b * b;
+            const Float a1 = two * ab + c1, a2 = two * (mean[3] - ab) + c2, b1 = q + c1,
+                        b2 = mean[2] - q + c2;
+            const Float inverse = one / (b1 * b2), inverse1 = inverse * b2, inverse2 = inverse * b1;
+            const Float ssim = a1 * a2 * inverse;
+            const int count = p.width - i;
+            total += first_lanes(ssim, count);
+            const Float by_mean = two * b * (a2 - a1) * inverse - two * a * ssim * (inverse1 - inverse2);
+            first_lanes(by_mean, count).store(rows.partial(0, row + j) + i);
+            first_lanes(-ssim * inverse2, count).store(rows.partial(1, row + j) + i);
+            first_lanes(two * a1 * inverse, count).store(rows.partial(2, row + j) + i);
+        }
+        if (row + j >= p.first && row + j < p.last) p.row_ssim[row + j] = sum_of_lanes(total);
+    }
+}
+
+// Those of rows [row, row + kRows) that are the band's: the gradient, and the sums of |x - y|.
+inline void gradient_rows(const LossBand& p, const scalar* w, int row, LossRows& rows) {
+    const scalar* partial[kPartials][kWindow + kRows - 1];
+    for (int k = 0; k < kWindow + kRows - 1; ++k) {
+        const int r = row + k - kWindowReach;
+        for (int m = 0; m < kPartials; ++m)
+            partial[m][k] = r >= 0 && r < p.height ? rows.partial(m, r) : rows.zeros();
+    }
+    for (int i = 0; i < p.width; i += kLanes) {
+        Float filtered[kPartials][kRows];
+        filter_columns<kPartials>(
+            w,
+            [&](int k, Float(&value)[kPartials]) {
+                for (int m = 0; m < kPartials; ++m) value[m] = Float::load(partial[m][k] + i);
+            },
+            filtered);
+        for (int m = 0; m < kPartials; ++m)
+            for (int j = 0; j < kRows; ++j) filtered[m][j].store(rows.column_filtered(m, j) + i);
+    }
+    const Float l1_scale(p.l1_scale), ssim_scale(-p.ssim_scale), two(2.f), zero(0.f);
+    for (int j = 0; j < std::min(kRows, p.last - row); ++j) {
+        const size_t at = static_cast<size_t>(row + j) * p.width;
+        Float total(0.f);
+        for (int i = 0; i < p.width; i += kLanes) {
+            const int count = std::min(kLanes, p.width - i);
+            const Float x = Float::load_first(p.image + at + i, count),
+                        y = Float::load_first(p.target + at + i, count);
+            const Float d_ssim = filter_row(w, rows.column_filtered(0, j) + i) +
+                                 two * x * filter_row(w, rows.column_filtered(1, j) + i) +
+                                 y * filter_row(w, rows.column_filtered(2, j) + i);
+            const Float difference = x - y;
+            total += abs(difference);
+            const Float sign =
+                zero_unless(difference > zero, l1_scale) - zero_unless(difference < zero, l1_scale);
+            (sign + ssim_scale * d_ssim).store_first(p.gradient + at + i, count);
+        }
+        p.row_l1[row + j] = sum_of_lanes(total);
+    }
+}
+
+// One band. The partial derivatives five rows around it are computed too, so that bands are independent.
+inline void loss_band(const LossBand& p, const scalar* w, LossRows& rows) {
+    const int end = std::min(p.height, p.last + kWindowReach);
+    int next = p.first;
+    for (int row = std::max(0, p.first - kWindowReach); row < end; row += kRows) {
+        ssim_rows(p, w, row, rows);
+        const int done = std::min(p.height, row + kRows);
+        for (; next < p.last &&
+               std::min({next + kRows + kWindowReach, p.last + kWindowReach, p.height}) <= done;
+             next += kRows)
+            gradient_rows(p, w, next, rows);
+    }
+}
+
+// image, target: planes [3, height, width]. gradient = share · ∂ ((1-λ) L1 + λ (1-SSIM)) / ∂ image.
+inline LossValue l1_ssim(const scalar* image, const scalar* target, int width, int height, scalar ssim_weight,
+                         scalar share, scalar* gradient, int threads) {
+    const auto w = window_weights();
+    const size_t plane = static_cast<size_t>(width) * height;
+    const scalar scale = share / (3.f * plane);
+    std::vector<double> row_l1(3 * height), row_ssim(3 * height);
+    const int bands = std::clamp(height / 32, 1, threads);  // a band of a channel
+#pragma omp parallel num_threads(threads)
+    {
+        LossRows rows(width);
+#pragma omp for schedule(dynamic, 1)
+        for (int task = 0; task < 3 * bands; ++task) {
+            const int c = task / bands, band = task % bands;
+            const LossBand p{image + c * plane,
+                             target + c * plane,
+                             gradient + c * plane,
+                             &row_l1[c * height],
+                             &row_ssim[c * height],
+                             width,
+                             height,
+                             height * band / bands,
+                             height * (band + 1) / bands,
+                             (1 - ssim_weight) * scale,
+                             ssim_weight * scale};
+            loss_band(p, w.data(), rows);
+        }
+    }
+    LossValue value{0, 0};  // summed row by row: the same bits for any number of threads
+    for (double v : row_l1) value.l1 += v;
+    for (double v : row_ssim) value.ssim += v;
+    value.l1 /= 3.0 * plane;
+    value.ssim /= 3.0 * plane;
+    return value;
+}
+
+}  // namespace splat
