@@ -11,46 +11,44 @@ from dataclasses import dataclass, field
 from typing import Optional
 
 from datasets.settings import BACKGROUND_MODELS, SceneConfig, require
+from pipeline.config.ranges import above, at_least, check, one_of, positive_count
 from pipeline.config.train_schema import TrainConfig
 
 
 @dataclass
 class InitConfig:
-    """Where the first points come from. COLMAP's part applies to readers with several cameras at one time."""
+    """Where the initial points come from. COLMAP's part applies where several cameras filmed at one time."""
 
-    source: str = "auto"  # auto: sfm where several cameras filmed at once, otherwise random
-    refine_poses: bool = False  # let COLMAP adjust the poses the data came with
+    source: str = "auto"  # auto: sfm where several cameras filmed at once, else random | random | sfm
+    refine_poses: bool = False  # let COLMAP adjust the poses that came with the data
     seed: int = 0  # COLMAP's, apart from the run's: runs of several seeds share its result
-    max_features: int = 8192  # an image
-    max_error_px: float = 2.0  # of reprojection; points above are dropped
-    min_track: int = 3  # images a point must be seen in; two agree on a wrong match too easily
-    min_angle_deg: float = 1.5  # largest angle between two of its rays; below it the depth is a guess
-    max_distance: float = (
-        100.0  # from the cameras' centre, in normalised units (Scene.unit); farther points are dropped
-    )
-    min_points: int = 100  # fewer end the run with advice
+    max_features: int = 8192  # SIFT features an image
+    max_error_px: float = 2.0  # points of a larger reprojection error are dropped
+    min_track: int = 3  # points seen in fewer images are dropped; two images agree on a wrong match too easily
+    min_angle_deg: float = 1.5  # points whose rays meet at a smaller angle are dropped: their depth is uncertain
+    max_distance: float = 100.0  # farther points are dropped; from the cameras' centre, normalised units (Scene.unit)
+    min_points: int = 100  # fewer points end the run with advice
     shared_intrinsics: bool = True  # poses unknown: one lens for all cameras
-    sphere_points: int = 100_000  # background_model=sphere: so many points on it
-    sphere_radius: float = 10.0  # × the farthest camera or point from the scene's centre
+    sphere_points: int = 100_000  # points on the sphere of background_model=sphere
+    sphere_radius: float = 10.0  # of that sphere; × the farthest camera or point from the scene's centre
 
     def __post_init__(self) -> None:
-        require(self.source in ("auto", "random", "sfm"), "init.source", "auto, random or sfm", self.source)
-        for key in ("seed", "min_angle_deg"):
-            require(getattr(self, key) >= 0, f"init.{key}", ">= 0", getattr(self, key))
-        for key in ("max_error_px", "max_distance", "sphere_radius"):
-            require(getattr(self, key) > 0, f"init.{key}", "> 0", getattr(self, key))
-        for key in ("max_features", "min_points", "sphere_points"):
-            require(getattr(self, key) >= 1, f"init.{key}", "at least 1", getattr(self, key))
-        require(self.min_track >= 2, "init.min_track", "at least 2", self.min_track)
+        check("init", self, {
+            "source": one_of("auto", "random", "sfm"),
+            **dict.fromkeys(("seed", "min_angle_deg"), at_least(0)),
+            **dict.fromkeys(("max_error_px", "max_distance", "sphere_radius"), above(0)),
+            **dict.fromkeys(("max_features", "min_points", "sphere_points"), positive_count()),
+            "min_track": positive_count(2),
+        })  # fmt: skip
 
 
 @dataclass
 class AblationConfig:
-    """Which parts of the model are left out (docs/method.md 3)."""
+    """Which parts of the model are ablated (docs/method.md 3)."""
 
     name: str = "full"  # names the run folder
     rotation_4d: bool = True  # False: one 3D rotation, no motion
-    fourier_order: int = 2  # 0: colour constant in time
+    fourier_order: int = 2  # highest Fourier order of 4DSH; 0: colour constant in time
     time_split: bool = True  # False: split in space only, no temporal indicator
     sh_degree: int = 3  # highest degree of spherical harmonics
     static: Optional[bool] = None  # None: as the scene is; True: no time at all, ordinary 3DGS
@@ -64,15 +62,14 @@ class AblationConfig:
 class EvaluateConfig:
     """What is measured and written after training (docs/method.md 4)."""
 
-    lpips: bool = True  # needs weights: a download, once; without them the cells stay empty and say why
+    lpips: bool = True  # needs weights, downloaded once; without them the cells stay empty and say why
     best_on_test: bool = True  # also measure the model of the best test evaluation (the release's protocol)
-    renders: int = 12  # test views written to renders/, spread evenly; -1: all
+    renders: int = 12  # test views written to renders/, evenly spread; -1: all
     videos: bool = True  # where a held-out camera filmed: its render beside the truth, and a bullet-time path, as mp4
     speed_repeats: int = 3  # frames a second: the fastest of so many passes over the test views
 
     def __post_init__(self) -> None:
-        require(self.renders >= -1, "evaluate.renders", ">= -1 (-1: all)", self.renders)
-        require(self.speed_repeats >= 1, "evaluate.speed_repeats", "at least 1", self.speed_repeats)
+        check("evaluate", self, {"renders": at_least(-1).but("-1: all"), "speed_repeats": positive_count()})
 
 
 @dataclass
@@ -84,12 +81,12 @@ class Config:
     ablation: AblationConfig = field(default_factory=AblationConfig)
     train: TrainConfig = field(default_factory=TrainConfig)
     evaluate: EvaluateConfig = field(default_factory=EvaluateConfig)
-    background_model: str = "auto"  # auto: the schedule's or the scene's | none | sphere | envmap
-    seed: int = 0  # of everything random in the run; >= 0
-    threads: int = 0  # 0: all the machine has
-    estimate: bool = False  # say what time, memory and disk the run will need, and stop there
+    background_model: str = "auto"  # none | sphere | envmap; auto: the schedule's or the scene's
+    seed: int = 0  # of everything random in the run
+    threads: int = 0  # 0: all the cores this process may use
+    estimate: bool = False  # print what time, memory and disk the run will need, and stop
     out: str = "results/runs/${scene.name}/${ablation.name}/${train.name}/seed${seed}"  # the run folder
-    resume: bool = True  # go on with an interrupted run; false: start over
+    resume: bool = True  # continue an interrupted run; false: start over
 
     def __post_init__(self) -> None:
         require(
