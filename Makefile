@@ -1,7 +1,7 @@
 # Everything starts here: `make` lists the targets, and each of them first sets up what it needs.
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help setup build lock test test-data reproduce bench work-precision scaling stability report sanitize fuzz clean
+.PHONY: help setup build lock lint format test test-data reproduce bench work-precision scaling stability report sanitize fuzz clean
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 RUN := .venv/bin/python -m
@@ -27,7 +27,17 @@ build: $(BUILT) ## rebuild the kernel if its sources changed
 lock: ## renew requirements.lock after a change of pyproject.toml; UPGRADE=--upgrade takes the newest versions
 	@$(PYTHON) tools/lock.py $(UPGRADE)
 
-test: $(BUILT) ## set up, run the whole test suite
+lint: $(INSTALLED) ## check style, imports, types and Markdown, without changing anything
+	.venv/bin/ruff check .
+	.venv/bin/ruff format --check .
+	.venv/bin/mypy
+	.venv/bin/pymarkdown --config pyproject.toml scan README.md CONTRIBUTING.md CHANGELOG.md docs
+
+format: $(INSTALLED) ## format the code and sort its imports
+	.venv/bin/ruff check --fix --select I .
+	.venv/bin/ruff format .
+
+test: $(BUILT) ## run all tests
 	$(RUN) pytest -n auto --dist loadscope --no-loadscope-reorder
 	@$(call took,passed)
 
@@ -35,14 +45,14 @@ test-data: $(BUILT) ## the tests that need real data: DATA_DIR=/path holds dnerf
 	$(RUN) pytest -m data tests/real_data
 	@$(call took,passed)
 
-reproduce: $(BUILT) ## set up, train the synthetic suite and its ablations, write tables, plots, report
+reproduce: $(BUILT) ## train the synthetic suite and its ablations, write tables, plots, report
 	$(RUN) pipeline experiment=synthetic_suite
 	$(RUN) pipeline experiment=synthetic_ablation
 	$(RUN) pipeline.report $(RUNS)
 	@echo "make reproduce: the report is $(dir $(RUNS))report/report.html"
 	@$(call took,done)
 
-bench: $(BUILT) ## time kernel, loss, optimiser and readable twin in one run; a roofline plot in results/bench
+bench: $(BUILT) ## time kernel, loss, optimiser and reference implementation in one run; a roofline plot in results/bench
 	$(RUN) rasterizer.bench W1 W2h W2 --all
 
 work-precision: $(BUILT) ## error against time of the kernel's numerical choices: table and plot in results/work_precision
@@ -62,7 +72,7 @@ report: $(BUILT) ## tables, plots and the HTML page from the run folders under R
 sanitize: $(BUILT) ## the kernel's tests with every memory access and operation checked
 	.venv/bin/python tools/sanitize.py
 
-fuzz: $(BUILT) ## odd files for every reader, odd arguments for rasterize: FUZZ_SECONDS=20 each; fails if a rule breaks
+fuzz: $(BUILT) ## fuzz every reader with damaged files and rasterize with odd arguments: FUZZ_SECONDS=20 each; fails if a rule breaks
 	PYTHONPATH=tests $(RUN) fuzz all --seconds $(FUZZ_SECONDS)
 
 clean: ## remove the built kernel and caches; .venv and results stay
