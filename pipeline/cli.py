@@ -93,13 +93,13 @@ def run_one(composed: DictConfig) -> None:
         metrics = run(cfg, job.overrides.task, log=lambda text: print(text, flush=True))
         (_report_line if job.mode == RunMode.MULTIRUN else _report)(cfg, metrics)
     except KeyboardInterrupt:
-        raise KeyboardInterrupt(_where_it_stands(cfg)) from None
+        raise KeyboardInterrupt(_kept_progress(cfg)) from None
     except EXPECTED as error:
         if os.environ.get("PIPELINE_TRACEBACK") == "1":
             raise
         line = one_line(error)
         if isinstance(error, BrokenPipeError):
-            line = f"standard output was closed; {_where_it_stands(cfg)}"
+            line = f"standard output was closed; {_kept_progress(cfg)}"
         if job.mode == RunMode.MULTIRUN:
             _complain(f"{line}  [{command}]")
             raise RunFailed(command) from error
@@ -107,10 +107,10 @@ def run_one(composed: DictConfig) -> None:
         sys.exit(1)
 
 
-def _where_it_stands(cfg: Config | None) -> str:
-    from pipeline.stages import NOTHING_KEPT, where_it_stands
+def _kept_progress(cfg: Config | None) -> str:
+    from pipeline.stages import NOTHING_KEPT, kept_progress
 
-    return NOTHING_KEPT if cfg is None else where_it_stands(cfg)
+    return NOTHING_KEPT if cfg is None else kept_progress(cfg)
 
 
 def _hint_at_settings(cfg: Config, chosen: str | None) -> None:

@@ -1,4 +1,4 @@
-"""The stages of a run: (sfm → select_time_colour →) init → train → evaluate. Each is skipped if it was finished with equal inputs.
+"""The stages of a run: (sfm → select_time_colour →) init → train → evaluate. A stage with unchanged inputs is skipped.
 
 A stage's inputs are what its result depends on: the stage before it, the data, and its part of the configuration.
 """
@@ -10,27 +10,30 @@ import json
 import shlex
 import shutil
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 from omegaconf.errors import OmegaConfBaseException
 
 from datasets import Scene
-from datasets.files.atomic_write import atomic_file
+from datasets.files.atomic_write import atomic_file, write_json
 from datasets.files.errors import read_json
 from pipeline.config.compose import config_of_tree
 from pipeline.config.random_streams import Stream, stream
+from pipeline.config.renamed_keys import with_first_names
 from pipeline.config.schema import Config
+from pipeline.config.static_overrides import without_static_overrides
 from pipeline.data.prepare import Prepared, prepare
-from pipeline.evaluation.evaluate import Evaluation, evaluate, evaluate_and_show, quick_evaluate
+from pipeline.evaluation.evaluate import Evaluation, evaluate, evaluate_with_images
 from pipeline.evaluation.lifetimes import lifetimes
+from pipeline.evaluation.quick_evaluate import quick_evaluate
 from pipeline.model.initialise import initialise
 from pipeline.model.model import Model
 from pipeline.model.ply import load_ply, save_ply
 from pipeline.model.scene_settings import resolved
 from pipeline.runs.provenance import peak_memory_mb, provenance, reset_peak_memory
-from pipeline.runs.run_folder import RunFolder, now, write_csv, write_json
+from pipeline.runs.run_folder import RunFolder, now, write_csv
 from pipeline.runs.run_identity import read_stages, refuse_foreign, refuse_other_run
 from pipeline.training import checkpoint as checkpoints
 from pipeline.training import select_time_colour
@@ -46,21 +49,21 @@ NOTHING_KEPT = "nothing of the run was saved yet; the same command starts it ane
 
 
 def run(cfg: Config, overrides: Sequence[str], log: Log) -> dict:
-    """All stages of one run; returns what is in its metrics.json. Raises with one line what is wrong.
+    """All stages of one run; returns the contents of its metrics.json. Errors are one line.
 
     overrides: of the command line, for the record. log: takes a line of text for the user.
     """
     path = Path(cfg.out)
-    refuse_foreign(path)  # this and what the scene is refused for leaves no folder behind
+    refuse_foreign(path)  # before anything is written: a refused run leaves no folder behind
     if cfg.resume:
-        refuse_other_run(path, asdict(cfg), ignored=("train", "scene.background"))  # which the scene has a part in
+        refuse_other_run(path, asdict(cfg), ignored=("train", "scene.background"))  # resolved below, by the scene
     if not (cfg.resume and "train" in read_stages(path)) and (needs := estimate_if_large(cfg)):
         for line in needs.lines(cfg):
             log(line)
     data = prepare(cfg, log)
-    asked, cfg = cfg, resolved(cfg, data.scene)
-    if asked.train.static_overrides and cfg.train != replace(asked.train, static_overrides=None):
-        log("nothing moves: trained with the differences of train.static_overrides")
+    unresolved, cfg = cfg, resolved(cfg, data.scene)
+    if unresolved.train.static_overrides and cfg.train != without_static_overrides(unresolved).train:
+        log("static scene: trained with train.static_overrides")
 
     with RunFolder(path, asdict(cfg), cfg.resume, lambda stored: _resolved_tree(stored, data.scene)) as folder:
         inputs = stage_inputs(cfg, data)
@@ -78,29 +81,29 @@ def run(cfg: Config, overrides: Sequence[str], log: Log) -> dict:
                 log(f"{stage}: already done in {folder.path}")
                 continue
             log(f"{stage}: {folder.path}")
-            folder.finish(stage, inputs[stage], **_WORK[stage](cfg, data, folder, log))
+            folder.finish(stage, inputs[stage], **_RUN[stage](cfg, data, folder, log))
             folder.log({"event": f"finished {stage}"})
         return read_json(folder.metrics)
 
 
-def where_it_stands(cfg: Config) -> str:
-    """For who interrupted a run: what of it is kept in its folder, and how it goes on."""
-    path, again = Path(cfg.out), "the same command" if cfg.resume else "the same command without resume=false"
+def kept_progress(cfg: Config) -> str:
+    """After an interruption: what the run folder holds, and how to continue."""
+    path, command = Path(cfg.out), "the same command" if cfg.resume else "the same command without resume=false"
     try:
         stages, checkpoint = read_stages(path), path / checkpoints.FILE_NAME
         if "train" in stages:
-            return f"training is finished and kept; {again} goes on after it"
+            return f"training is finished and kept; {command} goes on after it"
         if checkpoint.exists():
-            return f"{again} goes on from iteration {checkpoints.saved_iteration(checkpoint)}"
+            return f"{command} goes on from iteration {checkpoints.saved_iteration(checkpoint)}"
         if stages:
-            return f"{', '.join(stages)} kept, no iteration of training yet; {again} goes on from there"
+            return f"{', '.join(stages)} kept, no iteration of training yet; {command} goes on from there"
     except (ValueError, OSError):
         pass
     return NOTHING_KEPT
 
 
 def _resolved_tree(stored: dict, scene: Scene) -> dict:
-    """A run's config.yaml with what the scene decides filled in; as it is where it is not of today's schema."""
+    """A run's config.yaml, resolved for the scene; unchanged where today's schema does not read it."""
     try:
         return asdict(resolved(config_of_tree(stored), scene))
     except (ValueError, OmegaConfBaseException):
@@ -108,12 +111,14 @@ def _resolved_tree(stored: dict, scene: Scene) -> dict:
 
 
 def stage_inputs(cfg: Config, data: Prepared) -> dict[str, str]:
-    """Stage -> hash of everything its result depends on; `sfm` only where the scene has points from it, `select_time_colour` only
-    where there is something to leave out."""
-    config, found = asdict(cfg), {}
-    starts = {key: value for key, value in config["train"].items() if key.startswith("init_")}
-    beginning = [fingerprint(data.scene), config["ablation"], starts, config["scene"]["init_points"], cfg.seed]
-    if not data.canonical.is_identity:  # a model in one frame must not go on in another
+    """Stage -> hash of everything its result depends on, for the stages that this run has.
+
+    Keys are hashed under their first names, so that a renamed key does not make a finished stage count as undone.
+    """
+    config, found = with_first_names(asdict(cfg)), {}
+    initial = {key: value for key, value in config["train"].items() if key.startswith("init_")}
+    beginning = [fingerprint(data.scene), config["ablation"], initial, config["scene"]["init_points"], cfg.seed]
+    if not data.canonical.is_identity:  # a model must not continue in other coordinates
         beginning.append(asdict(data.canonical))
     if data.cloud is not None:
         found["sfm"] = _hash(data.sfm_folder.name)
@@ -130,14 +135,14 @@ def stage_inputs(cfg: Config, data: Prepared) -> dict[str, str]:
 
 
 def fingerprint(scene: Scene) -> str:
-    """Hash of all a scene holds: images, cameras, times, bounds. Where it lies does not matter."""
+    """Hash of a scene's images, cameras, times and bounds. Its folder does not matter."""
     digest = hashlib.blake2b(digest_size=16)
     digest.update(repr((scene.duration, scene.time_start, scene.background, scene.init_box)).encode())
     for view in scene.train + scene.test:
         c = view.camera
         digest.update(repr((view.name, view.time, c.width, c.height, c.fx, c.fy, c.cx, c.cy)).encode())
         digest.update(c.world_to_cam.tobytes())
-        # A stored frame has its checksum at hand: a scene of 25 GB is not read through for this.
+        # A stored frame knows its checksum: a scene of 25 GB need not be read for this.
         known = getattr(view.image, "checksum", None)
         digest.update(np.ascontiguousarray(view.image) if known is None else known.encode())
         if view.coverage is not None:
@@ -146,7 +151,7 @@ def fingerprint(scene: Scene) -> str:
 
 
 def _sfm(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
-    """The kept result of structure from motion → sfm.json, sfm.png."""
+    """cached structure from motion → sfm.json, sfm.png."""
     for path in (folder.sfm, folder.sfm_picture):
         with atomic_file(path) as temporary:
             shutil.copyfile(data.sfm_folder / path.name, temporary)
@@ -168,14 +173,14 @@ def _init(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
     with atomic_file(folder.init_ply) as temporary:
         save_ply(temporary, model)
     if not data.canonical.is_identity:
-        write_json(folder.canonical, data.canonical.described())
+        write_json(folder.canonical, data.canonical.to_dict())
     return {"n_gaussians": len(model)}
 
 
 def _train(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
     """init.ply → checkpoint.safetensors, error_vs_time.csv; goes on from the checkpoint if there is one.
 
-    The seconds of the selection are training seconds.
+    The seconds of select_time_colour count as training.
     """
     scene = data.scene
     rasterizer = Rasterizer(threads=thread_count(cfg.threads))
@@ -212,7 +217,7 @@ def _evaluate(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
     scene = data.scene
     trained = folder.values_of("train")
     saved = checkpoints.load(folder.checkpoint)
-    final = evaluate_and_show(saved.model, scene, cfg, thread_count(cfg.threads), folder.renders)
+    final = evaluate_with_images(saved.model, scene, cfg, thread_count(cfg.threads), folder.renders)
     best = None
     if cfg.evaluate.best_on_test and saved.best is not None and saved.best_model is not None:
         is_final = saved.best["iteration"] == saved.iteration
@@ -220,40 +225,29 @@ def _evaluate(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
 
     selection = _selection(folder)
     write_csv(folder.per_image, _per_image(final, best))
-    write_json(
-        folder.metrics,
-        {
-            "scene": cfg.scene.name,
-            "ablation": cfg.ablation.name,
-            "train": cfg.train.name,
-            "seed": cfg.seed,
-            "date": now(),
-            "final": final.metrics,
-            "best_on_test": None if best is None else {**best.metrics, "iteration": saved.best["iteration"]},
-            "model": asdict(
-                saved.model.kind
-            ),  # of what was trained; selection may have left out what `ablation` asks for
-            SELECTION: None if selection is None else {**asdict(selection), "kept": selection.kept},
-            "note": final.note(),
-            "n_alive_mean": final.n_alive_mean,
-            "n_test_views": len(scene.test),
-            **trained,
-        },
-    )
+    write_json(folder.metrics, {
+        "scene": cfg.scene.name, "ablation": cfg.ablation.name, "train": cfg.train.name, "seed": cfg.seed,
+        "date": now(),
+        "final": final.metrics,
+        "best_on_test": None if best is None else {**best.metrics, "iteration": saved.best["iteration"]},
+        "model": asdict(saved.model.kind),  # as trained: selection may have left out what `ablation` has
+        SELECTION: None if selection is None else {**asdict(selection), "kept": selection.kept},
+        "note": final.note(), "n_alive_mean": final.n_alive_mean, "n_test_views": len(scene.test), **trained,
+    })  # fmt: skip
     return {"psnr": final.metrics["psnr"]}
 
 
 def _selection(folder: RunFolder) -> select_time_colour.Selection | None:
-    """What the run's selection of time-varying colour said; None where it had none."""
+    """The run's selection of time-varying colour; None where it had none."""
     return select_time_colour.Selection(**folder.values_of(SELECTION)) if folder.inputs_of(SELECTION) else None
 
 
-_WORK = {"sfm": _sfm, SELECTION: _select_time_colour, "init": _init, "train": _train, "evaluate": _evaluate}
+_RUN = {"sfm": _sfm, SELECTION: _select_time_colour, "init": _init, "train": _train, "evaluate": _evaluate}
 
-# What each stage leaves behind; a stage whose output was deleted is not done.
+# The files each stage writes; a stage whose output was deleted is not done.
 _OUTPUTS: dict[str, tuple[Callable[[RunFolder], Path], ...]] = {
     "sfm": (lambda folder: folder.sfm, lambda folder: folder.sfm_picture),
-    SELECTION: (),  # all in stages.json
+    SELECTION: (),  # its result is in stages.json
     "init": (lambda folder: folder.init_ply,),
     "train": (lambda folder: folder.checkpoint, lambda folder: folder.curve),
     "evaluate": (lambda folder: folder.metrics, lambda folder: folder.per_image, lambda folder: folder.renders),
@@ -273,7 +267,7 @@ def _sizes(result: TrainResult) -> dict[str, float]:
 
 
 def _peak_memory_mb(folder: RunFolder) -> float:
-    """The highest of this process and of those it continues, which were killed: log.jsonl remembers theirs."""
+    """The highest of this process and of the interrupted ones it continues, which log.jsonl holds."""
     return max([peak_memory_mb(), *(row["peak_rss_mb"] for row in folder.log_rows() if "peak_rss_mb" in row)])
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 # Old key -> new key, dotted; whole groups too. Applied from top to bottom.
@@ -33,9 +34,25 @@ def renamed_key(key: str) -> str:
 
 def with_renamed_keys(tree: dict[str, Any]) -> dict[str, Any]:
     """A configuration, as nested dicts, under today's keys. Keys of no configuration stay as they are."""
+    return _moved(tree, renamed_key)
+
+
+def with_first_names(tree: dict[str, Any]) -> dict[str, Any]:
+    """A configuration, as nested dicts, under the keys it had before any was renamed; for hashes that must last."""
+
+    def first_name(key: str) -> str:
+        for old, new in reversed(RENAMED.items()):
+            if key == new or key.startswith(f"{new}."):
+                key = old + key[len(new) :]
+        return key
+
+    return _moved(tree, first_name)
+
+
+def _moved(tree: dict[str, Any], rename: Callable[[str], str]) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for key, value in _leaves(tree, ""):
-        *groups, last = renamed_key(key).split(".")
+        *groups, last = rename(key).split(".")
         place = found
         for group in groups:
             below = place.setdefault(group, {})
