@@ -1,8 +1,10 @@
-"""Run folders as the pipeline leaves them, for the tests of the report."""
+"""Writes run folders in the format of the pipeline, for the tests of the report."""
 
 from __future__ import annotations
 
 import json
+import shlex
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -22,11 +24,13 @@ def write_run(
     settings: str = "",
     ablation_settings: str = "",
     scene_settings: str = "",
+    overrides: Sequence[str] | None = (),
     **changes,
 ) -> Path:
-    """One run folder; `changes` replace keys of metrics.json (dotted keys reach inside).
+    """A run folder. `changes` replace keys of metrics.json; dotted keys are nested.
 
-    settings: lines of YAML for `train` in config.yaml, indented by two; the other two for `ablation` and `scene`.
+    settings, ablation_settings, scene_settings: YAML lines for `train`, `ablation` and `scene` in config.yaml, indented
+    by two spaces. overrides: as recorded in environment.json; None: not recorded, as in runs up to version 0.1.
     """
     folder = root / (out or f"{scene}/{ablation}/{train}/seed{seed}")
     (folder / "renders").mkdir(parents=True)
@@ -74,17 +78,17 @@ def write_run(
         f"{(60 + seed) * k / 4},{iterations * k // 4},{psnr - 8 / k + 2},{0.8},{0.1},{3000 * k}" for k in (1, 2, 3, 4)
     ]
     (folder / "error_vs_time.csv").write_text("\n".join(rows) + "\n")
-    (folder / "environment.json").write_text(
-        json.dumps(
-            {
-                "machine": "Test CPU, 2 cores",
-                "date": f"2025-01-0{seed + 1}T10:00:00Z",
-                "git_commit": "abc1234",
-                "command": f"python -m pipeline scene={scene} seed={seed}",
-                "versions": {},
-            }
-        )
-    )
+    arguments = [f"scene={scene}", f"seed={seed}", *(overrides or ())]
+    environment = {
+        "machine": "Test CPU, 2 cores",
+        "date": f"2025-01-0{seed + 1}T10:00:00Z",
+        "git_commit": "abc1234",
+        "command": shlex.join(["python", "-m", "pipeline", *arguments]),
+        "versions": {},
+    }
+    if overrides is not None:
+        environment["overrides"] = arguments
+    (folder / "environment.json").write_text(json.dumps(environment))
     per_image = ["view,psnr"]
     for i in range(images):
         per_image.append(f"test/r_{i},{psnr + i}")
@@ -96,7 +100,7 @@ def write_run(
 
 
 def write_sfm(folder: Path, picture: bool = True, **changes) -> Path:
-    """What a run that started from structure from motion leaves besides; `changes` replace keys of sfm.json."""
+    """Adds the files of a run initialised by structure from motion; `changes` replace keys of sfm.json."""
     found = {
         "points": 12345,
         "mean_error_px": 0.625,

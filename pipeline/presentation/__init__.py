@@ -1,1 +1,1 @@
-"""How numbers are shown by the report and the studies: tables, their files, means over seeds."""
+"""Tables, their files and statistics over seeds, shared by the report and the studies."""

@@ -1,10 +1,10 @@
-"""What a table is: columns, rows of cells, footnotes. How it is written is export.py's business."""
+"""Data model of a table: columns, rows of cells, caption, footnotes. table_files.py writes it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from pipeline.presentation.seeds import Estimate
+from pipeline.presentation.seed_statistics import Estimate
 
 EMPTY_NOTE = "Empty cell: no run."
 NOT_REPORTED_NOTE = "–: not reported."
@@ -14,22 +14,22 @@ SEEDS_NOTE = "±: standard deviation over seeds (n − 1); no ±: one seed."
 
 @dataclass(frozen=True)
 class Column:
-    """`key` heads the CSV (its std goes to `key_std`), `header` the rest; numbers are right-aligned.
+    """A column. `key` heads the CSV (its std goes to `key_std`), `header` the other formats.
 
-    CSV and LaTeX have all columns. How layout.py makes the table fit a page, the others say.
+    CSV and LaTeX have all columns. `fold`, `group` and `ours_only` control table_layout.py.
     """
 
     key: str
     header: str
     number: bool = True
-    fold: bool = False  # goes into the caption where all rows say the same
-    group: str = ""  # columns of a group stay together when the table is split; "": repeated in each part
-    ours_only: bool = False  # shown only where one of our rows has a number
+    fold: bool = False  # moved to the caption where all rows have the same text
+    group: str = ""  # a wide table is split between groups; "": repeated in each part
+    ours_only: bool = False  # hidden where no row of ours has a number
 
 
 @dataclass(frozen=True)
 class Cell:
-    """What is read (`text`) and, for a number, its value at full precision for the CSV."""
+    """The displayed text and, for a number, its value at full precision for the CSV."""
 
     text: str = ""
     value: float | None = None
@@ -38,22 +38,22 @@ class Cell:
 
 NO_RUN = Cell("")
 NOT_REPORTED = Cell("–")  # the paper gives no number
-NOT_MEASURED = Cell("n/a")  # there is a run, the number was not measured
-NOTHING = Cell("·")  # there is nothing to compare
+NOT_MEASURED = Cell("n/a")  # the run lacks the number
+NOTHING = Cell("·")  # not applicable, such as a comparison of the baseline with itself
 
 
 @dataclass(frozen=True)
 class Row:
-    """Cells by column key; a column without one is an empty cell (no run)."""
+    """Cells by column key; a missing key is an empty cell (no run)."""
 
     cells: dict[str, Cell]
-    kind: str = "ours"  # ours | paper (this paper's numbers) | other (what the paper cites): for styling
+    kind: str = "ours"  # ours | paper (this paper's numbers) | other (methods that the paper cites)
     mark: str = ""  # footnote marks, printed after the first cell
 
 
 @dataclass(frozen=True)
 class Table:
-    """`slug` names its files; `notes` are footnotes, each (mark or "", text)."""
+    """A table. `slug` names its files; `notes` are footnotes, each (mark or "", text)."""
 
     slug: str
     title: str
@@ -61,7 +61,7 @@ class Table:
     rows: tuple[Row, ...]
     caption: str = ""
     notes: tuple[tuple[str, str], ...] = ()
-    over_seeds: bool = True  # our numbers are means over seeds
+    over_seeds: bool = True  # whether our numbers are means over seeds
 
     def cell(self, row: Row, column: Column) -> Cell:
         """The cell of `row` under `column`."""
@@ -69,38 +69,35 @@ class Table:
 
     @property
     def footnotes(self) -> tuple[tuple[str, str], ...]:
-        """`notes` and what the marks –, n/a, ± and an empty cell mean, as far as they occur."""
+        """`notes` and the legend of –, n/a, ± and empty cells, where they occur."""
         cells = [self.cell(row, column) for row in self.rows for column in self.columns]
-        legend = [
-            (EMPTY_NOTE, any(c == NO_RUN for c in cells)),
-            (NOT_REPORTED_NOTE, any(c == NOT_REPORTED for c in cells)),
-            (NOT_MEASURED_NOTE, any(c == NOT_MEASURED for c in cells)),
-            (
-                SEEDS_NOTE,
-                self.over_seeds
-                and any(row.kind == "ours" and c.value is not None for row in self.rows for c in row.cells.values()),
-            ),
-        ]
+        ours = [cell for row in self.rows if row.kind == "ours" for cell in row.cells.values()]
+        legend = (
+            (EMPTY_NOTE, NO_RUN in cells),
+            (NOT_REPORTED_NOTE, NOT_REPORTED in cells),
+            (NOT_MEASURED_NOTE, NOT_MEASURED in cells),
+            (SEEDS_NOTE, self.over_seeds and any(cell.value is not None for cell in ours)),
+        )
         return self.notes + tuple(("", text) for text, occurs in legend if occurs)
 
 
 def text(value: str) -> Cell:
-    """A cell of words."""
+    """A text cell."""
     return Cell(value)
 
 
 def number(value: float, decimals: int = 2) -> Cell:
-    """A number of ours; NaN is one that was not measured."""
+    """One of our numbers; NaN: not measured."""
     return NOT_MEASURED if value != value else Cell(f"{value:,.{decimals}f}", float(value))
 
 
 def uncertainty(value: float) -> Cell:
-    """An error of a difference of ours; NaN: one seed has none."""
+    """The standard error of one of our differences; NaN (one seed): not applicable."""
     return NOTHING if value != value else number(value)
 
 
 def measured(estimate: Estimate | None, decimals: int = 2) -> Cell:
-    """mean ± std over seeds; None is a number that a run lacks."""
+    """mean ± std over seeds; None: not measured."""
     if estimate is None:
         return NOT_MEASURED
     if estimate.std != estimate.std:
@@ -109,5 +106,5 @@ def measured(estimate: Estimate | None, decimals: int = 2) -> Cell:
 
 
 def printed(value: str) -> Cell:
-    """A number exactly as the paper prints it; an empty string is one it does not give."""
+    """A number exactly as printed in the paper; an empty string: not reported."""
     return Cell(value, float(value)) if value else NOT_REPORTED

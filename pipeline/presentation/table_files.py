@@ -1,53 +1,34 @@
-"""Writes a Table as Markdown (padded, so it reads in a terminal), CSV (one number a cell) and LaTeX."""
+"""Writes a table as Markdown (padded to read in a terminal), CSV (one number per cell) and LaTeX."""
 
 from __future__ import annotations
 
 import csv
 import io
 
-from pipeline.presentation.layout import laid_out
-from pipeline.presentation.table import Column, Table
+from pipeline.presentation.table import NOT_MEASURED, NOT_REPORTED, NOTHING, Cell, Column, Row, Table
+from pipeline.presentation.table_layout import laid_out
 
+# fmt: off
 _LATEX = {
-    "\\": r"\textbackslash{}",
-    "&": r"\&",
-    "%": r"\%",
-    "$": r"\$",
-    "#": r"\#",
-    "_": r"\_",
-    "{": r"\{",
-    "}": r"\}",
-    "~": r"\textasciitilde{}",
-    "^": r"\textasciicircum{}",
-    "<": r"\textless{}",
-    ">": r"\textgreater{}",
-    "±": r"$\pm$",
-    "×": r"$\times$",
-    "−": r"$-$",
-    "–": r"--",
-    "·": r"$\cdot$",
-    "↑": r"$\uparrow$",
-    "↓": r"$\downarrow$",
-    "√": r"$\surd$",
-    "≥": r"$\geq$",
-    "²": r"$^{2}$",
-    "¹": r"$^{1}$",
-    "³": r"$^{3}$",
-    "⁴": r"$^{4}$",
-    "⁵": r"$^{5}$",
-    "⁶": r"$^{6}$",
-    "…": r"\ldots{}",
+    "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
+    "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "<": r"\textless{}", ">": r"\textgreater{}",
+    "±": r"$\pm$", "×": r"$\times$", "−": r"$-$", "–": r"--", "·": r"$\cdot$", "…": r"\ldots{}",
+    "↑": r"$\uparrow$", "↓": r"$\downarrow$", "√": r"$\surd$", "≥": r"$\geq$",
+    "¹": r"$^{1}$", "²": r"$^{2}$", "³": r"$^{3}$", "⁴": r"$^{4}$", "⁵": r"$^{5}$", "⁶": r"$^{6}$",
 }
+# fmt: on
 
 
-def files_of(table: Table) -> dict[str, bytes]:
-    """<slug>.md, .csv and .tex -> content."""
-    written = {"md": markdown(table), "csv": comma_separated(table), "tex": latex(table)}
+def files_of(table: Table, with_latex: bool = False) -> dict[str, bytes]:
+    """<slug>.md and .csv, with `with_latex` also .tex -> content."""
+    written = {"md": markdown(table), "csv": comma_separated(table)}
+    if with_latex:
+        written["tex"] = latex(table)
     return {f"{table.slug}.{suffix}": content.encode("utf-8") for suffix, content in written.items()}
 
 
 def markdown(table: Table) -> str:
-    """Title, caption, padded pipe tables (one a part of the layout), footnotes."""
+    """Title, caption, one padded pipe table per part of the layout, footnotes."""
     layout = laid_out(table)
     shown = layout.table
     parts = [f"### {shown.title}", ""] + ([shown.caption, ""] if shown.caption else [])
@@ -71,7 +52,7 @@ def _grid(table: Table, columns: tuple[Column, ...]) -> list[str]:
 
 
 def comma_separated(table: Table) -> str:
-    """One number a cell at full precision; std in columns of their own, footnote marks in `note`."""
+    """CSV at full precision, one number per cell: std in columns of their own, footnote marks in `note`."""
     with_std = {c.key for c in table.columns if any(table.cell(row, c).std is not None for row in table.rows)}
     head = [name for c in table.columns for name in ([c.key, f"{c.key}_std"] if c.key in with_std else [c.key])]
     buffer = io.StringIO()
@@ -81,24 +62,22 @@ def comma_separated(table: Table) -> str:
         line: list[str] = [row.kind]
         for column in table.columns:
             cell = table.cell(row, column)
-            if row.kind != "ours" and cell.value is not None and cell.std is None:
-                line.append(cell.text)  # as printed in the paper
-            else:
-                line.append(
-                    _plain(cell.value)
-                    if cell.value is not None
-                    else ""
-                    if cell.text in ("–", "n/a", "·")
-                    else cell.text
-                )
+            line.append(_csv_cell(cell, row))
             if column.key in with_std:
                 line.append(_plain(cell.std) if cell.std is not None else "")
         writer.writerow([*line, row.mark])
     return buffer.getvalue()
 
 
+def _csv_cell(cell: Cell, row: Row) -> str:
+    if cell in (NOT_REPORTED, NOT_MEASURED, NOTHING):
+        return ""
+    as_printed = row.kind != "ours" and cell.std is None  # the paper's numbers keep their digits
+    return cell.text if cell.value is None or as_printed else _plain(cell.value)
+
+
 def latex(table: Table) -> str:
-    r"""A table environment with booktabs rules; the paper's and our rows are parted by a \midrule."""
+    r"""A table environment with booktabs rules; a \midrule separates the paper's rows from ours."""
     out = [
         "% needs \\usepackage{booktabs}",
         r"\begin{table}",
@@ -124,11 +103,11 @@ def latex(table: Table) -> str:
 
 
 def escape(text: str) -> str:
-    """Text that LaTeX prints as it stands."""
+    """`text` with LaTeX's special characters escaped."""
     return "".join(_LATEX.get(character, character) for character in text)
 
 
-def _shown(table: Table, row, column: Column) -> str:
+def _shown(table: Table, row: Row, column: Column) -> str:
     """The cell's text, with the row's footnote mark after the first column."""
     mark = row.mark if column is table.columns[0] else ""
     return table.cell(row, column).text + mark

@@ -1,4 +1,4 @@
-"""The colours of plots, on a light and on a dark page."""
+"""Plot colours for light and dark pages."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Theme:
-    """Colours on one background; colour-blind readers tell the ablations apart too (after Okabe, Ito)."""
+    """Colours on one background. The palette is safe for colour-blind readers (after Okabe and Ito)."""
 
     name: str
     ink: str
     faint: str
-    ablations: tuple[str, ...]  # full, no_4drot, no_4dsh, no_time_split, any other; lines of other figures in turn
+    ablations: tuple[str, ...]  # full, no_4drot, no_4dsh, no_time_split, others; other figures use them in order
 
 
 LIGHT = Theme("light", "#1d2430", "#d9dde3", ("#0072b2", "#d55e00", "#009e73", "#b5519b", "#7a7f87"))

@@ -1,10 +1,11 @@
-"""Training curves: which runs stand in one figure, and what a line of it shows."""
+"""Learning curves: grouping into figures, mean and std over seeds, coarse-resolution part, SVG."""
 
 from __future__ import annotations
 
 import math
 import re
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,8 @@ import pytest
 from report_runs import write_run
 
 from pipeline.presentation.theme import DARK
-from pipeline.report.compare.bands import band, end_of_coarse, split_at
-from pipeline.report.compare.comparisons import Comparison, comparisons
+from pipeline.report.compare.curve_figures import CurveFigure, curve_figures
+from pipeline.report.compare.curve_statistics import end_of_coarse, mean_and_std, split_at
 from pipeline.report.write.plots import plot
 from pipeline.runs.read.collect import Collection, collect
 from pipeline.runs.read.variants import name_variants
@@ -22,7 +23,9 @@ from pipeline.runs.read.variants import name_variants
 FAST = {"batch": "1", "optimiser": "sparse_adam", "resolution_steps": "[{until: 0.5, scale: 0.5}]", "init_points": "20"}
 
 
-def write_variant(root: Path, name: str, ablation: str = "full", train: str = "fast", **changes) -> None:
+def write_variant(
+    root: Path, name: str, ablation: str = "full", train: str = "fast", overrides: Sequence[str] = (), **changes
+) -> None:
     """Runs of `fast` with some keys of the schedule changed, in a folder called `name`."""
     settings = "".join(f"  {key}: {value}\n" for key, value in (FAST | changes).items())
     for seed in range(2):
@@ -34,12 +37,13 @@ def write_variant(root: Path, name: str, ablation: str = "full", train: str = "f
             seed,
             psnr=25 + 0.1 * seed,
             settings=settings,
+            overrides=overrides,
             out=f"{name}/seed{seed}",
         )
 
 
 def study(root: Path) -> Collection:
-    """What conf/experiment/training_curves.yaml makes, in small."""
+    """A small version of conf/experiment/training_curves.yaml."""
     write_variant(root, "adam", optimiser="adam")
     write_variant(root, "batch2", batch="2")
     write_variant(root, "batch4", batch="4")
@@ -50,16 +54,16 @@ def study(root: Path) -> Collection:
     return name_variants(collect(root))
 
 
-def lines_of(found: list[Comparison]) -> dict[str, list[str]]:
-    return {comparison.title: [line.label for line in comparison.lines] for comparison in found}
+def lines_of(found: list[CurveFigure]) -> dict[str, list[str]]:
+    return {figure.title: [line.label for line in figure.lines] for figure in found}
 
 
-# --- which runs stand in one figure ----------------------------------------------------------------------------------
+# --- grouping into figures -------------------------------------------------------------------------------------------
 
 
-def test_a_figure_for_each_thing_that_varies(tmp_path: Path) -> None:
+def test_one_figure_per_factor(tmp_path: Path) -> None:
     coarse = "fast (resolution_steps=[])"
-    assert lines_of(comparisons(study(tmp_path))) == {
+    assert lines_of(curve_figures(study(tmp_path))) == {
         "synthetic/wheel: schedule": ["fast", "paper"],
         "synthetic/wheel: batch": ["fast", "fast (batch=2)", "fast (batch=4)"],
         "synthetic/wheel: resolution": ["fast", coarse],
@@ -68,40 +72,40 @@ def test_a_figure_for_each_thing_that_varies(tmp_path: Path) -> None:
     }
 
 
-def test_each_schedule_with_its_ablations(tmp_path: Path) -> None:
+def test_one_figure_of_ablations_per_schedule(tmp_path: Path) -> None:
     for train in ("fast", "paper"):
         for ablation in ("full", "no_4drot"):
             write_run(tmp_path, "synthetic/wheel", ablation, train)
-    assert lines_of(comparisons(collect(tmp_path))) == {
+    assert lines_of(curve_figures(collect(tmp_path))) == {
         "synthetic/wheel: ablation, fast": ["full", "no_4drot"],
         "synthetic/wheel: ablation, paper": ["full", "no_4drot"],
     }
 
 
-def test_no_line_is_lost_and_none_stands_beside_another_scene(tmp_path: Path) -> None:
+def test_every_curve_is_in_a_figure_of_its_scene(tmp_path: Path) -> None:
     write_run(tmp_path, "synthetic/lamp")
     write_run(tmp_path, "synthetic/wheel")
     write_run(tmp_path, "synthetic/wheel", train="paper")
     (write_run(tmp_path, "synthetic/wheel", train="mine") / "config.yaml").unlink()
     found = collect(tmp_path)
-    assert lines_of(comparisons(found)) == {
+    assert lines_of(curve_figures(found)) == {
         "synthetic/wheel: schedule": ["fast", "paper"],
         "synthetic/wheel: mine": ["mine"],
         "synthetic/lamp: fast": ["fast"],
     }
 
 
-def test_titles_and_file_names_are_unique(tmp_path: Path) -> None:
+def test_titles_and_slugs_are_unique(tmp_path: Path) -> None:
     for batch in (1, 4):
         for sampler in ("pairs", "views_at_one_time"):
             write_variant(tmp_path, f"{sampler}{batch}", batch=str(batch), sampler=sampler)
-    found = comparisons(name_variants(collect(tmp_path)))
+    found = curve_figures(name_variants(collect(tmp_path)))
     assert len({c.slug for c in found}) == len({c.title for c in found}) == len(found) == 4
     assert all(re.fullmatch(r"[\w.-]+", c.slug) for c in found)
 
 
-def test_usual_settings_are_those_that_the_others_are_variants_of(tmp_path: Path) -> None:
-    """As many runs of each variant as of what they are variants of: none is the most common."""
+def test_unchanged_settings_are_found_without_a_majority(tmp_path: Path) -> None:
+    """Each variant has as many runs as the unchanged schedule."""
     assert sorted(set(study(tmp_path).runs["train"])) == [
         "fast",
         "fast (batch=2)",
@@ -112,19 +116,16 @@ def test_usual_settings_are_those_that_the_others_are_variants_of(tmp_path: Path
     ]
 
 
-def test_what_all_lines_share_stands_in_the_title_alone(tmp_path: Path) -> None:
+def test_shared_overrides_are_in_the_title_only(tmp_path: Path) -> None:
     for batch in (1, 4):
-        write_variant(tmp_path, f"batch{batch}", batch=str(batch))
-        for seed in range(2):
-            path = tmp_path / f"batch{batch}/seed{seed}/environment.json"
-            typed = f"train.batch={batch} 'train.fourier_at=[1, 2]'"
-            path.write_text(path.read_text().replace(" seed=", f" {typed} seed="))
-    assert lines_of(comparisons(name_variants(collect(tmp_path)))) == {
+        overrides = (f"train.batch={batch}", "train.fourier_at=[1, 2]")
+        write_variant(tmp_path, f"batch{batch}", overrides=overrides, batch=str(batch))
+    assert lines_of(curve_figures(name_variants(collect(tmp_path)))) == {
         "synthetic/wheel: batch, fourier_at=[1, 2]": ["fast (batch=1)", "fast (batch=4)"]
     }
 
 
-# --- what a line shows -----------------------------------------------------------------------------------------------
+# --- statistics of a curve -------------------------------------------------------------------------------------------
 
 
 def curve(points: list[tuple[float, float]], run: str = "a") -> pd.DataFrame:
@@ -134,20 +135,20 @@ def curve(points: list[tuple[float, float]], run: str = "a") -> pd.DataFrame:
 
 def test_mean_and_std_between_evaluations_at_different_seconds() -> None:
     both = pd.concat([curve([(1, 10), (3, 14), (5, 16)]), curve([(2, 20), (4, 20), (6, 20)], "b")])
-    x, mean, std = band(both, "train_seconds", "psnr")
+    x, mean, std = mean_and_std(both, "train_seconds", "psnr")
     assert x.tolist() == [2, 3, 4, 5]  # from where the second starts to where the first ends
     first = np.array([12, 14, 15, 16])  # by hand
     np.testing.assert_allclose(mean, (first + 20) / 2, rtol=1e-12)
     np.testing.assert_allclose(std, (20 - first) / math.sqrt(2), rtol=1e-12)  # of two values: their distance / √2
 
 
-def test_where_training_reaches_the_full_resolution() -> None:
+def test_end_of_coarse_resolution_training() -> None:
     steps = [{"until": 0.15, "scale": 0.25}, {"until": 0.5, "scale": 0.5}]
     both = pd.concat([curve([(2, 1), (8, 1), (10, 1)]), curve([(4, 1), (6, 1), (10, 1)], "b")])
     settings = {run: {"train.iterations": 1000, "train.resolution_steps": steps} for run in "ab"}
     assert end_of_coarse(both, settings, "iteration") == pytest.approx(500)
     assert end_of_coarse(both, settings, "train_seconds") == pytest.approx(5)
-    # With 5 s to train, the schedule is half through after 2.5 s, whatever the iteration.
+    # With a time budget of 5 s the schedule is at one half after 2.5 s.
     short = {run: one | {"train.time_budget_s": 5.0} for run, one in settings.items()}
     assert end_of_coarse(both, short, "train_seconds") == pytest.approx(2.5)
     assert end_of_coarse(both, {"a": {}, "b": {"train.resolution_steps": []}}, "iteration") == 0
@@ -163,24 +164,24 @@ def test_where_training_reaches_the_full_resolution() -> None:
         (9.0, [1, 2, 3], []),
     ],
 )
-def test_a_line_is_cut_in_two_that_meet(at: float, before: list[float], after: list[float]) -> None:
+def test_split_parts_share_a_point(at: float, before: list[float], after: list[float]) -> None:
     xs = np.array([1.0, 2.0, 3.0])
     parts = split_at(xs, 10 * xs, at)
     for (x, y), expected in zip(parts, (before, after)):
         assert x.tolist() == expected and y.tolist() == [10 * value for value in expected]
 
 
-# --- the figure ------------------------------------------------------------------------------------------------------
+# --- SVG -------------------------------------------------------------------------------------------------------------
 
 
-def test_the_figure_says_what_it_shows(tmp_path: Path) -> None:
-    found = study(tmp_path)
-    of = {comparison.title: comparison for comparison in comparisons(found)}
-    shown = of["synthetic/wheel: resolution"]
-    text = plot(found, shown)
-    assert plot(found, shown) == text != plot(found, shown, DARK)
-    ElementTree.fromstring(text)
-    for said in (
+def test_svg_has_labels_legend_and_caption(tmp_path: Path) -> None:
+    collection = study(tmp_path)
+    figures = {figure.title: figure for figure in curve_figures(collection)}
+    resolution = figures["synthetic/wheel: resolution"]
+    svg = plot(collection, resolution)
+    assert plot(collection, resolution) == svg != plot(collection, resolution, DARK)
+    ElementTree.fromstring(svg)
+    for text in (
         "PSNR, dB, test views",
         "SSIM, test views",
         "loss, test views",
@@ -191,22 +192,16 @@ def test_the_figure_says_what_it_shows(tmp_path: Path) -> None:
         "Dashed",
         "fast (resolution_steps=[])",
     ):
-        assert said in text, said  # drawn as outlines, with the words in a comment
-    assert "Dashed" not in plot(
-        found,
-        Comparison(
-            "synthetic/wheel",
-            "paper alone",
-            (next(line for line in of["synthetic/wheel: schedule"].lines if line.train == "paper"),),
-        ),
-    )
+        assert text in svg, text
+    paper = next(line for line in figures["synthetic/wheel: schedule"].lines if line.train == "paper")
+    assert "Dashed" not in plot(collection, CurveFigure("synthetic/wheel", "paper alone", (paper,)))
 
 
-def test_a_quantity_that_was_not_measured_has_no_panel(tmp_path: Path) -> None:
+def test_quantity_that_was_not_measured_has_no_panel(tmp_path: Path) -> None:
     folder = write_run(tmp_path, "synthetic/wheel")
     rows = pd.read_csv(folder / "error_vs_time.csv").assign(ssim=None).drop(columns="test_loss")
     rows.to_csv(folder / "error_vs_time.csv", index=False)
     found = collect(tmp_path)
     assert len(found.curves) == 4 and not found.warnings
-    text = plot(found, comparisons(found)[0])
+    text = plot(found, curve_figures(found)[0])
     assert "PSNR, dB" in text and "SSIM" not in text and "loss" not in text

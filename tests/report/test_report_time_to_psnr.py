@@ -1,4 +1,4 @@
-"""Seconds to a PSNR: read off made-up curves by hand."""
+"""Training time to a PSNR, on hand-made curves."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ def collection(*curves: pd.DataFrame) -> Collection:
         (10.0, 1.0),  # above it from the first evaluation on
         (21.0, 15.0),  # half-way between 20 dB at 10 s and 22 dB at 20 s
         (22.0, 20.0),
-        (24.0, 35.0),  # the curve falls in between: 18 dB at 30 s, 30 dB at 40 s
+        (24.0, 35.0),  # after a decrease: 18 dB at 30 s, 30 dB at 40 s
         (30.5, None),
     ],
 )
-def test_when_a_curve_first_passes_a_level(level: float, expected: float | None) -> None:
+def test_time_at_which_a_curve_first_reaches_a_level(level: float, expected: float | None) -> None:
     found = seconds_to(curve([(1, 12), (10, 20), (20, 22), (30, 18), (40, 30)]), level)
     assert found == (None if expected is None else pytest.approx(expected))
 
 
-def test_levels_follow_the_best_curve_of_the_scene() -> None:
+def test_default_levels_follow_the_best_curve() -> None:
     assert levels_of(pd.concat([curve([(1, 25.9)]), curve([(1, 23.0)])])) == (21, 23, 24, 25)
 
 
-def test_who_never_gets_there_is_written_as_such() -> None:
+def test_level_that_is_never_reached() -> None:
     table = time_to_psnr(
         collection(
             curve([(0, 20), (10, 30)], "a"), curve([(0, 20), (30, 30)], "b"), curve([(0, 20), (10, 24)], "c", "slow")
@@ -52,10 +52,10 @@ def test_who_never_gets_there_is_written_as_such() -> None:
     assert "never reached" in markdown(table)
 
 
-def test_a_seed_that_fails_is_not_averaged_away() -> None:
+def test_number_of_seeds_that_reached_the_level() -> None:
     table = time_to_psnr(collection(curve([(0, 20), (10, 30)], "a"), curve([(0, 20), (30, 21)], "b")), levels=(25.0,))
     assert table.rows[0].cells["reached"].text == "1 of 2" and table.rows[0].cells["seconds"].value == 5.0
 
 
-def test_no_curves_no_table() -> None:
+def test_no_table_without_curves() -> None:
     assert time_to_psnr(collection(curve([]).reindex(columns=curve([(0, 0)]).columns))) is None

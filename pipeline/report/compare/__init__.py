@@ -1,1 +1,1 @@
-"""Which runs stand beside each other in a plot, and how their curves are summarised."""
+"""Groups learning curves into figures and averages them over seeds."""

@@ -1,1 +1,1 @@
-"""What the report knows before it has read a run: the paper's tables, scenes and ablations."""
+"""Reference data of the report: the paper's numbers, its scenes and ablations, its evaluation split."""

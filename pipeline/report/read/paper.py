@@ -1,4 +1,4 @@
-"""The paper's numbers, exactly as printed: results/paper/*.csv."""
+"""Reads the paper's tables, exactly as printed, from results/paper/*.csv."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ PAPER_DIR = Path(__file__).resolve().parents[3] / "results" / "paper"
 
 
 def read(name: str, folder: Path = PAPER_DIR) -> list[dict[str, str]]:
-    """Rows of `name`.csv as strings (32.00 stays 32.00); FileNotFoundError names the file."""
+    """Rows of `name`.csv as strings (32.00 stays 32.00); FileNotFoundError if there is no such file."""
     path = folder / f"{name}.csv"
     if not path.is_file():
         raise FileNotFoundError(f"{path}: expected the paper's numbers, found nothing")

@@ -1,4 +1,4 @@
-"""Which scene belongs to which table, and which ablation each synthetic scene was made for."""
+"""Scenes of the paper's tables, families of scenes, and the ablation that each synthetic scene was made for."""
 
 from __future__ import annotations
 
@@ -8,29 +8,37 @@ from types import MappingProxyType
 
 from pipeline.runs.read import model_labels as models
 
-# The paper's order of columns (its per-scene table).
+# In the column order of the paper's per-scene table.
 PLENOPTIC = tuple(
     f"plenoptic/{name}"
     for name in ("coffee_martini", "cook_spinach", "cut_roasted_beef", "flame_salmon", "flame_steak", "sear_steak")
 )
 
-# Table 2 is the mean over these eight.
+# The eight scenes of Table 2.
 DNERF = tuple(
     f"dnerf/{name}"
     for name in ("bouncingballs", "hellwarrior", "hook", "jumpingjacks", "lego", "mutant", "standup", "trex")
 )
 
-# Table 3 ablates on these two.
+# The two scenes of the ablations in Table 3.
 TABLE3 = ("plenoptic/flame_salmon", "plenoptic/cut_roasted_beef")
 
-FAMILIES = ("synthetic", "dnerf", "plenoptic", "dnerf_own", "plenoptic_own", "video_own", "other")  # in reading order
+FAMILIES = (
+    "synthetic",
+    "dnerf",
+    "plenoptic",
+    "dnerf_own",
+    "plenoptic_own",
+    "video_own",
+    "other",
+)  # in the order of the report
 
-ABLATIONS = ("no_4drot", "no_4dsh", "no_time_split", "full")  # the paper's order of rows
+ABLATIONS = ("no_4drot", "no_4dsh", "no_time_split", "full")  # in the row order of Table 3
 
 
 @dataclass(frozen=True)
 class MadeFor:
-    """An ablation, the synthetic scene that needs the part it removes, and why."""
+    """An ablation, the synthetic scene that needs the ablated part, and the reason."""
 
     ablation: str
     scene: str
@@ -38,21 +46,25 @@ class MadeFor:
 
 
 MADE_FOR = (
-    MadeFor("no_4drot", "synthetic/wheel", "fast rotation and translation: without 4D rotation a Gaussian can't move"),
-    MadeFor("no_4dsh", "synthetic/lamp", "colours that change with time and view: without Fourier orders they can't"),
+    MadeFor("no_4drot", "synthetic/wheel", "fast motion; without 4D rotation a Gaussian has no velocity"),
+    MadeFor(
+        "no_4dsh",
+        "synthetic/lamp",
+        "colours change with time and view; without Fourier orders they are constant in time",
+    ),
     MadeFor(
         "no_time_split",
         "synthetic/burst",
-        "things appear, move off and vanish: a split in space alone moves no Gaussian in time",
+        "objects appear and vanish; a split in space alone leaves the temporal means unchanged",
     ),
 )
 MADE_FOR_SCENE = MappingProxyType({(m.scene, m.ablation): m for m in MADE_FOR})
 
 
 def family(scene: str) -> str:
-    """Which table of scenes a scene stands in: one of FAMILIES.
+    """The family of a scene, one of FAMILIES: one table of scenes per family.
 
-    `dnerf` and `plenoptic` are the paper's scenes alone, `dnerf_own` and so on are others of that layout.
+    `dnerf` and `plenoptic` are the paper's scenes only; `dnerf_own`, ... are other scenes in the same layout.
     """
     if scene in PLENOPTIC:
         return "plenoptic"
@@ -65,14 +77,14 @@ def family(scene: str) -> str:
 
 
 def in_order(names: Iterable[str]) -> list[str]:
-    """Scenes without repeats, synthetic first (`still`, which needs no part, last), then the real ones."""
+    """Unique scenes in the order of the report: synthetic, D-NeRF, Plenoptic Video, others."""
     first = (*(made.scene for made in MADE_FOR), "synthetic/still", *DNERF, *PLENOPTIC)
     unique = set(names)
     return [name for name in first if name in unique] + sorted(unique - set(first))
 
 
 def ablations_in_order(names: Iterable[str]) -> list[str]:
-    """Models without repeats: `full` and what was made of it first, the paper's ablations, then any other."""
+    """Unique model labels in the order of the report: `full` and its variants, the paper's ablations, others."""
     first = ("full", *ABLATIONS[:3])
 
     def place(name: str) -> tuple[int, str]:

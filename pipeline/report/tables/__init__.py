@@ -1,1 +1,1 @@
-"""The report's tables, one file each."""
+"""The tables of the report, one module per kind of table."""

@@ -1,42 +1,37 @@
-"""The paper's tables: its rows as printed, ours beside them, `final` and `best on test` under each other.
+"""The paper's Tables 1, 2 and 3: its rows as printed, with our `final` and `best on test` rows.
 
-A mean over fewer scenes than the paper's says over how many ("mean of 1 of 8"). A table that no run of ours belongs to
-is left out, and of a table by scenes the scenes without one.
+A mean over fewer scenes than the paper's states their number ("mean of 1 of 8"). Tables without a run of ours are left
+out, and so are scenes without a run of ours.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import pandas as pd
 
-from pipeline.presentation.seeds import over_scenes, select, trains
+from pipeline.presentation.seed_statistics import over_scenes, select, trains
 from pipeline.presentation.table import Cell, Column, Row, Table, measured, printed, text
 from pipeline.report.read import paper, scenes
-from pipeline.report.read.measured_on import measured_elsewhere, on_papers_views
-from pipeline.report.tables.our_rows import (
-    PROTOCOL_NOTE,
-    gap_notes,
-    left_out_notes,
-    our_mean_rows,
-    our_rows,
-    scene_cell,
-)
+from pipeline.report.read.evaluation_split import on_paper_split, other_split_notes
+from pipeline.report.tables.footnotes import PROTOCOL_NOTE, left_out_notes, missing_metric_notes
+from pipeline.report.tables.measured_rows import our_mean_rows, our_rows, scene_cell
 from pipeline.runs.read.collect import Collection
-from pipeline.runs.read.model_labels import LEFT_OUT, asked, is_left_out
+from pipeline.runs.read.model_labels import LEFT_OUT, is_left_out, requested
 
 THIS_PAPER = "4DGS (this paper)"
 PLENOPTIC_NOTE = (
     "",
-    "Ours: runs of the scenes named plenoptic/<name>, at the size, length and held-out camera that the scene's "
-    "configuration has; whatever a command changed stands in brackets after the schedule's name.",
+    "Ours: runs of scene=plenoptic/<name>. Resolution, length and held-out camera are those of the scene's "
+    "configuration; overrides of a command are in brackets after the schedule's name.",
 )
 
 
 def paper_tables(collection: Collection) -> list[Table]:
-    """Those of Tables 1, 1 per scene, 2 and 3 that have a run of ours."""
-    runs = on_papers_views(collection)
-    elsewhere = measured_elsewhere(collection)
+    """Those of Table 1, Table 1 per scene, Table 2 and Table 3 that have a run of ours."""
+    runs = on_paper_split(collection)
+    excluded = other_split_notes(collection)
     found = (
         (plenoptic(runs), scenes.PLENOPTIC),
         (plenoptic_per_scene(runs), scenes.PLENOPTIC),
@@ -44,32 +39,35 @@ def paper_tables(collection: Collection) -> list[Table]:
         (ablation(runs), scenes.TABLE3),
     )
     return [
-        replace(table, notes=(*table.notes, *(("", f"Not in this table: {said}") for s, said in elsewhere if s in of)))
+        replace(table, notes=(*table.notes, *(("", f"Not in this table: {note}") for s, note in excluded if s in of)))
         for table, of in found
         if any(row.kind == "ours" for row in table.rows)
     ]
 
 
-def _as_asked(runs: pd.DataFrame) -> pd.DataFrame:
-    """Runs under the names of the models that they asked for: a mean of the paper's tables is over a schedule's runs,
-    also where that selects by validation. `selected`: did it leave 4DSH out?"""
-    return runs.assign(ablation=runs["ablation"].map(asked), selected=runs["ablation"].map(is_left_out).astype(bool))
+def _by_requested_model(runs: pd.DataFrame) -> pd.DataFrame:
+    """Runs under their requested model, since a mean is over all runs of a schedule, whatever selection removed.
+
+    Column `selected`: whether selection by validation left 4DSH out.
+    """
+    selected = runs["ablation"].map(is_left_out).astype(bool)
+    return runs.assign(ablation=runs["ablation"].map(requested), selected=selected)
 
 
 def _selected_notes(runs: pd.DataFrame, of: tuple[str, ...]) -> list[tuple[str, str]]:
-    """For which scenes of a mean selection left 4DSH out."""
-    mine = runs[runs["scene"].isin(of) & (runs["ablation"] == "full")]
+    """The scenes of a mean for which selection left 4DSH out."""
+    chosen = runs[runs["scene"].isin(of) & (runs["ablation"] == "full")]
     found = []
-    for train, group in mine[mine["selected"]].groupby("train"):
+    for train, group in chosen[chosen["selected"]].groupby("train"):
         names = [
-            f"{scenes.short(scene)} ({count} of {len(select(mine, scene, 'full', train))} runs)"
+            f"{scenes.short(scene)} ({count} of {len(select(chosen, scene, 'full', train))} runs)"
             for scene, count in group["scene"].value_counts(sort=False).items()
         ]
         found.append(
             (
                 "",
-                f"Ours, {train}: selection by validation left 4DSH, time-varying colour, out of the models "
-                f"of {', '.join(names)}.",
+                f"Ours, {train}: selection by validation removed 4DSH (time-varying colour) from the models of "
+                f"{', '.join(names)}.",
             )
         )
     return found
@@ -77,7 +75,7 @@ def _selected_notes(runs: pd.DataFrame, of: tuple[str, ...]) -> list[tuple[str, 
 
 def plenoptic(runs: pd.DataFrame) -> Table:
     """Table 1: means over the six Plenoptic Video scenes."""
-    runs = _as_asked(runs)
+    runs = _by_requested_model(runs)
     columns = (
         Column("method", "Method", False),
         Column("scenes", "Scenes", False),
@@ -96,16 +94,10 @@ def plenoptic(runs: pd.DataFrame) -> Table:
         "lpips": ("lpips_alex", 3),
         "fps": ("fps_render", 1),
     }
-    rows, marks = [], ""
-    for printed_row in paper.read("table1_plenoptic"):
-        mark = printed_row["note"]
-        marks += mark
-        cells = {
-            "method": text(printed_row["method"]),
-            "scenes": text(printed_row["scenes"] or "–"),
-            **{key: printed(printed_row.get(key, "")) for key in metric_of},
-        }
-        rows.append(Row(cells, _kind(printed_row["method"]), mark))
+    rows, marks = _printed_rows(
+        "table1_plenoptic",
+        lambda row: {"scenes": text(row["scenes"] or "–")} | {key: printed(row.get(key, "")) for key in metric_of},
+    )
     rows += our_mean_rows(runs, scenes.PLENOPTIC, metric_of)
     return Table(
         "table1_plenoptic",
@@ -116,12 +108,12 @@ def plenoptic(runs: pd.DataFrame) -> Table:
             *paper.footnotes(marks),
             (
                 "",
-                "DSSIM = (1 − MS-SSIM)/2, the paper's. DSSIM1 and DSSIM2 = (1 − SSIM)/2 with data range "
-                "1 and 2; the literature mixes all three.",
+                "DSSIM = (1 − MS-SSIM)/2, as in the paper. DSSIM1 and DSSIM2 = (1 − SSIM)/2 with data range 1 and 2. "
+                "The literature uses all three under one name.",
             ),
             PLENOPTIC_NOTE,
             PROTOCOL_NOTE,
-            *gap_notes(runs[runs["scene"].isin(scenes.PLENOPTIC)]),
+            *missing_metric_notes(runs[runs["scene"].isin(scenes.PLENOPTIC)]),
             *_selected_notes(runs, scenes.PLENOPTIC),
         ),
     )
@@ -129,26 +121,22 @@ def plenoptic(runs: pd.DataFrame) -> Table:
 
 def plenoptic_per_scene(runs: pd.DataFrame) -> Table:
     """PSNR of each Plenoptic Video scene and the mean."""
-    runs = _as_asked(runs)
+    runs = _by_requested_model(runs)
+    names = [scenes.short(scene) for scene in scenes.PLENOPTIC]
     columns = (
         Column("method", "Method", False),
-        *(Column(scenes.short(s), scenes.short(s), ours_only=True) for s in scenes.PLENOPTIC),
+        *(Column(name, name, ours_only=True) for name in names),
         Column("mean", "mean", ours_only=True),
     )
-    rows, marks = [], ""
-    for printed_row in paper.read("table1_per_scene"):
-        marks += printed_row["note"]
-        cells = {
-            "method": text(printed_row["method"]),
-            "mean": printed(printed_row["printed_mean"]),
-            **{scenes.short(s): printed(printed_row[scenes.short(s)]) for s in scenes.PLENOPTIC},
-        }
-        rows.append(Row(cells, _kind(printed_row["method"]), printed_row["note"]))
+    rows, marks = _printed_rows(
+        "table1_per_scene",
+        lambda row: {"mean": printed(row["printed_mean"])} | {name: printed(row[name]) for name in names},
+    )
 
     def ours(train: str, protocol: str) -> dict[str, Cell]:
         cells = {scenes.short(s): scene_cell(runs, s, "full", train, f"{protocol}.psnr") for s in scenes.PLENOPTIC}
         mean, count = over_scenes(runs, scenes.PLENOPTIC, "full", train, f"{protocol}.psnr")
-        # A mean of fewer scenes stands in Table 1 with its count, not beside means of six.
+        # A mean of fewer scenes is in Table 1 with their number.
         return cells | ({"mean": measured(mean)} if count == len(scenes.PLENOPTIC) else {})
 
     rows += our_rows(trains(runs, scenes.PLENOPTIC, "full"), ours)
@@ -163,7 +151,7 @@ def plenoptic_per_scene(runs: pd.DataFrame) -> Table:
 
 def dnerf(runs: pd.DataFrame) -> Table:
     """Table 2: means over the eight D-NeRF scenes."""
-    runs = _as_asked(runs)
+    runs = _by_requested_model(runs)
     columns = (
         Column("method", "Method", False),
         Column("scenes", "Scenes", False),
@@ -172,15 +160,9 @@ def dnerf(runs: pd.DataFrame) -> Table:
         Column("lpips", "LPIPS-VGG ↓"),
     )
     metric_of = {"psnr": ("psnr", 2), "ssim": ("ssim", 4), "lpips": ("lpips_vgg", 3)}
-    rows, marks = [], ""
-    for printed_row in paper.read("table2_dnerf"):
-        marks += printed_row["note"]
-        cells = {
-            "method": text(printed_row["method"]),
-            "scenes": text(printed_row["scenes"]),
-            **{key: printed(printed_row[key]) for key in metric_of},
-        }
-        rows.append(Row(cells, _kind(printed_row["method"]), printed_row["note"]))
+    rows, marks = _printed_rows(
+        "table2_dnerf", lambda row: {"scenes": text(row["scenes"])} | {key: printed(row[key]) for key in metric_of}
+    )
     for retrained in paper.read("table2_retrained"):
         marks += retrained["note"]
         cells = {
@@ -200,14 +182,14 @@ def dnerf(runs: pd.DataFrame) -> Table:
         notes=(
             *paper.footnotes(marks),
             PROTOCOL_NOTE,
-            *gap_notes(runs[runs["scene"].isin(scenes.DNERF)], ("LPIPS",)),
+            *missing_metric_notes(runs[runs["scene"].isin(scenes.DNERF)], ("LPIPS",)),
             *_selected_notes(runs, scenes.DNERF),
         ),
     )
 
 
 def ablation(runs: pd.DataFrame) -> Table:
-    """Table 3: what each part is worth on flame_salmon and cut_roasted_beef."""
+    """Table 3: the ablations on flame_salmon and cut_roasted_beef."""
     columns = (
         Column("ablation", "Ablation", False),
         Column("method", "Method", False),
@@ -227,7 +209,7 @@ def ablation(runs: pd.DataFrame) -> Table:
                 {
                     "ablation": text(name),
                     "method": text(THIS_PAPER),
-                    # 30.795 is printed 30.80: the 1e-9 undoes what binary floats lose just below a half
+                    # 1e-9: 30.795 is slightly less in binary and must round to 30.80
                     "mean_psnr": Cell(f"{sum(two) / 2 + 1e-9:.2f}", sum(two) / 2),
                     **{c.key: printed(printed_row[c.key]) for c in columns[2:6]},
                 },
@@ -243,7 +225,7 @@ def ablation(runs: pd.DataFrame) -> Table:
         tuple(rows),
         notes=(
             *paper.footnotes(marks),
-            ("", "The paper's means are computed here from its two scenes."),
+            ("", "The paper's means are computed here from its numbers for the two scenes."),
             PLENOPTIC_NOTE,
             PROTOCOL_NOTE,
             *left_out_notes(row.cells["ablation"].text for row in rows),
@@ -252,7 +234,7 @@ def ablation(runs: pd.DataFrame) -> Table:
 
 
 def _our_ablation_rows(runs: pd.DataFrame, name: str) -> list[Row]:
-    """Our rows of Table 3 for one ablation, those with 4DSH left out apart; a mean only where both scenes have runs."""
+    """Our rows of Table 3 for one ablation, with and without 4DSH; a mean only where both scenes have runs."""
     rows = []
     for label in (name, f"{name}{LEFT_OUT}"):
 
@@ -272,5 +254,15 @@ def _our_ablation_rows(runs: pd.DataFrame, name: str) -> list[Row]:
     return rows
 
 
-def _kind(method: str) -> str:
-    return "paper" if method == THIS_PAPER else "other"
+def _printed_rows(name: str, cells_of: Callable[[dict[str, str]], dict[str, Cell]]) -> tuple[list[Row], str]:
+    """The rows of results/paper/`name`.csv and their footnote marks. cells_of: cells beside the method's name."""
+    printed_rows = paper.read(name)
+    rows = [
+        Row(
+            {"method": text(row["method"])} | cells_of(row),
+            "paper" if row["method"] == THIS_PAPER else "other",
+            row["note"],
+        )
+        for row in printed_rows
+    ]
+    return rows, "".join(row["note"] for row in printed_rows)

@@ -1,4 +1,4 @@
-"""Our own tables: verdicts, scenes and comparisons (their own modules), every run, where each number comes from."""
+"""All tables of our own results in order; the tables of all runs and of their provenance."""
 
 from __future__ import annotations
 
@@ -8,30 +8,33 @@ from typing import Any
 import pandas as pd
 
 from pipeline.presentation.table import Cell, Column, Row, Table, number, text
-from pipeline.report.tables.batches import batches
+from pipeline.report.tables.ablation_verdicts import ablation_verdicts
+from pipeline.report.tables.batch_sampling import batch_sampling
+from pipeline.report.tables.changed_settings import changed_settings
 from pipeline.report.tables.equal_time import equal_time
-from pipeline.report.tables.our_rows import gap_notes, left_out_notes
+from pipeline.report.tables.footnotes import left_out_notes, missing_metric_notes
 from pipeline.report.tables.scene_tables import scene_tables
 from pipeline.report.tables.time_to_psnr import time_to_psnr
-from pipeline.report.tables.variants_study import studies
-from pipeline.report.tables.verdicts import verdicts
 from pipeline.runs.read.collect import Collection
 
-TRIAL_NOTE = (
-    "Selection of 4DSH: the PSNR that time-varying colour gave held-out training views in a short training. Train s: its "
-    "too."
+SELECTION_NOTE = (
+    "Selection of 4DSH: PSNR gain from time-varying colour on validation views after a short training. Train s "
+    "includes this training."
 )
 
 
 def run_tables(collection: Collection, levels: tuple[float, ...] = ()) -> list[Table]:
-    """All, in reading order; those that there are no runs for are left out. levels: dB, see time_to_psnr."""
+    """All tables of our own results in the order of the report, without those that have no rows.
+
+    levels: dB, see time_to_psnr.
+    """
     runs = collection.runs
-    compared = equal_time(collection), time_to_psnr(collection, levels), batches(collection)
+    compared = equal_time(collection), time_to_psnr(collection, levels), batch_sampling(collection)
     found = [
-        verdicts(runs),
+        ablation_verdicts(runs),
         *scene_tables(collection),
         *compared,
-        *studies(collection),
+        *changed_settings(collection),
         all_runs(runs),
         provenance(runs),
     ]
@@ -39,8 +42,8 @@ def run_tables(collection: Collection, levels: tuple[float, ...] = ()) -> list[T
 
 
 def all_runs(runs: pd.DataFrame) -> Table:
-    """One row a run: quality and cost."""
-    filmed, tried = runs["final.flicker"].notna().any(), runs["selection.gain"].notna().any()
+    """Quality and cost, one row per run."""
+    with_flicker, with_selection = runs["final.flicker"].notna().any(), runs["selection.gain"].notna().any()
     columns = (
         Column("run", "Run", False),
         Column("model", "Model", False, fold=True),
@@ -53,7 +56,7 @@ def all_runs(runs: pd.DataFrame) -> Table:
         Column("final_dssim2", "DSSIM2", group="quality"),
         Column("final_lpips_alex", "LPIPS-Alex", group="quality"),
         Column("final_lpips_vgg", "LPIPS-VGG", group="quality"),
-        *([Column("final_flicker", "Flicker, levels of 255", group="quality")] if filmed else []),
+        *([Column("final_flicker", "Flicker, levels of 255", group="quality")] if with_flicker else []),
         Column("fps_raster", "FPS raster", group="cost"),
         Column("fps_render", "FPS render", group="cost"),
         Column("iterations", "Iterations", fold=True, group="cost"),
@@ -63,7 +66,7 @@ def all_runs(runs: pd.DataFrame) -> Table:
         Column("model_mb", "Model MB", group="cost"),
         Column("model_with_optimiser_mb", "+ optimiser MB", group="cost"),
         Column("peak_rss_mb", "Peak RSS MB", group="cost"),
-        *([Column("selection", "Selection of 4DSH, dB", False, group="cost")] if tried else []),
+        *([Column("selection", "Selection of 4DSH, dB", False, group="cost")] if with_selection else []),
     )
     source = {
         "final_psnr": ("final.psnr", 2),
@@ -99,13 +102,13 @@ def all_runs(runs: pd.DataFrame) -> Table:
     )
     return Table(
         "all_runs",
-        "Every run",
+        "All runs",
         columns,
         rows,
         notes=(
-            *gap_notes(runs),
-            ("", "FPS raster: blending alone; FPS render: with slicing, sorting. Train s: without evaluation."),
-            *([("", TRIAL_NOTE)] if tried else []),
+            *missing_metric_notes(runs),
+            ("", "FPS raster: blending only. FPS render: slicing, sorting and blending. Train s: without evaluation."),
+            *([("", SELECTION_NOTE)] if with_selection else []),
             *left_out_notes(runs["ablation"]),
         ),
         over_seeds=False,
@@ -113,11 +116,11 @@ def all_runs(runs: pd.DataFrame) -> Table:
 
 
 def _selection(run: dict[str, Any]) -> Cell:
-    """What a run's selection of time-varying colour found."""
+    """The result of selecting time-varying colour by validation."""
     if math.isnan(run["selection.gain"]):
         return text("none")
-    said = "kept" if run["selection.kept"] else "left out"
-    return text(f"{run['selection.gain']:+.2f} ± {run['selection.standard_error']:.2f}: {said}")
+    outcome = "kept" if run["selection.kept"] else "left out"
+    return text(f"{run['selection.gain']:+.2f} ± {run['selection.standard_error']:.2f}: {outcome}")
 
 
 def provenance(runs: pd.DataFrame) -> Table:
@@ -134,7 +137,7 @@ def provenance(runs: pd.DataFrame) -> Table:
     )
     return Table(
         "provenance",
-        "Where the numbers come from",
+        "Provenance of all runs",
         columns,
         tuple(Row({column.key: text(str(row[column.key])) for column in columns}) for row in runs.to_dict("records")),
     )

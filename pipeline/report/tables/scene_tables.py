@@ -1,4 +1,4 @@
-"""A table a family of scenes: every scene × schedule × model."""
+"""One table per family of scenes: every scene × schedule × model."""
 
 from __future__ import annotations
 
@@ -6,42 +6,48 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from pipeline.presentation.seeds import over_seeds, select, verdict
+from pipeline.presentation.seed_statistics import over_seeds, select, verdict
 from pipeline.presentation.table import NOTHING, Cell, Column, Row, Table, measured, number, text, uncertainty
 from pipeline.report.read import scenes
-from pipeline.report.read.measured_on import measured_elsewhere
-from pipeline.report.tables.our_rows import FLICKER_HEADER, FLICKER_NOTE, PROTOCOL_NOTE, gap_notes, left_out_notes
+from pipeline.report.read.evaluation_split import other_split_notes
+from pipeline.report.tables.footnotes import (
+    FLICKER_HEADER,
+    FLICKER_NOTE,
+    PROTOCOL_NOTE,
+    left_out_notes,
+    missing_metric_notes,
+)
 from pipeline.runs.read.collect import Collection
 
 _FAMILY_TITLE = {
-    "synthetic": "Synthetic suite",
-    "dnerf": "D-NeRF per scene",
-    "plenoptic": "Plenoptic Video in detail",
+    "synthetic": "Synthetic scenes",
+    "dnerf": "D-NeRF",
+    "plenoptic": "Plenoptic Video",
     "dnerf_own": "Own scenes in the D-NeRF layout",
     "plenoptic_own": "Own scenes in the Plenoptic Video layout",
     "video_own": "Own videos",
     "other": "Other scenes",
 }
-_ALEX = ("plenoptic", "plenoptic_own", "video_own")  # the literature's on Plenoptic Video; elsewhere it is VGG
+_ALEX = ("plenoptic", "plenoptic_own", "video_own")  # LPIPS network in the literature for these; VGG for others
 
 
 def scene_tables(collection: Collection) -> list[Table]:
-    """In reading order; a family without runs is left out."""
+    """The tables of all families with runs, in the order of the report."""
     present = set(collection.runs["scene"].map(scenes.family))
     return [
-        scene_table(collection.runs, family, measured_elsewhere(collection))
+        scene_table(collection.runs, family, other_split_notes(collection))
         for family in scenes.FAMILIES
         if family in present
     ]
 
 
-def scene_table(runs: pd.DataFrame, family: str, elsewhere: Sequence[tuple[str, str]] = ()) -> Table:
-    """Every scene of a family × schedule × model, `final` and `best on test` side by side.
+def scene_table(runs: pd.DataFrame, family: str, split_notes: Sequence[tuple[str, str]] = ()) -> Table:
+    """Every scene of a family × schedule × model, with `final` and `best on test`.
 
-    elsewhere: what measured_elsewhere says.
+    split_notes: (scene, note) for runs on another split, see other_split_notes.
     """
     present = runs[runs["scene"].map(scenes.family) == family]
-    filmed, net = present["final.flicker"].notna().any(), "alex" if family in _ALEX else "vgg"
+    with_flicker, net = present["final.flicker"].notna().any(), "alex" if family in _ALEX else "vgg"
     rows = []
     for scene in scenes.in_order(present["scene"]):
         of_scene = present[present["scene"] == scene]
@@ -49,16 +55,18 @@ def scene_table(runs: pd.DataFrame, family: str, elsewhere: Sequence[tuple[str, 
             for name in scenes.ablations_in_order(of_scene[of_scene["train"] == train]["ablation"]):
                 head = {"scene": text(scene), "train": text(train), "ablation": text(name)}
                 rows.append(Row(head | _scene_cells(of_scene, scene, name, train, net)))
-    notes = [PROTOCOL_NOTE, *gap_notes(present, ("LPIPS",)), *left_out_notes(present["ablation"])]
+    notes = [PROTOCOL_NOTE, *missing_metric_notes(present, ("LPIPS",)), *left_out_notes(present["ablation"])]
     if any(row.cells["verdict"] != NOTHING for row in rows):
-        notes.append(("", "vs full: final PSNR, by the rule of the ablation verdicts."))
-    if filmed:
+        notes.append(("", "vs full: final PSNR, compared as in the table of ablations."))
+    if with_flicker:
         notes.append(FLICKER_NOTE)
-    notes += [("", said) for scene, said in elsewhere if scene in set(present["scene"])]
-    return Table(f"scenes_{family}", _FAMILY_TITLE[family], _columns(net, filmed), tuple(rows), notes=tuple(notes))
+    notes += [("", note) for scene, note in split_notes if scene in set(present["scene"])]
+    return Table(
+        f"scenes_{family}", _FAMILY_TITLE[family], _columns(net, with_flicker), tuple(rows), notes=tuple(notes)
+    )
 
 
-def _columns(net: str, filmed: bool) -> tuple[Column, ...]:
+def _columns(net: str, with_flicker: bool) -> tuple[Column, ...]:
     return (
         Column("scene", "Scene", False),
         Column("train", "Schedule", False, fold=True),
@@ -72,7 +80,7 @@ def _columns(net: str, filmed: bool) -> tuple[Column, ...]:
         Column("final_ssim", "SSIM ↑ final", group="quality"),
         Column("best_ssim", "SSIM ↑ best on test", group="quality"),
         Column(f"final_lpips_{net}", f"LPIPS-{'Alex' if net == 'alex' else 'VGG'} ↓ final", group="quality"),
-        *([Column("final_flicker", FLICKER_HEADER, group="quality")] if filmed else []),
+        *([Column("final_flicker", FLICKER_HEADER, group="quality")] if with_flicker else []),
         Column("n_gaussians", "Gaussians", group="cost"),
         Column("train_seconds", "Train s", group="cost"),
     )
@@ -94,7 +102,7 @@ def _scene_cells(runs: pd.DataFrame, scene: str, ablation: str, train: str, net:
         "train_seconds": cell("train_seconds", 0),
     }
     found = verdict(runs, scene, ablation, train, "final.psnr")
-    if found is None:  # this is `full`, or `full` has no run
+    if found is None:  # `full` itself, or no run of it
         return cells | dict.fromkeys(("full_minus", "two_se", "verdict"), NOTHING)
     return cells | {
         "full_minus": number(found.difference),

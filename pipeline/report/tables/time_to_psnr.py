@@ -1,7 +1,7 @@
-"""How long a schedule takes to reach a given quality: training seconds until the curve first passes a PSNR.
+"""Training time until a learning curve first reaches a given PSNR.
 
-A level counts as reached at the first evaluation at or above it; the second is read off linearly between that
-evaluation and the one before. What comes later does not matter: curves may fall again, and the other tables say so.
+A level is reached at the first evaluation at or above it. The time is interpolated linearly between that evaluation and
+the one before. A later decrease is ignored.
 """
 
 from __future__ import annotations
@@ -10,19 +10,19 @@ import math
 
 import pandas as pd
 
-from pipeline.presentation.seeds import estimate
+from pipeline.presentation.seed_statistics import estimate
 from pipeline.presentation.table import Cell, Column, Row, Table, measured, text
 from pipeline.report.read import scenes
-from pipeline.report.tables.our_rows import left_out_notes
+from pipeline.report.tables.footnotes import left_out_notes
 from pipeline.runs.read.collect import Collection
 
-LEVELS_BELOW = (4, 2, 1, 0)  # dB below the best curve's highest whole dB of a scene: the levels by default
+LEVELS_BELOW = (4, 2, 1, 0)  # default levels: dB below the highest PSNR of the scene, rounded down
 
 
 def time_to_psnr(collection: Collection, levels: tuple[float, ...] = ()) -> Table | None:
-    """A row for each scene, model, schedule and level, in dB; None where there is nothing to compare.
+    """A row per scene, model, schedule and level; None without rows.
 
-    levels: the same for all scenes; none: for each scene with two models or schedules at least, those of LEVELS_BELOW.
+    levels: in dB, for all scenes. Without levels: those of LEVELS_BELOW, for scenes with two models or schedules.
     """
     columns = (
         Column("scene", "Scene", False),
@@ -56,12 +56,12 @@ def time_to_psnr(collection: Collection, levels: tuple[float, ...] = ()) -> Tabl
     if not rows:
         return None
     note = (
-        "Train s: mean over the seeds that reached the PSNR; evaluations are some hundred iterations apart. While "
-        "a model is trained at a coarse resolution it reads low: evaluations are of the full one."
+        "Train s: mean over the seeds that reached the PSNR, interpolated between evaluations. Evaluations are at full "
+        "resolution, so PSNR is low while training is at a coarse resolution."
     )
     return Table(
         "time_to_psnr",
-        "Training seconds to a given PSNR",
+        "Training time to a given PSNR",
         columns,
         tuple(rows),
         notes=(("", note), *left_out_notes(row.cells["ablation"].text for row in rows)),
@@ -69,21 +69,21 @@ def time_to_psnr(collection: Collection, levels: tuple[float, ...] = ()) -> Tabl
 
 
 def levels_of(curves: pd.DataFrame) -> tuple[float, ...]:
-    """The default levels of one scene, ascending."""
+    """The default levels of one scene in dB, ascending."""
     highest = math.floor(curves["psnr"].max())
     return tuple(float(highest - below) for below in LEVELS_BELOW)
 
 
 def seconds_to(curve: pd.DataFrame, level: float) -> float | None:
-    """Training seconds at which one run's curve first passes `level` dB; None if it never does."""
+    """Training seconds at which one run first reaches `level` dB; None if it never does."""
     curve = curve.sort_values("train_seconds")
     before = None
     for seconds, psnr in zip(curve["train_seconds"], curve["psnr"]):
         if psnr >= level:
             if before is None:
                 return float(seconds)
-            part = (level - before[1]) / (psnr - before[1])
-            return float(before[0] + part * (seconds - before[0]))
+            fraction = (level - before[1]) / (psnr - before[1])
+            return float(before[0] + fraction * (seconds - before[0]))
         before = (seconds, psnr)
     return None
 

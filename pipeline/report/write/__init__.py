@@ -1,1 +1,1 @@
-"""The report's files: pages, plots, strips of pictures, and the folder they go into."""
+"""Plots, image strips and files of the report: Markdown, terminal text, HTML."""

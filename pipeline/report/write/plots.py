@@ -1,7 +1,6 @@
-"""Training curves, one figure a comparison: quality and number of Gaussians against seconds and against iterations.
+"""Plots learning curves as SVG: quality and number of Gaussians over training time and over iterations.
 
-SVG, in a light and a dark theme; the same numbers give the same bytes, so a committed plot changes only when
-they do.
+The plots are deterministic: equal numbers give equal bytes.
 """
 
 from __future__ import annotations
@@ -10,6 +9,7 @@ import io
 import math
 
 import matplotlib
+import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
@@ -17,16 +17,14 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
 from pipeline.presentation.theme import LIGHT, Theme
-from pipeline.report.compare.bands import band, end_of_coarse, split_at
-from pipeline.report.compare.comparisons import Comparison, Line
+from pipeline.report.compare.curve_figures import CurveFigure, Line
+from pipeline.report.compare.curve_statistics import end_of_coarse, mean_and_std, split_at
 from pipeline.report.read import paper, scenes
 from pipeline.runs.read.collect import Collection
 from pipeline.runs.read.model_labels import ablation_of
 
-_LOG_RATIO = 4  # a schedule so many times longer than another squeezes it to a wall: logarithmic axis then
-
-
-_ROWS = (("train_seconds", "training time, s (evaluation left out)"), ("iteration", "iteration"))
+_LOG_RATIO = 4  # of the longest to the shortest run; from this ratio the x axis is logarithmic
+_ROWS = (("train_seconds", "training time, s (without evaluation)"), ("iteration", "iteration"))
 _COLUMNS = (
     ("psnr", "PSNR, dB, test views"),
     ("ssim", "SSIM, test views"),
@@ -34,51 +32,36 @@ _COLUMNS = (
     ("n_gaussians", "Gaussians"),
 )
 _CAPTION = (
-    "Line: mean over seeds, each interpolated linearly, where all of them have values; dot: its end. "
+    "Line: mean over seeds, interpolated linearly, where all seeds have values; dot: its end. "
     "Band: ± one standard deviation over seeds."
 )
 _COARSE = (
-    "Dashed: trained at a coarse resolution but evaluated at the full one, where such a model reads low; "
-    "compare lines where they are solid."
+    "Dashed: trained at a coarse resolution, evaluated at full resolution, so PSNR is low. "
+    "Compare lines where they are solid."
 )
 _ABOVE, _LEGEND_ROW, _ROW_HEIGHT, _BELOW = 0.42, 0.21, 2.1, 0.85  # inches
 _LEGEND_COLUMNS = 4
 
 
-def plot(collection: Collection, comparison: Comparison, theme: Theme = LIGHT) -> str:
-    """SVG text: a column a quantity, those that no run has left out; against seconds, and below against iterations."""
-    curves = collection.curves[collection.curves["scene"] == comparison.scene]
+def plot(collection: Collection, figure_of: CurveFigure, theme: Theme = LIGHT) -> str:
+    """SVG text: one column per measured quantity; over training time (top) and over iterations (bottom)."""
+    curves = collection.curves[collection.curves["scene"] == figure_of.scene]
     runs_of = {
         line: curves[(curves["ablation"] == line.ablation) & (curves["train"] == line.train)]
-        for line in comparison.lines
+        for line in figure_of.lines
     }
     shown = pd.concat(runs_of.values())
     columns = [(y, label) for y, label in _COLUMNS if shown[y].notna().any()]
-    colours = _colours(comparison.lines, theme.ablations)
-    # Text as text: as outlines it would be half of the page.
-    with matplotlib.rc_context(
-        {
-            "svg.hashsalt": comparison.slug,
-            "svg.fonttype": "none",
-            "font.family": ["DejaVu Sans", "sans-serif"],
-            "font.size": 9.5,
-        }
-    ):
-        entries = len(runs_of) + (comparison.scene in scenes.PLENOPTIC)  # the paper's line
-        above = _ABOVE + _LEGEND_ROW * math.ceil(entries / _LEGEND_COLUMNS)
-        height = above + _ROW_HEIGHT * len(_ROWS) + _BELOW
-        figure = Figure(figsize=(12.6, height))
-        FigureCanvasSVG(figure)
-        # Margins by hand: the layout solver's last digits differ from run to run, and with them the SVG.
-        margins = {
-            "left": 0.035,
-            "right": 0.985,
-            "bottom": _BELOW / height,
-            "top": 1 - above / height,
-            "wspace": 0.17,
-            "hspace": 0.34,
-        }
-        axes = figure.subplots(len(_ROWS), len(columns), sharey="col", sharex="row", squeeze=False, gridspec_kw=margins)
+    colours = _colours(figure_of.lines, theme.ablations)
+    # Text as text elements: outlines would double the size of the page.
+    style = {
+        "svg.hashsalt": figure_of.slug,
+        "svg.fonttype": "none",
+        "font.family": ["DejaVu Sans", "sans-serif"],
+        "font.size": 9.5,
+    }
+    with matplotlib.rc_context(style):
+        figure, axes = _empty_figure(len(columns), len(runs_of) + (figure_of.scene in scenes.PLENOPTIC))
         any_coarse = False
         for row, (x, x_label) in enumerate(_ROWS):
             coarse = {line: end_of_coarse(runs, collection.settings, x) for line, runs in runs_of.items()}
@@ -90,26 +73,42 @@ def plot(collection: Collection, comparison: Comparison, theme: Theme = LIGHT) -
                 ends = shown.groupby("run")[x].max()
                 _finish(axis, label if row == 0 else "", theme, log=ends.max() > _LOG_RATIO * ends.min())
             axes[row, 0].set_xlabel(x_label, color=theme.ink, loc="left")
-        _paper_line(axes[0, 0], comparison.scene, theme)
-        handles, labels = axes[0, 0].get_legend_handles_labels()
-        figure.legend(
-            handles,
-            labels,
-            loc="upper left",
-            bbox_to_anchor=(0.027, 1.0),
-            ncols=_LEGEND_COLUMNS,
-            frameon=False,
-            labelcolor=theme.ink,
-        )
-        caption = f"{_CAPTION}\n{_COARSE}" if any_coarse else _CAPTION
-        figure.text(0.035, 0.06 / height, caption, color=theme.ink, fontsize=8.5, va="bottom", linespacing=1.4)
+        _paper_line(axes[0, 0], figure_of.scene, theme)
+        _add_legend(figure, axes[0, 0], f"{_CAPTION}\n{_COARSE}" if any_coarse else _CAPTION, theme)
         buffer = io.StringIO()
         figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
     return buffer.getvalue()
 
 
+def _empty_figure(columns: int, legend_entries: int) -> tuple[Figure, np.ndarray]:
+    """A figure and its axes, rows × columns, with space for the legend above and the caption below."""
+    above = _ABOVE + _LEGEND_ROW * math.ceil(legend_entries / _LEGEND_COLUMNS)
+    height = above + _ROW_HEIGHT * len(_ROWS) + _BELOW
+    figure = Figure(figsize=(12.6, height))
+    FigureCanvasSVG(figure)
+    # Fixed margins: the layout solver is not deterministic in the last digits.
+    vertical = {"bottom": _BELOW / height, "top": 1 - above / height, "hspace": 0.34}
+    margins = {"left": 0.035, "right": 0.985, "wspace": 0.17} | vertical
+    axes = figure.subplots(len(_ROWS), columns, sharey="col", sharex="row", squeeze=False, gridspec_kw=margins)
+    return figure, axes
+
+
+def _add_legend(figure: Figure, axis: Axes, caption: str, theme: Theme) -> None:
+    """The legend of `axis` above the axes, the caption below them."""
+    figure.legend(
+        *axis.get_legend_handles_labels(),
+        loc="upper left",
+        bbox_to_anchor=(0.027, 1.0),
+        ncols=_LEGEND_COLUMNS,
+        frameon=False,
+        labelcolor=theme.ink,
+    )
+    y = 0.06 / figure.get_figheight()
+    figure.text(0.035, y, caption, color=theme.ink, fontsize=8.5, va="bottom", linespacing=1.4)
+
+
 def _draw(axis: Axes, curves: pd.DataFrame, x: str, y: str, colour: str, label: str, coarse: float) -> None:
-    xs, mean, std = band(curves, x, y)
+    xs, mean, std = mean_and_std(curves, x, y)
     before, after = split_at(xs, mean, coarse)
     axis.plot(*before, linestyle=(0, (3, 1.5)), color=colour, linewidth=1.4)
     axis.plot(*after, color=colour, linewidth=1.8, label=label)
@@ -136,7 +135,7 @@ def _finish(axis: Axes, title: str, theme: Theme, log: bool) -> None:
 
 
 def _paper_line(axis: Axes, scene: str, theme: Theme) -> None:
-    """The paper's PSNR of this scene, where it gives one (Plenoptic Video only)."""
+    """A line at the paper's PSNR of this scene (Plenoptic Video only)."""
     if scene in scenes.PLENOPTIC:
         row = next(r for r in paper.read("table1_per_scene") if r["method"].endswith("(this paper)"))
         axis.axhline(
@@ -149,7 +148,7 @@ def _paper_line(axis: Axes, scene: str, theme: Theme) -> None:
 
 
 def _colours(lines: tuple[Line, ...], colours: tuple[str, ...]) -> dict[Line, str]:
-    """An ablation has the same colour in every figure, as long as it is there once; other lines by their place."""
+    """A colour per line. An ablation has the same colour in every figure; other lines are coloured in order."""
     known = ("full", "no_4drot", "no_4dsh", "no_time_split")
     found: dict[Line, str] = {}
     for place, line in enumerate(lines):

@@ -1,1 +1,1 @@
-"""Run folders read back: one row a run, under names that tell models and settings apart."""
+"""Reads finished run folders into data frames and labels each run by its trained model and its settings."""

@@ -1,8 +1,7 @@
-"""Which model a run trained, in words: `full`, `no_4dsh`, `full, 4DSH left out`, `full (fourier_order=1)`.
+"""Labels the model that a run trained: `full`, `no_4dsh`, `full, 4DSH left out`, `full (fourier_order=1)`.
 
-A run asks for a model by the name of an ablation, but need not train that one. The schedule may select by validation
-and leave time-varying colour, the Fourier orders of 4DSH, out; and a command may change keys of
-`ablation`. Both are part of the name here, so that no model passes for another.
+The trained model can differ from the requested ablation. Selection by validation may leave out time-varying colour
+(the Fourier orders of 4DSH), and a command may change keys of `ablation`. The label states both.
 """
 
 from __future__ import annotations
@@ -15,46 +14,43 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.config.schema import AblationConfig
-from pipeline.runs.read.names import parts_of, with_parts
+from pipeline.runs.read.run_names import parts_of, with_parts
 from pipeline.runs.run_identity import read_config
 
 LEFT_OUT = ", 4DSH left out"
-LEFT_OUT_NOTE = (
-    "",
-    "4DSH left out: selection by validation left time-varying colour out of these models, though the run asked for it.",
-)
+LEFT_OUT_NOTE = ("", "4DSH left out: the run requested time-varying colour, and selection by validation removed it.")
 _ABLATIONS = Path(__file__).resolve().parents[3] / "conf" / "ablation"
-_OF_TIME = ("rotation_4d", "fourier_order", "time_split")  # mean nothing where a model has no time
+_TIME_KEYS = ("rotation_4d", "fourier_order", "time_split")  # without effect in a static model
 
 
 @dataclass(frozen=True)
-class Trained:
-    """A trained model as settings of `ablation`, without those that mean nothing in it."""
+class TrainedModel:
+    """The `ablation` settings of a trained model, without the keys that have no effect in it."""
 
     settings: dict[str, Any]
-    left_out: bool  # selection by validation left time-varying colour out; then `fourier_order` is none of them
+    left_out: bool  # selection by validation removed time-varying colour; `fourier_order` is then not in settings
 
 
-def asked(label: str) -> str:
-    """What the run asked for: the label without what selection left out."""
+def requested(label: str) -> str:
+    """The label of the model that the run requested, whatever selection by validation removed."""
     return label.replace(LEFT_OUT, "", 1)
 
 
 def is_left_out(label: str) -> bool:
-    """Did selection by validation leave time-varying colour out?"""
+    """Whether selection by validation removed time-varying colour."""
     return LEFT_OUT in label
 
 
 def ablation_of(label: str) -> str:
     """`no_4drot` of `no_4drot, 4DSH left out (sh_degree=2)`."""
-    return parts_of(asked(label))[0]
+    return parts_of(requested(label))[0]
 
 
-def reference(label: str) -> str | None:
-    """The label of the model that this one is compared with: whole but for what the ablation removes.
+def baseline_of(label: str) -> str | None:
+    """The label of the model that this model is compared with; None for `full` itself.
 
-    Like with like: `no_4drot, 4DSH left out` is compared with `full, 4DSH left out`, `no_4drot (sh_degree=2)` with
-    `full (sh_degree=2)`; and what was changed of `full` with `full`. None for `full` itself.
+    The two differ only in the ablated part: `no_4drot, 4DSH left out` is compared with `full, 4DSH left out`,
+    `no_4drot (sh_degree=2)` with `full (sh_degree=2)`, and `full (sh_degree=2)` with `full`.
     """
     parts, left_out = parts_of(label)[1], LEFT_OUT if is_left_out(label) else ""
     if ablation_of(label) == "full":
@@ -64,18 +60,18 @@ def reference(label: str) -> str | None:
 
 @cache
 def settings_of(ablation: str) -> Mapping[str, Any] | None:
-    """The settings that conf/ablation gives this name, `name` not among them; None for a name it does not have."""
+    """The settings in conf/ablation/`ablation`.yaml without `name`; None where there is no such file."""
     path = _ABLATIONS / f"{ablation}.yaml"
-    if path not in _ABLATIONS.glob("*.yaml"):  # a name from a run's files may be anything
+    if path not in _ABLATIONS.glob("*.yaml"):  # the name comes from a run's files and may be any text
         return None
-    found = asdict(AblationConfig()) | read_config(path)
-    return {key: value for key, value in found.items() if key != "name"}
+    settings = asdict(AblationConfig()) | read_config(path)
+    return {key: value for key, value in settings.items() if key != "name"}
 
 
-def trained(ablation: str, settings: Mapping[str, Any], run: Mapping[str, Any]) -> Trained:
-    """The model that a run trained, as far as its files say; for the rest, what it asked for.
+def trained_model(ablation: str, settings: Mapping[str, Any], run: Mapping[str, Any]) -> TrainedModel:
+    """The trained model as the run's files record it; where they do not, the requested one.
 
-    settings: of the whole run, flattened. run: its row of Collection.runs.
+    settings: of the whole run, flattened to dotted keys. run: its row of Collection.runs.
     """
     found = {key.removeprefix("ablation."): value for key, value in settings.items() if key.startswith("ablation.")}
     found.pop("name", None)
@@ -83,12 +79,12 @@ def trained(ablation: str, settings: Mapping[str, Any], run: Mapping[str, Any]) 
     if not math.isnan(degree):
         found["sh_degree"] = int(degree)
     if motion == "static":
-        return Trained({key: value for key, value in found.items() if key not in _OF_TIME}, False)
+        return TrainedModel({key: value for key, value in found.items() if key not in _TIME_KEYS}, False)
     if motion:
         found["rotation_4d"] = motion == "full"
     if math.isnan(order):
-        return Trained(found, False)
-    asked_order = found.pop("fourier_order", (settings_of(ablation) or {}).get("fourier_order", 0))
-    if order == 0 and asked_order != 0:
-        return Trained(found, True)
-    return Trained(found | {"fourier_order": int(order)}, False)
+        return TrainedModel(found, False)
+    requested_order = found.pop("fourier_order", (settings_of(ablation) or {}).get("fourier_order", 0))
+    if order == 0 and requested_order != 0:
+        return TrainedModel(found, True)
+    return TrainedModel(found | {"fourier_order": int(order)}, False)

@@ -1,13 +1,12 @@
-"""Tells runs apart that carry one name but not one set of settings.
+"""Gives runs with different settings different names: `train=fast train.iterations=600` -> `fast (iterations=600)`.
 
-`train=fast train.iterations=600` is still called `fast` in its run folder. Here it is `fast (iterations=600)`, and with
-`scene.frames=30` it is `fast (scene.frames=30)`: the report takes what the command changed into the name, so that no
-schedule passes for another and no part of a scene for the whole. Settings can differ
-without the command saying so (an edited file), so inside a scene all runs with one `train` name (and one `ablation`
-name) are compared key by key too; those that differ from the usual ones get the differing keys in their name.
+Two sources: the overrides that environment.json records, and the settings in config.yaml. A command with
+`scene.frames=30` is named `fast (scene.frames=30)`. Settings may also differ without an override (an edited preset, an
+older run that recorded only its shell command). So all runs of a scene with one `train` name are compared key by key,
+and a run that differs from the usual settings gets the differing keys in its name.
 
-The name of an ablation becomes that of the model that was trained (models.py): its settings are compared with those
-that conf/ablation gives the name.
+The `ablation` name becomes the label of the trained model (model_labels.py). Its settings are compared with those in
+conf/ablation.
 """
 
 from __future__ import annotations
@@ -24,12 +23,10 @@ import pandas as pd
 from pipeline.config.renamed_keys import renamed_key
 from pipeline.runs.read import model_labels as models
 from pipeline.runs.read.collect import Collection
-from pipeline.runs.read.names import with_parts
+from pipeline.runs.read.run_names import with_parts
 
-# Keys that may differ between runs of one experiment: the seed, where things lie, how many threads (images
-# and gradients do not depend on it), how often a checkpoint is written and what is written besides the
-# metrics.
-_FREE = (
+# Keys that do not affect the trained model, and the seed: paths, threads, checkpoint interval, kinds of output.
+_IGNORED = (
     "seed",
     "out",
     "threads",
@@ -41,13 +38,13 @@ _FREE = (
     "evaluate",
     "hydra",
 )
-_NAMED = ("train.", "scene.", "init.", "background_model=")  # what a command changes, of these, goes into the name
+_NAMED = ("train.", "scene.", "init.", "background_model=")  # overrides that become part of the name
 VALIDATION = "scene.validation_every"
-_SHOWN = 3  # differing keys spelled out in a name
+_MAX_KEYS = 3  # differing keys in a name
 
 
 def name_variants(collection: Collection) -> Collection:
-    """The same runs under names equal only where the settings are; repeated runs are left out, and named."""
+    """The same runs with names that are equal only where the settings are; repeated runs move to `left_out`."""
     runs, settings = collection.runs, collection.settings
     runs = runs.assign(
         train=[
@@ -70,33 +67,35 @@ def name_variants(collection: Collection) -> Collection:
     runs = runs[~repeated].reset_index(drop=True)
 
     curves = collection.curves[collection.curves["run"].isin(runs["run"])]
-    renamed = runs.set_index("run")
-    curves = curves.assign(**{c: curves["run"].map(renamed[c]) for c in ("train", "ablation")})
+    by_run = runs.set_index("run")
+    curves = curves.assign(**{c: curves["run"].map(by_run[c]) for c in ("train", "ablation")})
     return replace(collection, runs=runs, curves=curves.reset_index(drop=True), left_out=collection.left_out + left_out)
 
 
 def _with_overrides(name: str, overrides: Sequence[str], settings: dict[str, Any]) -> str:
-    """`name`, plus the settings of schedule, scene and start that the run's command line changed.
+    """`name` and the overrides of schedule, scene and initialisation, under the keys' current names.
 
-    And that it was not measured on test views but on training views held out for validation, whoever changed that.
+    Evaluation on validation views is always named, also where no override set it.
     """
-    free = (*_FREE, "scene.path", "scene.name")  # of the folder, schedule_settings compares the name
+    unnamed = (*_IGNORED, "scene.path", "scene.name")  # the scene's name is a column of its own
     changed = [
-        w.removeprefix("train.") for w in map(_today, overrides) if w.startswith(_NAMED) and w.split("=")[0] not in free
+        override.removeprefix("train.")
+        for override in map(_current_key, overrides)
+        if override.startswith(_NAMED) and override.split("=")[0] not in unnamed
     ]
-    if measured_on_validation(settings) and not any(part.startswith(f"{VALIDATION}=") for part in changed):
+    if evaluated_on_validation(settings) and not any(part.startswith(f"{VALIDATION}=") for part in changed):
         changed.append(f"{VALIDATION}={settings[VALIDATION]}")
     return with_parts(name, changed)
 
 
-def _today(override: str) -> str:
-    """`key=value` under the key's name of today; without the + that adds a key."""
+def _current_key(override: str) -> str:
+    """`key=value` under the key's current name, without Hydra's prefix +."""
     key, equals, value = override.lstrip("+").partition("=")
     return renamed_key(key) + equals + value
 
 
-def measured_on_validation(settings: dict[str, Any]) -> bool:
-    """Do training views stand in for the run's test views, to choose settings by?"""
+def evaluated_on_validation(settings: dict[str, Any]) -> bool:
+    """Whether the run was evaluated on training views held out for validation, not on test views."""
     return settings.get(VALIDATION) not in (None, 0)
 
 
@@ -104,13 +103,15 @@ def _distinct_names(
     runs: pd.DataFrame,
     column: str,
     settings: dict[str, dict[str, Any]],
-    known: Callable[[str], Mapping[str, Any] | None] = lambda name: None,
+    preset: Callable[[str], Mapping[str, Any] | None] = lambda name: None,
 ) -> pd.Series:
-    """`column`, plus the differing keys where a run's settings are not the usual ones of its name: those that `known`
-    gives it, else those of the scene's other runs."""
+    """`column` with the keys in which a run differs from the expected settings of its name.
+
+    Expected are the settings that `preset` gives for the name; where it gives None, the scene's usual settings.
+    """
     names: dict[str, str] = {}
     for (_, name), group in runs.groupby(["scene", column], sort=False)["run"]:
-        given, usual = known(name), _usual([settings[run] for run in group if settings[run]])
+        given, usual = preset(name), _usual([settings[run] for run in group if settings[run]])
         for run in group:
             own = settings[run]
             expected = usual if given is None else {key: given.get(key) for key in own}
@@ -119,48 +120,52 @@ def _distinct_names(
 
 
 def _model_names(runs: pd.DataFrame, settings: dict[str, dict[str, Any]]) -> pd.Series:
-    """The names of the trained models; an ablation that conf/ablation does not have is compared with the usual settings
-    of its name."""
-    found = {row["run"]: models.trained(row["ablation"], settings[row["run"]], row) for row in runs.to_dict("records")}
-    selected = [
-        f"{name}{models.LEFT_OUT}" if found[run].left_out else name for run, name in zip(runs["run"], runs["ablation"])
+    """Labels of the trained models; a name that is not in conf/ablation is compared with the usual settings."""
+    trained = {
+        row["run"]: models.trained_model(row["ablation"], settings[row["run"]], row) for row in runs.to_dict("records")
+    }
+    labels = [
+        f"{name}{models.LEFT_OUT}" if trained[run].left_out else name
+        for run, name in zip(runs["run"], runs["ablation"])
     ]
-    settings = {run: kind.settings for run, kind in found.items()}
+    settings = {run: model.settings for run, model in trained.items()}
     return _distinct_names(
-        runs.assign(ablation=selected), "ablation", settings, lambda name: models.settings_of(models.asked(name))
+        runs.assign(ablation=labels), "ablation", settings, lambda name: models.settings_of(models.requested(name))
     )
 
 
 def _usual(settings: list[dict[str, Any]]) -> dict[str, Any]:
-    """Those that the others differ from in the fewest keys, all together: of a study that changes one key in each
-    variant, what they are variants of."""
+    """The settings with the smallest total number of differing keys to all others.
+
+    In a study that changes one key per variant these are the unchanged settings.
+    """
     texts = [json.dumps(one, sort_keys=True, default=str) for one in settings]
-    distinct, times = dict(zip(texts, settings)), Counter(texts)
+    distinct, counts = dict(zip(texts, settings)), Counter(texts)
 
     def distance(text: str) -> int:
-        return sum(n * len(_differing(distinct[text], distinct[other])) for other, n in times.items())
+        return sum(n * len(_differing(distinct[text], distinct[other])) for other, n in counts.items())
 
     return distinct[min(distinct, key=distance)] if distinct else {}
 
 
 def schedule_settings(settings: dict[str, Any]) -> dict[str, Any]:
-    """What a run's result depends on besides its ablation and its seed."""
+    """The settings that a run's result depends on, without its ablation and its seed."""
     kept = {
         key: value
         for key, value in settings.items()
-        if not key.startswith("ablation.") and not any(key == f or key.startswith(f + ".") for f in _FREE)
+        if not key.startswith("ablation.") and not any(key == i or key.startswith(i + ".") for i in _IGNORED)
     }
-    # Another machine keeps the same scene elsewhere; but a folder of another name is another scene.
+    # A scene may lie in different places, so only the folder's name is compared.
     if kept.get("scene.path"):
         kept["scene.path"] = PurePath(str(kept["scene.path"])).name
     return kept
 
 
 def _difference(settings: dict[str, Any], usual: dict[str, Any]) -> list[str]:
-    """`iterations=600` for each key whose value is not the usual one; the first three, then how many more."""
+    """`iterations=600` for each of the first _MAX_KEYS differing keys, then `2 more`."""
     keys = _differing(settings, usual)
-    shown = [f"{key.removeprefix('train.')}={settings.get(key)}" for key in keys[:_SHOWN]]
-    return shown + ([f"{len(keys) - _SHOWN} more"] if len(keys) > _SHOWN else [])
+    shown = [f"{key.removeprefix('train.')}={settings.get(key)}" for key in keys[:_MAX_KEYS]]
+    return shown + ([f"{len(keys) - _MAX_KEYS} more"] if len(keys) > _MAX_KEYS else [])
 
 
 def _differing(one: dict[str, Any], other: dict[str, Any]) -> list[str]:

@@ -12,16 +12,17 @@ from fuzz.edits.bytes import changed_files, edit_text
 from fuzz.edits.json import edit_json
 from fuzz.readers.dnerf import png
 from fuzz.target import REFUSED, VALID, Changes, Files, Target, check_line, require, valid_or_refused
-from pipeline.report.compare.bands import end_of_coarse
-from pipeline.report.compare.comparisons import comparisons
+from pipeline.report.compare.curve_figures import curve_figures
+from pipeline.report.compare.curve_statistics import end_of_coarse
 from pipeline.report.tables import paper_tables
 from pipeline.report.tables.run_tables import run_tables
 from pipeline.report.tables.summary import summarise
-from pipeline.report.write.content import Content, report_markdown, terminal_text
-from pipeline.report.write.page import render_page
-from pipeline.report.write.strips import make_strips
-from pipeline.report.write.structure import structure_from_motion
-from pipeline.runs.read.collect import COST, PROTOCOLS, QUALITY, REQUIRED, collect
+from pipeline.report.write.html_page import render_page
+from pipeline.report.write.image_strips import make_strips
+from pipeline.report.write.sections import Content, report_markdown, terminal_text
+from pipeline.report.write.sfm_section import sfm_section
+from pipeline.runs.read.collect import collect
+from pipeline.runs.read.run_files import COST, PROTOCOLS, QUALITY, REQUIRED
 from pipeline.runs.read.variants import name_variants
 
 RUNS = ("synthetic/counter/full/fast/seed0", "synthetic/counter/no_4drot/fast/seed1")
@@ -107,13 +108,13 @@ def check(folder: Path) -> str:
             return REFUSED
         named = name_variants(collected)
         strips, strip_warnings = make_strips(named.runs)
-        structure, structure_warnings = structure_from_motion(named.runs)
-        for line in (*strip_warnings, *structure_warnings):
+        sfm, sfm_warnings = sfm_section(named.runs)
+        for line in (*strip_warnings, *sfm_warnings):
             check_line(line, "", "")
         for x in ("train_seconds", "iteration"):
             require(bool(np.isfinite(end_of_coarse(named.curves, named.settings, x))), "an end of the coarse part")
-        comparisons(named)
-        content = Content(summarise(named, []), paper_tables(named), run_tables(named, ()), structure, strips, [])
+        curve_figures(named)
+        content = Content(summarise(named, []), paper_tables(named), run_tables(named, ()), sfm, strips, [])
         for text in (report_markdown(content), terminal_text(content), render_page(content)):
             text.encode("utf-8")
     return VALID

@@ -1,7 +1,7 @@
-"""The folder a report is written to: the next report replaces what this one wrote, and touches nothing else.
+"""Writes the files of a report and removes those of the previous report, and nothing else, from the output folder.
 
-A list of the files stands beside them. A folder without one may hold a report of before there were such lists: it is
-known by what report.md or report.html begins with, and its files by their names.
+report_files.txt lists the written files. A report from before this list existed is recognised by the beginning of
+report.md or report.html, and its files by their names.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ _NAMES = ("tables/*.md", "tables/*.csv", "tables/*.tex", "plots/*.svg", "strips/
 
 
 def replace_report(out: Path, files: Mapping[str, bytes]) -> None:
-    """Writes `files` (path below `out` -> content) in the place of what an earlier report wrote there.
+    """Write `files` (path below `out` -> content) and remove the files of an earlier report.
 
-    ValueError, one line, and nothing is changed, where a file that no report wrote stands in the way. A report that is
-    interrupted leaves a list of all that it may have written.
+    ValueError, before anything is changed, where a file that no report wrote would be overwritten. If interrupted, the
+    list names all files that may have been written.
     """
     before = _of_earlier_report(out)
     for name in (*files, LIST):
@@ -41,9 +41,9 @@ def replace_report(out: Path, files: Mapping[str, bytes]) -> None:
 
 
 def _of_earlier_report(out: Path) -> set[str]:
-    """Paths below `out`, of files that are there."""
+    """Existing files of an earlier report, as paths below `out`."""
     if _begins(out / LIST, _LIST_MARK):
-        # The list is a file like any other: no line of it reaches what a report does not write.
+        # The list may have been edited: only names that a report writes are accepted.
         names = set(filter(_is_ours, (out / LIST).read_text(encoding="utf-8", errors="replace").splitlines()))
     elif any(_begins(out / name, mark) for name, mark in _REPORT_MARKS.items()):
         names = {path.relative_to(out).as_posix() for pattern in _NAMES for path in out.glob(pattern)}
@@ -53,7 +53,7 @@ def _of_earlier_report(out: Path) -> set[str]:
 
 
 def _is_ours(name: str) -> bool:
-    """Does a report write files of that name?"""
+    """Whether a report writes files of that name."""
     return ".." not in name.split("/") and any(
         name.count("/") == pattern.count("/") and fnmatchcase(name, pattern) for pattern in _NAMES
     )
@@ -77,7 +77,7 @@ def _write_list(out: Path, names: Iterable[str]) -> None:
 
 
 def _begins(path: Path, mark: str) -> bool:
-    """Is `mark` among the file's first lines?"""
+    """Whether `mark` is in the first 1000 characters of the file."""
     if not path.is_file():
         return False
     with path.open(encoding="utf-8", errors="replace") as file:

@@ -1,8 +1,7 @@
-"""Runs that differ in what a batch is made of: is a batch over time worth it, and does it flicker less?
+"""PSNR and flicker by sampler and batch size, all other settings equal.
 
-The paper claims that batches over time make films flicker less. So PSNR and flicker stand side by side for each
-sampler and batch size that was tried on a scene, everything else being equal, and the flicker of each is compared
-with that of the paper's batches: `pairs`, the largest batch of the comparison.
+The paper claims that batches over several times reduce flicker. The flicker of each sampler and batch size is compared
+with that of the paper's batches: `pairs`, with the largest batch size of the comparison.
 """
 
 from __future__ import annotations
@@ -13,29 +12,30 @@ from typing import Any
 
 import pandas as pd
 
-from pipeline.presentation.seeds import Estimate, compare, estimate
+from pipeline.presentation.seed_statistics import Estimate, compare, estimate
 from pipeline.presentation.table import NOTHING, Cell, Column, Row, Table, measured, number, text, uncertainty
 from pipeline.report.read import scenes
-from pipeline.report.tables.our_rows import FLICKER_HEADER, FLICKER_NOTE, left_out_notes
+from pipeline.report.tables.footnotes import FLICKER_HEADER, FLICKER_NOTE, left_out_notes
 from pipeline.runs.read.collect import Collection
+from pipeline.runs.read.run_names import parts_of, with_parts
 from pipeline.runs.read.variants import schedule_settings
 
-KEYS = {"train.sampler": str, "train.batch": int}  # and what a setting must be to be compared
-_IN_NAME = re.compile(r"\b(sampler|batch)=\w+")  # as variants.py writes them into a schedule's name
+KEYS = {"train.sampler": str, "train.batch": int}  # key -> type of a valid value
+_IN_NAME = re.compile(r"\b(sampler|batch)=\w+")  # in a schedule's name, as written by variants.py
 SAMPLER_NOTE = (
     "",
-    "pairs: any camera at any moment. views_at_one_time: cameras at one moment. times_of_one_view: moments of one "
-    "camera. At equal iterations a batch of 4 sees four times the images of a batch of 1.",
+    "pairs: any camera at any time. views_at_one_time: several cameras at one time. times_of_one_view: one camera at "
+    "several times. At equal iterations a batch of 4 uses four times as many images as a batch of 1.",
 )
 VERDICT_NOTE = (
     "",
-    "The paper's batches: pairs, the largest batch of the comparison. Verdict: final flicker, by the rule of the "
-    "ablation verdicts; worse is more.",
+    "The paper's batches: pairs with the largest batch size. The verdict is on final flicker (lower is better), by the "
+    "rule of the table of ablations.",
 )
 
 
-def batches(collection: Collection) -> Table | None:
-    """A row for each sampler × batch size where a scene, ablation and schedule has two at least; else None."""
+def batch_sampling(collection: Collection) -> Table | None:
+    """A row per sampler × batch size, for scenes, models and schedules with at least two of them; None without rows."""
     settings = collection.settings
     runs = collection.runs
     runs = runs[[all(isinstance(settings[run].get(key), kind) for key, kind in KEYS.items()) for run in runs["run"]]]
@@ -51,11 +51,11 @@ def batches(collection: Collection) -> Table | None:
         for ablation in scenes.ablations_in_order(of_scene["ablation"]):
             of_ablation = of_scene[of_scene["ablation"] == ablation]
             for (schedule, _), group in of_ablation.groupby(["schedule", "rest"]):
-                made_of = group.groupby(["sampler", "batch"])
-                if len(made_of) < 2:
+                by_batch = group.groupby(["sampler", "batch"])
+                if len(by_batch) < 2:
                     continue
                 head = {"scene": text(scene), "ablation": text(ablation), "train": text(schedule)}
-                of_paper = max((key for key in made_of.groups if key[0] == "pairs"), default=None)
+                of_paper = max((key for key in by_batch.groups if key[0] == "pairs"), default=None)
                 rows += [
                     Row(
                         head
@@ -63,7 +63,7 @@ def batches(collection: Collection) -> Table | None:
                         | _cells(same)
                         | _verdict_cells(same, None if key == of_paper else group, of_paper)
                     )
-                    for key, same in made_of
+                    for key, same in by_batch
                 ]
     if not rows:
         return None
@@ -84,32 +84,31 @@ def batches(collection: Collection) -> Table | None:
         Column("verdict", "vs paper's batches", False, group="flicker"),
     )
     notes = (SAMPLER_NOTE, FLICKER_NOTE, VERDICT_NOTE, *left_out_notes(row.cells["ablation"].text for row in rows))
-    return Table("batches", "Batches and flicker", columns, tuple(rows), notes=notes)
+    return Table("batches", "Batch sampling and flicker", columns, tuple(rows), notes=notes)
 
 
 def without_batch(train: str) -> str:
-    """`fast (batch=1, iterations=600)` -> `fast (iterations=600)`: the schedule but for what a batch is made of."""
-    name, bracket, inside = train.partition(" (")
-    kept = [part for part in inside.removesuffix(")").split(", ") if part and not _IN_NAME.fullmatch(part)]
-    return f"{name}{bracket}{', '.join(kept)})" if kept else name
+    """The schedule's name without sampler and batch size: `fast (batch=1, dropout=0.1)` -> `fast (dropout=0.1)`."""
+    name, parts = parts_of(train)
+    return with_parts(name, [part for part in parts if not _IN_NAME.fullmatch(part)])
 
 
 def _rest(settings: dict[str, Any]) -> str:
-    """All other settings, as one text to compare."""
+    """All other settings, as JSON."""
     kept = {key: value for key, value in schedule_settings(settings).items() if key not in KEYS}
     return json.dumps(kept, sort_keys=True, default=str)
 
 
 def _verdict_cells(runs: pd.DataFrame, group: pd.DataFrame | None, of_paper: tuple[str, int] | None) -> dict[str, Cell]:
-    """`runs` against those of the group that were made as the paper's; group None: they are those."""
+    """The flicker of `runs` compared with the paper's batches in `group`; group None: `runs` are those."""
     nothing = dict.fromkeys(("more_flicker", "two_se", "verdict"), NOTHING)
     if group is None or of_paper is None:
         return nothing
-    same = (group["sampler"] == of_paper[0]) & (group["batch"] == of_paper[1])
-    theirs, ours = _less_is_more(group[same]), _less_is_more(runs)
-    if theirs is None or ours is None:
+    is_paper = (group["sampler"] == of_paper[0]) & (group["batch"] == of_paper[1])
+    paper, other = _negative_flicker(group[is_paper]), _negative_flicker(runs)
+    if paper is None or other is None:
         return nothing
-    found = compare(theirs, ours)
+    found = compare(paper, other)
     return {
         "more_flicker": number(found.difference),
         "two_se": uncertainty(2 * found.standard_error),
@@ -117,13 +116,13 @@ def _verdict_cells(runs: pd.DataFrame, group: pd.DataFrame | None, of_paper: tup
     }
 
 
-def _less_is_more(runs: pd.DataFrame) -> Estimate | None:
-    """Of minus the flicker: `compare` takes more for better."""
+def _negative_flicker(runs: pd.DataFrame) -> Estimate | None:
+    """Negated, since `compare` takes higher as better."""
     return estimate(-runs.drop_duplicates("seed")["final.flicker_levels"])
 
 
 def _cells(runs: pd.DataFrame) -> dict[str, Cell]:
-    """Of runs that differ in their seed; a seed that was run under two spellings of one setting counts once."""
+    """Means over seeds. A seed counts once, also where two runs spell a setting differently."""
     runs = runs.drop_duplicates("seed")
     of = {
         "iterations": ("iterations", 0),

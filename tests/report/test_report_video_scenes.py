@@ -1,10 +1,9 @@
-"""What the report says of scenes that were filmed: flicker, batches over time, COLMAP's points, the paper's tables."""
+"""Multi-view video scenes in the report: the paper's Tables 1 and 3, flicker, batch sampling, structure from motion."""
 
 from __future__ import annotations
 
 import base64
 import io
-import json
 import re
 import statistics
 from pathlib import Path
@@ -15,11 +14,11 @@ from report_runs import write_run, write_sfm
 
 from pipeline.report.__main__ import main
 from pipeline.report.read import scenes
-from pipeline.report.tables.batches import batches, without_batch
+from pipeline.report.tables.batch_sampling import batch_sampling, without_batch
 from pipeline.report.tables.paper_tables import ablation, plenoptic, plenoptic_per_scene
 from pipeline.report.tables.run_tables import all_runs
 from pipeline.report.tables.scene_tables import scene_table
-from pipeline.report.write.structure import structure_from_motion
+from pipeline.report.write.sfm_section import sfm_section
 from pipeline.runs.read.collect import collect
 from pipeline.runs.read.variants import name_variants
 
@@ -28,13 +27,6 @@ SALMON, BEEF = scenes.TABLE3
 
 def ours(table) -> list[dict]:
     return [{key: cell.text for key, cell in row.cells.items()} for row in table.rows if row.kind == "ours"]
-
-
-def said_by(folder: Path, *words: str) -> None:
-    """Have the run's command line say `words` too."""
-    environment = json.loads((folder / "environment.json").read_text())
-    environment["command"] += " " + " ".join(words)
-    (folder / "environment.json").write_text(json.dumps(environment))
 
 
 # --- the paper's tables -----------------------------------------
@@ -73,12 +65,12 @@ def test_runs_of_all_six_scenes_fill_table_1(tmp_path) -> None:
     assert final["mean"] == f"{mean:.2f} ± 0.71"
 
 
-def test_a_mean_of_fewer_scenes_says_so_and_stays_out_of_the_means_of_six(tmp_path) -> None:
+def test_mean_of_fewer_scenes_states_their_number_and_is_not_in_the_table_per_scene(tmp_path) -> None:
     write_run(tmp_path, SALMON, train="paper", psnr=29.0)
     runs = name_variants(collect(tmp_path)).runs
     final = ours(plenoptic(runs))[0]
     assert (final["scenes"], final["psnr"], final["lpips"]) == ("mean of 1 of 6", "29.00", "n/a")
-    assert ("", "LPIPS: no weights: offline") in plenoptic(runs).notes  # why n/a
+    assert ("", "LPIPS: no weights: offline") in plenoptic(runs).notes  # the reason for n/a
     final = ours(plenoptic_per_scene(runs))[0]
     assert final["flame_salmon"] == "29.00" and final["cook_spinach"] == "" and "mean" not in final
 
@@ -97,22 +89,22 @@ def test_runs_of_two_scenes_fill_table_3(tmp_path) -> None:
 
 
 @pytest.mark.parametrize(
-    "typed, name",
+    "overrides, name",
     [
         (("scene.path=/elsewhere/salmon", "scene.cache=/tmp/x", "scene=plenoptic/flame_salmon"), "paper"),
         (("scene.frames=30", "train.batch=1"), "paper (scene.frames=30, batch=1)"),
         (("background_model=sphere", "init.source=random"), "paper (background_model=sphere, init.source=random)"),
     ],
 )
-def test_part_of_a_scene_does_not_pass_for_it(tmp_path, typed: tuple[str, ...], name: str) -> None:
-    said_by(write_run(tmp_path, SALMON, train="paper"), *typed)
+def test_overrides_of_the_scene_are_in_the_name(tmp_path, overrides: tuple[str, ...], name: str) -> None:
+    write_run(tmp_path, SALMON, train="paper", overrides=overrides)
     assert ours(plenoptic(name_variants(collect(tmp_path)).runs))[0]["method"] == f"Ours, {name}, final"
 
 
 # --- flicker ----------------------------------------------------
 
 
-def test_flicker_is_shown_in_levels_where_it_was_measured(tmp_path) -> None:
+def test_flicker_is_in_levels_of_255(tmp_path) -> None:
     for seed, flicker in enumerate((0.01, 0.03)):
         write_run(tmp_path, SALMON, seed=seed, **{"final.flicker": flicker})
     write_run(tmp_path, "synthetic/wheel")
@@ -124,7 +116,7 @@ def test_flicker_is_shown_in_levels_where_it_was_measured(tmp_path) -> None:
     assert [row["final_flicker"] for row in ours(all_runs(runs))] == ["2.55", "7.65", "n/a"]
 
 
-def test_no_flicker_no_column(tmp_path) -> None:
+def test_no_column_without_flicker(tmp_path) -> None:
     write_run(tmp_path, "synthetic/wheel", **{"final.flicker": None})
     runs = collect(tmp_path).runs
     for table in (scene_table(runs, "synthetic"), all_runs(runs)):
@@ -136,9 +128,10 @@ def test_no_flicker_no_column(tmp_path) -> None:
 
 
 def sampled(
-    root: Path, sampler: str, batch: int, seed: int, psnr: float, flicker: float | None, typed: bool = True, **keys
+    root: Path, sampler: str, batch: int, seed: int, psnr: float, flicker: float | None, named: bool = True, **keys
 ) -> None:
-    folder = write_run(
+    """A run with this sampler and batch size. named: by overrides; otherwise the schedule has them."""
+    write_run(
         root,
         SALMON,
         train="fast",
@@ -146,20 +139,19 @@ def sampled(
         psnr=psnr,
         out=f"{sampler}/{batch}/{seed}/{len(keys)}",
         settings=f"  sampler: {sampler}\n  batch: {batch}\n",
+        overrides=(f"train.sampler={sampler}", f"train.batch={batch}") if named else (),
         **({"final.flicker": flicker} | keys),
     )
-    if typed:
-        said_by(folder, f"train.sampler={sampler}", f"train.batch={batch}")
 
 
-def test_batches_stand_side_by_side(tmp_path) -> None:
+def test_row_per_sampler_and_batch_size(tmp_path) -> None:
     for seed in (0, 1):
-        sampled(tmp_path, "pairs", 1, seed, 25.0 + seed, 0.02, typed=False)  # the schedule as it is
+        sampled(tmp_path, "pairs", 1, seed, 25.0 + seed, 0.02, named=False)  # the unchanged schedule
         sampled(tmp_path, "pairs", 4, seed, 26.0 + seed, 0.01 + 0.004 * seed)
         sampled(tmp_path, "views_at_one_time", 4, seed, 24.0 + seed, 0.03)
-    write_run(tmp_path, BEEF, settings="  sampler: pairs\n  batch: 1\n")  # a scene with one way of sampling
-    write_run(tmp_path, "synthetic/wheel")  # a run that does not say how it sampled
-    rows = ours(batches(name_variants(collect(tmp_path))))
+    write_run(tmp_path, BEEF, settings="  sampler: pairs\n  batch: 1\n")  # a scene with a single sampler
+    write_run(tmp_path, "synthetic/wheel")  # a run without a recorded sampler
+    rows = ours(batch_sampling(name_variants(collect(tmp_path))))
     assert [(row["scene"], row["train"], row["sampler"], row["batch"], row["seeds"]) for row in rows] == [
         (SALMON, "fast", "pairs", "1", "2"),
         (SALMON, "fast", "pairs", "4", "2"),
@@ -173,14 +165,14 @@ def test_batches_stand_side_by_side(tmp_path) -> None:
     ]
 
 
-def test_flicker_is_compared_with_that_of_the_papers_batches(tmp_path) -> None:
-    """Three seeds each, with a standard deviation of 0.001, which is 0.255 levels."""
+def test_flicker_is_compared_with_the_papers_batches(tmp_path) -> None:
+    """Three seeds each, with a standard deviation of 0.001, or 0.255 levels."""
     for seed, off in enumerate((-0.001, 0.0, 0.001)):
         sampled(tmp_path, "pairs", 2, seed, 25.0, 0.0101 + off)
         sampled(tmp_path, "pairs", 4, seed, 25.0, 0.01 + off)
         sampled(tmp_path, "times_of_one_view", 4, seed, 25.0, 0.008 + off)
         sampled(tmp_path, "views_at_one_time", 4, seed, 25.0, 0.014 + off)
-    rows = ours(batches(name_variants(collect(tmp_path))))
+    rows = ours(batch_sampling(name_variants(collect(tmp_path))))
     assert [(row["sampler"], row["batch"], row["more_flicker"], row["verdict"]) for row in rows] == [
         ("pairs", "2", f"{255 * 0.0001:.2f}", "no difference shown"),
         ("pairs", "4", "·", "·"),
@@ -190,21 +182,21 @@ def test_flicker_is_compared_with_that_of_the_papers_batches(tmp_path) -> None:
     assert rows[0]["two_se"] == f"{2 * (2 * 0.255**2 / 3) ** 0.5:.2f}"
 
 
-def test_a_seed_without_flicker_makes_no_mean(tmp_path) -> None:
+def test_no_mean_of_flicker_if_a_seed_lacks_it(tmp_path) -> None:
     sampled(tmp_path, "pairs", 1, 0, 25.0, 0.02)
     sampled(tmp_path, "pairs", 1, 1, 25.0, None)
     sampled(tmp_path, "pairs", 4, 0, 25.0, None)
-    assert [row["final_flicker"] for row in ours(batches(name_variants(collect(tmp_path))))] == ["n/a", "n/a"]
+    assert [row["final_flicker"] for row in ours(batch_sampling(name_variants(collect(tmp_path))))] == ["n/a", "n/a"]
 
 
-def test_other_settings_are_not_compared_as_batches(tmp_path) -> None:
+def test_runs_that_differ_in_other_settings_are_not_compared(tmp_path) -> None:
     sampled(tmp_path, "pairs", 1, 0, 25.0, 0.02)
     sampled(tmp_path, "pairs", 4, 0, 25.0, 0.02, iterations=600)
-    assert batches(name_variants(collect(tmp_path))) is None
+    assert batch_sampling(name_variants(collect(tmp_path))) is None
 
 
 @pytest.mark.parametrize(
-    "name, bare",
+    "name, expected",
     [
         ("fast", "fast"),
         ("fast (batch=1)", "fast"),
@@ -213,19 +205,19 @@ def test_other_settings_are_not_compared_as_batches(tmp_path) -> None:
         ("fast (fourier_at=[30, 40], sampler=times_of_one_view)", "fast (fourier_at=[30, 40])"),
     ],
 )
-def test_a_schedules_name_without_its_batch(name: str, bare: str) -> None:
-    assert without_batch(name) == bare
+def test_name_of_a_schedule_without_sampler_and_batch(name: str, expected: str) -> None:
+    assert without_batch(name) == expected
 
 
 # --- structure from motion --------------------------------------
 
 
-def test_a_row_and_a_picture_a_scene(tmp_path) -> None:
+def test_one_row_and_one_picture_per_scene(tmp_path) -> None:
     for seed in (0, 1, 2):
         write_sfm(write_run(tmp_path, SALMON, seed=seed), seconds=40.0 if seed == 0 else 0.1)
     write_sfm(write_run(tmp_path, BEEF), poses="refined")
     write_run(tmp_path, "synthetic/wheel")
-    found, warnings = structure_from_motion(collect(tmp_path).runs)
+    found, warnings = sfm_section(collect(tmp_path).runs)
     assert not warnings
     assert ours(found.table) == [
         {
@@ -241,7 +233,7 @@ def test_a_row_and_a_picture_a_scene(tmp_path) -> None:
         }
         for scene, poses, seconds, runs in ((BEEF, "refined", "42.5", "1"), (SALMON, "known", "40.0", "3"))
     ]
-    assert not any("seeds" in note for _, note in found.table.footnotes)  # COLMAP's seed is not theirs
+    assert not any("seeds" in note for _, note in found.table.footnotes)  # not means over seeds
     assert [picture.filename for picture in found.pictures] == [
         "plenoptic_cut_roasted_beef__sfm.webp",
         "plenoptic_flame_salmon__sfm.webp",
@@ -249,42 +241,42 @@ def test_a_row_and_a_picture_a_scene(tmp_path) -> None:
     assert Image.open(io.BytesIO(found.pictures[0].webp)).size == (80, 60)
 
 
-def test_results_that_differ_have_a_row_each(tmp_path) -> None:
+def test_different_results_of_a_scene_have_rows_of_their_own(tmp_path) -> None:
     write_sfm(write_run(tmp_path, SALMON, seed=0))
     write_sfm(write_run(tmp_path, SALMON, seed=1), points=999)
-    found, _ = structure_from_motion(collect(tmp_path).runs)
+    found, _ = sfm_section(collect(tmp_path).runs)
     assert [row["points"] for row in ours(found.table)] == ["12,345", "999"]
     assert len({picture.filename for picture in found.pictures}) == 2
 
 
 @pytest.mark.parametrize(
-    "changes, said",
+    "changes, message",
     [
         ({"points": None}, "points: expected a finite number, found None"),
         ({"mean_error_px": float("nan")}, "mean_error_px: expected a finite number, found nan"),
         ({"poses": "guessed"}, "poses: expected known, refined, estimated, found 'guessed'"),
     ],
 )
-def test_a_damaged_result_is_named_and_left_out(tmp_path, changes: dict, said: str) -> None:
+def test_damaged_sfm_json_gives_a_warning(tmp_path, changes: dict, message: str) -> None:
     write_sfm(write_run(tmp_path, SALMON), **changes)
-    found, warnings = structure_from_motion(collect(tmp_path).runs)
+    found, warnings = sfm_section(collect(tmp_path).runs)
     assert found is None
-    assert warnings == [f"{SALMON}/full/fast/seed0: sfm.json: {said}"]
+    assert warnings == [f"{SALMON}/full/fast/seed0: sfm.json: {message}"]
 
 
-def test_numbers_without_a_picture_stay(tmp_path) -> None:
+def test_missing_picture_gives_a_warning_and_keeps_the_row(tmp_path) -> None:
     write_sfm(write_run(tmp_path, SALMON), picture=False)
-    found, warnings = structure_from_motion(collect(tmp_path).runs)
+    found, warnings = sfm_section(collect(tmp_path).runs)
     assert len(found.table.rows) == 1 and not found.pictures
     assert len(warnings) == 1 and "no picture of points and cameras" in warnings[0]
 
 
-# --- all of it --------------------------------------------------
+# --- the whole report --------------------------------------------------
 
-SECTIONS = ("Structure from motion", "Batches and flicker")
+SECTIONS = ("Structure from motion", "Batch sampling and flicker")
 
 
-def test_the_report_has_both_sections(tmp_path, capsys) -> None:
+def test_report_has_sections_on_batches_and_sfm(tmp_path, capsys) -> None:
     for batch in (1, 4):
         sampled(tmp_path / "runs", "pairs", batch, 0, 25.0, 0.02)
     write_sfm(tmp_path / "runs/pairs/4/0/0")
@@ -294,7 +286,7 @@ def test_the_report_has_both_sections(tmp_path, capsys) -> None:
         *((tmp_path / "report" / name).read_text() for name in ("report.html", "report.md")),
     )
     assert all(section in text for section in SECTIONS for text in (page, markdown))
-    assert "Batches and flicker" in out and "Points and poses by COLMAP" in out
+    assert "Batch sampling and flicker" in out and "Points and camera poses from COLMAP" in out
     assert "![points and cameras of plenoptic/flame_salmon](strips/plenoptic_flame_salmon__sfm.webp)" in markdown
     pictures = [
         Image.open(io.BytesIO(base64.b64decode(code))) for code in re.findall(r"data:image/webp;base64,([^\"]+)", page)
@@ -303,10 +295,10 @@ def test_the_report_has_both_sections(tmp_path, capsys) -> None:
     anchors = set(re.findall(r'href="#([^"]+)"', page))
     assert {"sfm", "comparisons"} <= anchors <= set(re.findall(r'id="([^"]+)"', page))
     for name in ("batches", "structure"):
-        assert {path.suffix for path in (tmp_path / "report/tables").glob(f"{name}.*")} == {".md", ".csv", ".tex"}
+        assert {path.suffix for path in (tmp_path / "report/tables").glob(f"{name}.*")} == {".md", ".csv"}
 
 
-def test_pictures_of_points_can_be_left_out(tmp_path) -> None:
+def test_no_pictures_also_excludes_sfm_pictures(tmp_path) -> None:
     write_sfm(write_run(tmp_path / "runs", SALMON))
     assert main([str(tmp_path / "runs"), "--no-pictures", "plenoptic"]) == 0
     assert not (tmp_path / "report/strips").exists()
@@ -314,7 +306,7 @@ def test_pictures_of_points_can_be_left_out(tmp_path) -> None:
     assert "12,345" in page and "data:image/webp" not in page
 
 
-def test_sections_without_anything_in_them_are_not_there(tmp_path, capsys) -> None:
+def test_empty_sections_are_left_out(tmp_path, capsys) -> None:
     write_run(tmp_path / "runs", "synthetic/wheel", settings="  sampler: pairs\n  batch: 1\n")
     main([str(tmp_path / "runs")])
     for text in (

@@ -1,4 +1,4 @@
-"""What a line of a training curve shows: mean and spread over seeds, and where training was still coarse."""
+"""Mean and standard deviation of learning curves over seeds; where coarse-resolution training ends."""
 
 from __future__ import annotations
 
@@ -8,30 +8,30 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pipeline.runs.read.collect import LARGEST_NUMBER
+from pipeline.runs.read.run_files import MAX_NUMBER
 
 
-def band(curves: pd.DataFrame, x: str, y: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(x, mean, std) over runs where every run has values; each run is interpolated linearly.
+def mean_and_std(curves: pd.DataFrame, x: str, y: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(x, mean, std) over the runs of `curves`, in the range of `x` that all runs cover.
 
-    Seeds are not evaluated at the same second, so their values can only be compared in between. At every evaluation of
-    any of them inside the common range; the mean is exact there and between. The std (n - 1) is zero for a single run.
+    Seeds are not evaluated at the same second, so each run is interpolated linearly, at every x at which any run was
+    evaluated. std has n - 1 in the denominator and is zero for a single run.
     """
     runs = [(g[x].to_numpy(float), g[y].to_numpy(float)) for _, g in curves.sort_values(x).groupby("run")]
     low, high = max(xs[0] for xs, _ in runs), min(xs[-1] for xs, _ in runs)
     if len(runs) == 1 or high <= low:
         xs, ys = runs[0]
         return xs, ys, np.zeros_like(ys)
-    every = np.unique(np.concatenate([xs for xs, _ in runs]))
-    grid = every[(every >= low) & (every <= high)]
+    grid = np.unique(np.concatenate([xs for xs, _ in runs]))
+    grid = grid[(grid >= low) & (grid <= high)]
     values = np.stack([np.interp(grid, xs, ys) for xs, ys in runs])
     return grid, values.mean(axis=0), values.std(axis=0, ddof=1)
 
 
 def end_of_coarse(curves: pd.DataFrame, settings: Mapping[str, Mapping[str, Any]], x: str) -> float:
-    """Where on `x` (train_seconds or iteration) the runs began to train at full resolution, mean over them; 0: at once.
+    """The x (train_seconds or iteration) at which full-resolution training begins, mean over runs; 0: at the start.
 
-    settings: run -> its settings. A time budget moves the schedule on as it does in training (pipeline/training/schedule.py).
+    settings: run -> its settings. A time budget advances the schedule as in pipeline/training/schedule.py.
     """
     return float(np.mean([_end_of_coarse(curve, settings[run], x) for run, curve in curves.groupby("run")]))
 
@@ -44,27 +44,26 @@ def _end_of_coarse(curve: pd.DataFrame, settings: Mapping[str, Any], x: str) -> 
     if not until or not iterations:
         return 0.0
     curve = curve.sort_values("iteration")
-    done = curve["iteration"] / iterations
+    progress = curve["iteration"] / iterations
     if budget := _positive(settings.get("train.time_budget_s")):
-        done = np.maximum(done, curve["train_seconds"] / budget)
-    return float(np.interp(until, [0.0, *done], [0.0, *curve[x]]))
+        progress = np.maximum(progress, curve["train_seconds"] / budget)
+    return float(np.interp(until, [0.0, *progress], [0.0, *curve[x]]))
 
 
 def _positive(value: Any) -> float:
-    """0 for what is no such number: config.yaml is a file that anybody may have edited."""
+    """`value` if it is a positive finite number, else 0: config.yaml may have been edited by hand."""
     is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    return float(value) if is_number and 0 < value < LARGEST_NUMBER else 0.0
+    return float(value) if is_number and 0 < value < MAX_NUMBER else 0.0
 
 
 def split_at(xs: np.ndarray, ys: np.ndarray, at: float) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-    """The parts of a line before and after `at`, each (xs, ys); they meet there. A part may be empty."""
+    """The parts of a curve before and after x = `at`, each (xs, ys) with the point at `at`; one may be empty."""
     if at <= xs[0]:
         return (xs[:0], ys[:0]), (xs, ys)
     if at >= xs[-1]:
         return (xs, ys), (xs[:0], ys[:0])
-    meeting, before = np.interp(at, xs, ys), xs < at
-    after = xs > at
+    y_at, before, after = np.interp(at, xs, ys), xs < at, xs > at
     return (
-        (np.append(xs[before], at), np.append(ys[before], meeting)),
-        (np.insert(xs[after], 0, at), np.insert(ys[after], 0, meeting)),
+        (np.append(xs[before], at), np.append(ys[before], y_at)),
+        (np.insert(xs[after], 0, at), np.insert(ys[after], 0, y_at)),
     )

@@ -1,7 +1,7 @@
-"""Which training curves stand in one figure: those of runs that differ in one thing, as their settings say.
+"""Groups learning curves into figures: the runs of one figure differ in a single factor of their settings.
 
-A scene trained under three schedules, with two optimisers and four ablations is not one figure of many lines but three
-of few: schedules, optimisers, ablations. Names do not matter for that, except where a run has no settings.
+A scene with three schedules, two optimisers and four ablations gets three figures of few curves, one per factor.
+Runs are grouped by their settings; a run without settings is grouped by its schedule's name.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from dataclasses import dataclass
 from pipeline.report.read import scenes
 from pipeline.runs.read import model_labels as models
 from pipeline.runs.read.collect import Collection
-from pipeline.runs.read.names import file_name, parts_of, with_parts
+from pipeline.runs.read.run_names import file_name, parts_of, with_parts
 from pipeline.runs.read.variants import schedule_settings
 
-# What varies, by the keys that say so. All other keys of schedule and start together make "schedule".
+# Factor -> its keys. All other keys of schedule and initialisation together are the factor "schedule".
 _FACTORS = {
     "batch": ("train.batch",),
     "sampler": ("train.sampler",),
@@ -34,20 +34,20 @@ class Line:
 
     ablation: str
     train: str
-    label: str  # what tells it from the figure's other lines
+    label: str  # distinguishes it from the other lines of the figure
 
 
 @dataclass(frozen=True)
-class Comparison:
-    """The lines of one figure. Titles are unique, and so are slugs."""
+class CurveFigure:
+    """The lines of one figure. Titles and slugs are unique."""
 
     scene: str
-    title: str  # `synthetic/wheel: ablation, fast`: what varies, then what all lines share
+    title: str  # `synthetic/wheel: ablation, fast`: the factor, then the settings that all lines share
     lines: tuple[Line, ...]
 
     @property
     def slug(self) -> str:
-        """The title as a file's name."""
+        """The title as a file name."""
         return file_name(re.sub(r"[^\w.-]+", "_", self.title.replace(": ", "__")).strip("_"))
 
 
@@ -55,16 +55,16 @@ class Comparison:
 class _Variant:
     ablation: str
     train: str
-    scene: str  # settings of the scene, as text to compare
-    schedule: str  # likewise, without those of _FACTORS
-    factors: tuple[str, ...]  # value of each of _FACTORS, likewise
+    scene: str  # settings of the scene, as JSON
+    schedule: str  # other settings, without those of _FACTORS
+    factors: tuple[str, ...]  # settings of each of _FACTORS
 
 
-_Group = tuple[str, list[_Variant]]  # what varies ("" for a line on its own), and who is compared
+_Group = tuple[str, list[_Variant]]  # the factor ("" for a single line) and the variants compared
 
 
-def comparisons(collection: Collection) -> list[Comparison]:
-    """All figures, scene by scene, schedules first. Each line with a curve of two evaluations at least is in one."""
+def curve_figures(collection: Collection) -> list[CurveFigure]:
+    """All figures, by scene, schedules first. Every curve with at least two evaluations is in a figure."""
     curves = collection.curves
     curves = curves[curves.groupby("run")["iteration"].transform("size") > 1]
     found = []
@@ -77,27 +77,30 @@ def comparisons(collection: Collection) -> list[Comparison]:
             lines = _lines(factor, group)
             if Counter(titles)[title] > 1:
                 title += f", {lines[0].train} and others"
-            found.append(Comparison(scene, title, lines))
+            found.append(CurveFigure(scene, title, lines))
     return found
 
 
 def _groups(variants: list[_Variant]) -> list[_Group]:
     groups: list[_Group] = []
-    # What selection leaves out of a model is a schedule's doing: schedules are compared by what they were asked for.
+    # Schedules are compared for one requested model: selection by validation is a part of the schedule.
     for i, factor in enumerate(_FACTORS):
-        alike = _classes(
-            variants, lambda v: (models.asked(v.ablation), v.scene, v.schedule, v.factors[:i] + v.factors[i + 1 :])
+        same = _classes(
+            variants,
+            lambda v, i=i: (models.requested(v.ablation), v.scene, v.schedule, v.factors[:i] + v.factors[i + 1 :]),
         )
-        groups += [(factor, group) for group in alike if len({v.factors[i] for v in group}) > 1]
-    alike = _classes(variants, lambda v: (v.train, v.scene, v.schedule, v.factors))
-    groups += [("ablation", group) for group in alike if len({v.ablation for v in group}) > 1]
+        groups += [(factor, group) for group in same if len({v.factors[i] for v in group}) > 1]
+    same = _classes(variants, lambda v: (v.train, v.scene, v.schedule, v.factors))
+    groups += [("ablation", group) for group in same if len({v.ablation for v in group}) > 1]
 
     times_drawn = {v: sum(v in group for _, group in groups) for v in variants}
     schedules: list[_Group] = []
-    for alike in _classes(variants, lambda v: (models.asked(v.ablation), v.scene)):
-        # One line a schedule and model: what its variants are variants of. And whatever no other figure has.
-        usual = {_representative(same, times_drawn) for same in _classes(alike, lambda v: (v.schedule, v.ablation))}
-        shown = [v for v in alike if not times_drawn[v] or (models.asked(v.ablation) == "full" and v in usual)]
+    for same_model in _classes(variants, lambda v: (models.requested(v.ablation), v.scene)):
+        # One line per schedule and model, its most common variant; and every variant without a figure.
+        usual = {
+            _representative(same, times_drawn) for same in _classes(same_model, lambda v: (v.schedule, v.ablation))
+        }
+        shown = [v for v in same_model if not times_drawn[v] or (models.requested(v.ablation) == "full" and v in usual)]
         if len({v.train for v in shown}) > 1:
             schedules.append(("schedule", shown))
         elif any(not times_drawn[v] for v in shown):
@@ -106,12 +109,12 @@ def _groups(variants: list[_Variant]) -> list[_Group]:
 
 
 def _representative(variants: list[_Variant], times_drawn: dict[_Variant, int]) -> _Variant:
-    """What most figures compare with; of several the one with the shortest name."""
+    """The variant in most figures; of several the one with the shortest name."""
     return min(variants, key=lambda v: (-times_drawn[v], len(v.train), v.train))
 
 
 def _title(scene: str, factor: str, group: list[_Variant]) -> str:
-    trains, ablations = {v.train for v in group}, {models.asked(v.ablation) for v in group}
+    trains, ablations = {v.train for v in group}, {models.requested(v.ablation) for v in group}
     if all(models.is_left_out(v.ablation) for v in group):
         ablations = {v.ablation for v in group}
     shared = [
@@ -122,7 +125,7 @@ def _title(scene: str, factor: str, group: list[_Variant]) -> str:
 
 
 def _shared_parts(group: list[_Variant]) -> list[str]:
-    """The settings that stand in brackets after the schedule's name in all of them: they tell no line from another."""
+    """The settings in brackets that all schedule names of the group have."""
     _, first = parts_of(group[0].train)
     return [part for part in first if all(part in parts_of(v.train)[1] for v in group)]
 
@@ -131,10 +134,12 @@ def _lines(factor: str, group: list[_Variant]) -> tuple[Line, ...]:
     if factor == "ablation":
         of_name = {v.ablation: v for v in group}
         return tuple(Line(name, of_name[name].train, name) for name in scenes.ablations_in_order(of_name))
-    told = _shared_parts(group) if len(group) > 1 else []
+    shared = _shared_parts(group) if len(group) > 1 else []
     ordered = sorted(group, key=lambda v: (len(v.train), v.train, v.ablation))
     return tuple(
-        Line(v.ablation, v.train, _without(told, v.train) + (models.LEFT_OUT if models.is_left_out(v.ablation) else ""))
+        Line(
+            v.ablation, v.train, _without(shared, v.train) + (models.LEFT_OUT if models.is_left_out(v.ablation) else "")
+        )
         for v in ordered
     )
 
@@ -152,7 +157,7 @@ def _variant(row: dict, settings: dict) -> _Variant:
         ablation=row["ablation"],
         train=row["train"],
         scene=_text(kept, of_scene),
-        # A run without settings is compared with others by its schedule's name.
+        # A run without settings is grouped by its schedule's name.
         schedule=_text(kept, kept.keys() - of_factors - of_scene) if settings else row["train"],
         factors=tuple(_text(kept, keys) for keys in _FACTORS.values()),
     )
@@ -163,7 +168,7 @@ def _text(settings: dict, keys: Iterable[str]) -> str:
 
 
 def _classes(variants: list[_Variant], key: Callable[[_Variant], object]) -> list[list[_Variant]]:
-    """Variants with equal keys together, in order of first appearance."""
+    """Groups of variants with equal keys, in order of first appearance."""
     groups: dict[object, list[_Variant]] = defaultdict(list)
     for variant in variants:
         groups[key(variant)].append(variant)

@@ -1,19 +1,19 @@
-"""Tables that fit a page: nothing that says nothing, nothing lost, and the CSV whole."""
+"""Layout of tables: constant and empty columns, splitting of wide tables; the CSV keeps all columns."""
 
 from __future__ import annotations
 
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.presentation.layout import laid_out
 from pipeline.presentation.table import NO_RUN, NOT_MEASURED, NOT_REPORTED, NOTHING, Column, Row, Table, number, text
 from pipeline.presentation.table_files import comma_separated, markdown
+from pipeline.presentation.table_layout import laid_out
 
 NAME = Column("name", "Name", False)
 
 
 def table(columns: list[Column], *rows: dict, kinds: str = "") -> Table:
-    """kinds: a letter a row, `p` for one of the paper's."""
+    """kinds: one letter per row, `p` for a row of the paper."""
     return Table(
         "t",
         "T",
@@ -25,18 +25,18 @@ def table(columns: list[Column], *rows: dict, kinds: str = "") -> Table:
     )
 
 
-def test_what_all_rows_say_moves_to_the_caption() -> None:
+def test_constant_column_moves_to_the_caption() -> None:
     seeds, psnr = Column("seeds", "Seeds", fold=True), Column("psnr", "PSNR ↑")
     same = table([seeds, psnr], {"seeds": number(3, 0), "psnr": number(1)}, {"seeds": number(3, 0), "psnr": number(1)})
     found = laid_out(same)
-    assert [c.key for c in found.table.columns] == ["name", "psnr"]  # psnr says the same too, but is a result
+    assert [c.key for c in found.table.columns] == ["name", "psnr"]  # psnr is constant too, but fold is not set
     assert found.table.caption == "Seeds: 3."
     other = table([seeds], {"seeds": number(3, 0)}, {"seeds": number(2, 0)})
     assert laid_out(other).table == other
     assert "Seeds: 3." in markdown(same) and comma_separated(same).splitlines()[1] == "ours,row 0,3,1,"
 
 
-def test_a_column_without_a_number_goes_and_says_why() -> None:
+def test_column_without_numbers_is_dropped_and_named_in_a_note() -> None:
     columns = [Column("a", "A ↓"), Column("b", "B"), Column("c", "C"), Column("d", "D")]
     shown = laid_out(
         table(
@@ -49,7 +49,7 @@ def test_a_column_without_a_number_goes_and_says_why() -> None:
     assert ("", "Not measured in these runs: A.") in shown.notes and len(shown.notes) == 1
 
 
-def test_a_column_of_ours_needs_a_number_of_ours_and_takes_rows_without_any_along() -> None:
+def test_ours_only_column_needs_a_number_of_ours() -> None:
     columns = [Column("a", "A", ours_only=True), Column("b", "B", ours_only=True)]
     rows = {"a": number(1)}, {"b": number(2)}, {"b": number(3)}
     shown = laid_out(table(columns, *rows, kinds="ppo")).table
@@ -57,7 +57,7 @@ def test_a_column_of_ours_needs_a_number_of_ours_and_takes_rows_without_any_alon
     assert [row.cells["name"].text for row in shown.rows] == ["row 1", "row 2"]
 
 
-def test_groups_stay_together_when_a_wide_table_is_split() -> None:
+def test_wide_table_is_split_between_groups() -> None:
     columns = [Column(f"{group}{i}", f"{group}{i}", group=group) for group in "xyz" for i in range(3)]
     wide = table(columns, {column.key: number(12345.678, 3) for column in columns})  # 10 characters each, 3 between
     assert len(laid_out(wide, 1000).parts) == 1
@@ -71,8 +71,8 @@ def test_groups_stay_together_when_a_wide_table_is_split() -> None:
     st.lists(st.tuples(st.integers(1, 40), st.sampled_from(["", "x", "y", "z"]), st.booleans()), max_size=12),
     st.integers(20, 200),
 )
-def test_no_column_is_lost_and_no_part_is_too_wide(shape: list[tuple[int, str, bool]], width: int) -> None:
-    """But for a part of one column beside those that are repeated, which cannot be narrower."""
+def test_every_column_is_shown_and_no_part_is_too_wide(shape: list[tuple[int, str, bool]], width: int) -> None:
+    """Except for parts with a single column beside the repeated ones, which cannot be narrower."""
     columns = [Column(f"c{i}", "H", is_number, group=group) for i, (_, group, is_number) in enumerate(shape)]
     cells = {f"c{i}": text("w" * length) for i, (length, _, _) in enumerate(shape)}
     found = laid_out(table(columns, cells), width)

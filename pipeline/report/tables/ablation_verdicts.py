@@ -1,23 +1,23 @@
-"""Is each ablation worse than the whole model on the scene made for it?"""
+"""The ablations on the synthetic scenes made for them, with a verdict on each: worse, better or no difference shown."""
 
 from __future__ import annotations
 
 import pandas as pd
 
-from pipeline.presentation.seeds import FORMULA, Verdict, select, trains, verdict
+from pipeline.presentation.seed_statistics import FORMULA, MIN_SEEDS, Verdict, select, trains, verdict
 from pipeline.presentation.table import Cell, Column, Row, Table, measured, number, text, uncertainty
 from pipeline.report.read import scenes
-from pipeline.report.tables.our_rows import PROTOCOL_NOTE
-from pipeline.runs.read.collect import PROTOCOLS
-from pipeline.runs.read.model_labels import LEFT_OUT_NOTE, ablation_of, is_left_out, reference
+from pipeline.report.tables.footnotes import PROTOCOL_NOTE
+from pipeline.runs.read.model_labels import LEFT_OUT_NOTE, ablation_of, baseline_of, is_left_out
+from pipeline.runs.read.run_files import PROTOCOLS
 
 _COLUMNS = (
     Column("ablation", "Ablation", False),
-    Column("scene", "Made for it", False),
+    Column("scene", "Scene", False),
     Column("train", "Schedule", False, fold=True),
-    Column("protocol", "Model", False),
-    Column("full_psnr", "full, PSNR"),
-    Column("ablation_psnr", "ablation, PSNR"),
+    Column("protocol", "Protocol", False),
+    Column("full_psnr", "PSNR of full"),
+    Column("ablation_psnr", "PSNR of ablation"),
     Column("difference", "full − ablation"),
     Column("two_se", "2 SE"),
     Column("verdict", "Verdict", False),
@@ -25,13 +25,13 @@ _COLUMNS = (
 
 
 def made_for_labels(runs: pd.DataFrame, made: scenes.MadeFor, train: str) -> list[str]:
-    """The models under `train`, on the scene, that are this ablation: `no_4drot`, `no_4drot, 4DSH left out`."""
+    """The labels of this ablation among the runs: `no_4drot`, `no_4drot, 4DSH left out`."""
     here = runs[(runs["scene"] == made.scene) & (runs["train"] == train)]["ablation"]
     return [label for label in scenes.ablations_in_order(here) if ablation_of(label) == made.ablation]
 
 
-def verdicts(runs: pd.DataFrame) -> Table | None:
-    """A row for each ablation that was run on the scene made for it, schedule and protocol; None without one."""
+def ablation_verdicts(runs: pd.DataFrame) -> Table | None:
+    """A row per ablation with runs on the scene made for it, schedule and protocol; None without runs."""
     rows, shown = [], []
     for made in scenes.MADE_FOR:
         for train in trains(runs, [made.scene]):
@@ -49,18 +49,18 @@ def verdicts(runs: pd.DataFrame) -> Table | None:
     if not rows:
         return None
     reasons = tuple(
-        ("", f"{made.scene} for {made.ablation}: {made.reason}.")
+        ("", f"{made.scene} is made for {made.ablation}: {made.reason}.")
         for made in scenes.MADE_FOR
         if any(made == one for one, _ in shown)
     )
     selected = (
-        (LEFT_OUT_NOTE, ("", "Such a model is compared with a full model whose time-varying colour was left out too."))
+        (LEFT_OUT_NOTE, ("", "Such a model is compared with full, 4DSH left out."))
         if any(is_left_out(label) for _, label in shown)
         else ()
     )
     return Table(
         "ablation_verdicts",
-        "Does each part earn its place? Ablations on the scenes made for them",
+        "Ablations on the scenes made for them",
         _COLUMNS,
         tuple(rows),
         caption=FORMULA,
@@ -71,23 +71,19 @@ def verdicts(runs: pd.DataFrame) -> Table | None:
 def _cells(runs: pd.DataFrame, scene: str, label: str, train: str, metric: str) -> dict[str, Cell]:
     found = verdict(runs, scene, label, train, metric)
     if found is None:
-        whole = reference(label)
-        return {"verdict": text(f"no run of {whole}" if select(runs, scene, whole, train).empty else "not measured")}
+        baseline = baseline_of(label)
+        no_run = select(runs, scene, baseline, train).empty
+        return {"verdict": text(f"no run of {baseline}" if no_run else "not measured")}
     return {
         "full_psnr": measured(found.full),
         "ablation_psnr": measured(found.ablation),
         "difference": number(found.difference),
         "two_se": uncertainty(2 * found.standard_error),
-        "verdict": text(_sentence(found)),
+        "verdict": text(_verdict_text(found)),
     }
 
 
-def _sentence(found: Verdict) -> str:
-    """The verdict's word and, where it is not the hoped-for one, that."""
-    if found.word == "too few seeds":
-        return f"too few seeds ({min(found.full.n, found.ablation.n)} of 3)"
-    return {
-        "worse": "worse, as it should be",
-        "better": "NOT worse: better",
-        "no difference shown": "NOT shown to be worse",
-    }[found.word]
+def _verdict_text(found: Verdict) -> str:
+    """The verdict's word, with the number of seeds where that is too small."""
+    seeds = min(found.full.n, found.ablation.n)
+    return found.word if seeds >= MIN_SEEDS else f"{found.word} ({seeds} of {MIN_SEEDS})"

@@ -1,7 +1,7 @@
-"""How a table fits a page: without what says nothing, and in parts where it is too wide.
+"""Fits a table to a page: drops empty columns, moves constant columns to the caption, splits wide tables.
 
-What is the same in every row goes into the caption, what was never measured into a note. The columns of a wide table
-are split by their groups (quality, cost …); those without one stand in each part. The CSV stays whole.
+Columns that were never measured are named in a note. A wide table is split between column groups (quality, cost, ...);
+columns without a group are repeated in each part. The CSV keeps all columns.
 """
 
 from __future__ import annotations
@@ -11,32 +11,30 @@ from dataclasses import dataclass, replace
 
 from pipeline.presentation.table import NO_RUN, NOT_MEASURED, NOT_REPORTED, NOTHING, Column, Table
 
-# Characters across: what a page 1200 pixels wide holds in a wide font, with what parts two columns.
-WIDTH = 140
+WIDTH = 140  # characters, with the space between columns: what fits on a page 1200 pixels wide
 _BETWEEN = 3
-_LONGEST_WORDS = 28  # longer ones are wrapped
-_SAY_NOTHING = (NO_RUN, NOT_MEASURED, NOT_REPORTED, NOTHING)
+_MAX_TEXT = 28  # longer texts are wrapped
+_EMPTY = (NO_RUN, NOT_MEASURED, NOT_REPORTED, NOTHING)
 
 
 @dataclass(frozen=True)
 class Layout:
-    """`table` with the columns and rows that are shown; `parts`: those columns, side by side in each."""
+    """`table` with the displayed rows and columns; `parts`: the columns of each part."""
 
     table: Table
     parts: tuple[tuple[Column, ...], ...]
 
 
 def laid_out(table: Table, width: int = WIDTH) -> Layout:
-    """width: of a part at most, in characters; a part of a repeated and another column may be wider."""
+    """The layout for parts of at most `width` characters; a part with a single column group may be wider."""
     shown = folded(without_empty(table))
     return Layout(shown, _parts(shown, width))
 
 
 def without_empty(table: Table) -> Table:
-    """Without columns that have no number in any row; what was not measured is said in a note.
+    """The table without columns that have no number in any row; a note names those that were not measured.
 
-    A column that is `ours_only` needs one of ours. Then a row of the paper's may be left without any number: it goes
-    too.
+    A column with `ours_only` needs a number in a row of ours. Rows of the paper that lose all numbers are dropped too.
     """
     empty = [column for column in table.columns[1:] if _is_empty(table, column)]
     columns = tuple(column for column in table.columns if column not in empty)
@@ -55,23 +53,23 @@ def without_empty(table: Table) -> Table:
 
 
 def folded(table: Table) -> Table:
-    """With columns that say the same in all rows in the caption; only those that may (`Column.fold`)."""
-    said = {column: {table.cell(row, column).text for row in table.rows} for column in table.columns if column.fold}
-    same = {column: texts.pop() for column, texts in said.items() if len(texts) == 1}
-    if not same:
+    """The table with those `fold` columns moved to the caption that have the same text in all rows."""
+    texts = {column: {table.cell(row, column).text for row in table.rows} for column in table.columns if column.fold}
+    constant = {column: found.pop() for column, found in texts.items() if len(found) == 1}
+    if not constant:
         return table
-    sentence = "; ".join(f"{_plain(column.header)}: {text}" for column, text in same.items()) + "."
-    columns = tuple(column for column in table.columns if column not in same)
+    sentence = "; ".join(f"{_plain(column.header)}: {text}" for column, text in constant.items()) + "."
+    columns = tuple(column for column in table.columns if column not in constant)
     return replace(table, columns=columns, caption=f"{sentence} {table.caption}".strip())
 
 
 def _is_empty(table: Table, column: Column) -> bool:
     rows = [row for row in table.rows if row.kind == "ours"] if column.ours_only else table.rows
-    return all(table.cell(row, column) in _SAY_NOTHING for row in rows)
+    return all(table.cell(row, column) in _EMPTY for row in rows)
 
 
 def _parts(table: Table, width: int) -> tuple[tuple[Column, ...], ...]:
-    """All columns where they fit, else by groups, as many of them side by side as fit; a group too wide by column."""
+    """All columns where they fit, else as many groups per part as fit; too wide a group is split by column."""
     if sum(_width(table, column) for column in table.columns) <= width:
         return (table.columns,)
     repeated = tuple(column for column in table.columns if not column.group)
@@ -82,8 +80,8 @@ def _parts(table: Table, width: int) -> tuple[tuple[Column, ...], ...]:
     left = width - sum(_width(table, column) for column in repeated)
     parts: list[list[Column]] = []
     for group in groups.values():
-        whole = sum(_width(table, column) for column in group)
-        for piece in [group] if whole <= left else [[column] for column in group]:
+        total = sum(_width(table, column) for column in group)
+        for piece in [group] if total <= left else [[column] for column in group]:
             wide = sum(_width(table, column) for column in piece)
             if parts and wide + sum(_width(table, column) for column in parts[-1]) <= left:
                 parts[-1] += piece
@@ -93,10 +91,10 @@ def _parts(table: Table, width: int) -> tuple[tuple[Column, ...], ...]:
 
 
 def _width(table: Table, column: Column) -> int:
-    """Headers are wrapped between words, texts too; numbers are not."""
+    """Characters of the column. Headers and texts wrap between words; numbers do not."""
     cells = max((len(table.cell(row, column).text) for row in table.rows), default=0)
     header = max(len(word) for word in column.header.split())
-    return max(header, cells if column.number else min(cells, _LONGEST_WORDS)) + _BETWEEN
+    return max(header, cells if column.number else min(cells, _MAX_TEXT)) + _BETWEEN
 
 
 def _plain(header: str) -> str:

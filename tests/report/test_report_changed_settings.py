@@ -1,4 +1,4 @@
-"""What changes of a schedule are worth: differences, errors and ratios by hand."""
+"""Effect of changed settings: differences, standard errors and ratios against hand computation."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from pipeline.presentation.table_files import comma_separated, markdown
-from pipeline.report.tables.variants_study import studies
+from pipeline.report.tables.changed_settings import changed_settings
 from pipeline.runs.read.collect import Collection
 
 
@@ -34,8 +34,8 @@ def collection(*parts: list[dict]) -> Collection:
     return Collection(pd.DataFrame(sum(parts, [])), pd.DataFrame(), {}, (), ())
 
 
-def test_a_change_is_compared_scene_by_scene_over_common_seeds() -> None:
-    (table,) = studies(
+def test_change_is_compared_per_scene_over_common_seeds() -> None:
+    (table,) = changed_settings(
         collection(
             rows("fast", "synthetic/wheel", [20.0, 22.0, 24.0]),
             rows("fast", "synthetic/lamp", [30.0, 30.0]),
@@ -56,16 +56,18 @@ def test_a_change_is_compared_scene_by_scene_over_common_seeds() -> None:
     assert "+2.00 ± 1.00" in markdown(table)
 
 
-def test_one_variant_alone_is_no_study() -> None:
+def test_no_table_for_a_single_variant() -> None:
     assert (
-        studies(collection(rows("fast", "synthetic/wheel", [20.0]), rows("fast (batch=2)", "synthetic/wheel", [20.0])))
+        changed_settings(
+            collection(rows("fast", "synthetic/wheel", [20.0]), rows("fast (batch=2)", "synthetic/wheel", [20.0]))
+        )
         == []
     )
 
 
-def test_variants_without_the_schedule_as_it_is_are_no_study() -> None:
+def test_no_table_without_the_unchanged_schedule() -> None:
     assert (
-        studies(
+        changed_settings(
             collection(
                 rows("fast (batch=4)", "synthetic/wheel", [20.0]), rows("fast (batch=2)", "synthetic/wheel", [20.0])
             )
@@ -74,8 +76,8 @@ def test_variants_without_the_schedule_as_it_is_are_no_study() -> None:
     )
 
 
-def test_one_seed_has_no_error() -> None:
-    (table,) = studies(
+def test_one_seed_has_no_standard_error() -> None:
+    (table,) = changed_settings(
         collection(
             rows("fast", "synthetic/wheel", [20.0]),
             rows("fast (batch=2)", "synthetic/wheel", [21.0]),
@@ -86,9 +88,9 @@ def test_one_seed_has_no_error() -> None:
     assert "nan" not in comma_separated(table).lower()
 
 
-def test_a_change_of_the_scene_is_none_of_the_schedule() -> None:
+def test_changes_of_the_scene_are_not_changes_of_the_schedule() -> None:
     small = "scene.downscale=4, scene.test_cameras=[5, 6]"
-    (table,) = studies(
+    (table,) = changed_settings(
         collection(
             rows("fast", "dnerf/lego", [20.0]),
             rows("fast (batch=2)", "dnerf/lego", [20.5]),

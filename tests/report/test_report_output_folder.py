@@ -1,4 +1,4 @@
-"""The folder of a report: it holds the last report and whatever else was there, never more, never less."""
+"""The output folder: a new report replaces the files of the previous one and leaves all other files."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from report_runs import write_run
 
 from pipeline.report.__main__ import main
-from pipeline.report.write.out_folder import LIST, replace_report
+from pipeline.report.write.output_folder import LIST, replace_report
 
 OLD_MD = {"report.md": b"# Benchmark report\n\n1 runs; dates: 2025-01-01"}
 OLD_HTML = {"report.html": b"<!doctype html>\n<title>4D Gaussian Splatting: benchmark report</title>"}
@@ -25,7 +25,7 @@ def put(folder: Path, content: dict[str, bytes]) -> None:
         (folder / name).write_bytes(data)
 
 
-def test_the_next_report_replaces_this_one_and_nothing_else(tmp_path) -> None:
+def test_new_report_replaces_the_previous_one_and_keeps_other_files(tmp_path) -> None:
     others = {
         "notes.md": b"mine",
         "tables/mine.md": b"mine",
@@ -41,14 +41,14 @@ def test_the_next_report_replaces_this_one_and_nothing_else(tmp_path) -> None:
     assert found == others | {"report.md": b"2", "tables/b.md": b"2"}
 
 
-def test_a_folder_that_a_report_left_empty_goes(tmp_path) -> None:
+def test_empty_folder_of_the_previous_report_is_removed(tmp_path) -> None:
     replace_report(tmp_path, {"report.md": b"", "strips/a.webp": b""})
     replace_report(tmp_path, {"report.md": b""})
     assert not (tmp_path / "strips").exists()
 
 
 @pytest.mark.parametrize("mark", [OLD_MD, OLD_HTML, OLD_MD | OLD_HTML])
-def test_a_report_of_before_there_were_lists_is_replaced(tmp_path, mark: dict[str, bytes]) -> None:
+def test_report_without_a_list_of_files_is_replaced(tmp_path, mark: dict[str, bytes]) -> None:
     others = {"bench/bench.txt": b"", "earlier/all_runs.md": b"", "clipping.md": b"", "report.pdf": b""}
     put(tmp_path, mark | others | {"tables/old.csv": b"", "plots/old.svg": b"", "strips/old.webp": b""})
     replace_report(tmp_path, {"report.md": b"new"})
@@ -56,7 +56,7 @@ def test_a_report_of_before_there_were_lists_is_replaced(tmp_path, mark: dict[st
 
 
 @pytest.mark.parametrize("foreign", ["report.md", "report.html", "tables/a.md", LIST])
-def test_somebody_elses_file_is_not_overwritten(tmp_path, foreign: str) -> None:
+def test_foreign_file_is_not_overwritten(tmp_path, foreign: str) -> None:
     put(tmp_path, {foreign: b"mine"})
     with pytest.raises(ValueError, match="give another --out") as error:
         replace_report(tmp_path, {"report.md": b"", "report.html": b"", "tables/a.md": b""})
@@ -65,7 +65,7 @@ def test_somebody_elses_file_is_not_overwritten(tmp_path, foreign: str) -> None:
 
 
 @pytest.mark.parametrize("in_the_way", ["out", "out/tables"])
-def test_a_file_where_a_folder_must_be_is_one_line(tmp_path, in_the_way: str) -> None:
+def test_file_in_place_of_a_folder_is_an_error(tmp_path, in_the_way: str) -> None:
     put(tmp_path, {in_the_way: b"mine"})
     with pytest.raises(ValueError, match="expected a folder or nothing, found a file"):
         replace_report(tmp_path / "out", {"tables/a.md": b""})
@@ -73,7 +73,7 @@ def test_a_file_where_a_folder_must_be_is_one_line(tmp_path, in_the_way: str) ->
 
 
 @pytest.mark.parametrize("line", ["../mine.md", "/etc/hostname", "tables/../mine.md", "notes.md", "tables/a/b.md", ""])
-def test_a_list_that_was_edited_reaches_no_other_file(tmp_path, line: str) -> None:
+def test_edited_list_removes_no_other_file(tmp_path, line: str) -> None:
     out = tmp_path / "out"
     replace_report(out, {"report.md": b""})
     others = {"mine.md": b"", "out/mine.md": b"", "out/notes.md": b"", "out/tables/a/b.md": b""}
@@ -84,7 +84,7 @@ def test_a_list_that_was_edited_reaches_no_other_file(tmp_path, line: str) -> No
     assert files(tmp_path).keys() == others.keys() | {"out/report.md", f"out/{LIST}"}
 
 
-def test_after_a_report_that_was_killed_the_next_one_knows_all_it_may_have_written(tmp_path, monkeypatch) -> None:
+def test_files_of_an_interrupted_report_are_removed_by_the_next(tmp_path, monkeypatch) -> None:
     replace_report(tmp_path, {"report.md": b"1", "tables/a.md": b"1"})
 
     def killed(path: Path, data: bytes) -> int:
@@ -100,7 +100,7 @@ def test_after_a_report_that_was_killed_the_next_one_knows_all_it_may_have_writt
     assert files(tmp_path).keys() == {"report.md", LIST}
 
 
-def test_what_belongs_to_a_deleted_run_goes_with_the_next_report(tmp_path) -> None:
+def test_files_of_a_deleted_run_are_removed_by_the_next_report(tmp_path) -> None:
     write_run(tmp_path / "runs", "synthetic/wheel", images=2)
     gone = write_run(tmp_path / "runs", "dnerf/lego", images=2)
     main([str(tmp_path / "runs")])
@@ -110,10 +110,20 @@ def test_what_belongs_to_a_deleted_run_goes_with_the_next_report(tmp_path) -> No
     assert not [name for name in files(tmp_path / "report") if "dnerf" in name]
 
 
-def test_the_command_refuses_in_one_line(tmp_path, capsys) -> None:
+def test_command_reports_a_foreign_file_in_one_line(tmp_path, capsys) -> None:
     write_run(tmp_path / "runs", "synthetic/wheel")
     put(tmp_path / "report", {"report.md": b"# My own"})
     assert main([str(tmp_path / "runs")]) == 1
     said = capsys.readouterr()
     assert said.out == "" and said.err.count("\n") == 1 and "give another --out" in said.err
     assert files(tmp_path / "report") == {"report.md": b"# My own"}
+
+
+def test_latex_is_written_on_request_and_removed_by_the_next_report(tmp_path) -> None:
+    write_run(tmp_path / "runs", "synthetic/wheel")
+    assert main([str(tmp_path / "runs"), "--latex"]) == 0
+    tables = {path.stem: path for path in (tmp_path / "report/tables").glob("*.tex")}
+    assert {"all_runs", "scenes_synthetic"} <= tables.keys()
+    assert r"\begin{tabular}" in tables["all_runs"].read_text()
+    assert main([str(tmp_path / "runs")]) == 0
+    assert {path.suffix for path in (tmp_path / "report/tables").iterdir()} == {".md", ".csv"}

@@ -1,4 +1,4 @@
-"""Mean ± standard deviation over seeds, standard errors, and the verdict on an ablation."""
+"""Statistics over seeds: mean, standard deviation, standard error, and the verdict on an ablation."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from pipeline.runs.read.model_labels import reference
+from pipeline.runs.read.model_labels import baseline_of
 
-MIN_SEEDS = 3  # fewer give no usable standard error
-STANDARD_ERRORS = 2.0  # an ablation is worse when it is so many standard errors below `full`
+MIN_SEEDS = 3  # with fewer the standard error is too uncertain
+STANDARD_ERRORS = 2.0  # of the difference; a verdict needs a larger difference than this
+TOO_FEW_SEEDS = "too few seeds"
 FORMULA = (
-    "An ablation is worse than full when mean(full) − mean(ablation) > 2 SE, with "
-    "SE = √(s²(full)/n(full) + s²(ablation)/n(ablation)), the standard error of the difference of two "
-    "independent means; s is the standard deviation over seeds (n − 1) and n ≥ 3 the number of seeds."
+    "Worse: mean(full) − mean(ablation) > 2 SE. Better: mean(ablation) − mean(full) > 2 SE. Otherwise no difference is "
+    "shown. SE = √(s²(full)/n(full) + s²(ablation)/n(ablation)) is the standard error of the difference of two "
+    "independent means. s is the standard deviation over seeds (n − 1), n the number of seeds. A verdict needs n ≥ 3."
 )
 
 
@@ -30,12 +31,12 @@ class Estimate:
 
     @property
     def standard_error(self) -> float:
-        """std / √n: how far the mean itself is likely to be off."""
+        """Of the mean: std / √n."""
         return self.std / math.sqrt(self.n)
 
 
 def estimate(values: Iterable[float]) -> Estimate | None:
-    """Mean and sample standard deviation; None if any seed lacks the value (a partial mean would mislead)."""
+    """Mean and sample standard deviation; None if a value is NaN, since a mean over some seeds would mislead."""
     array = np.asarray(list(values), dtype=np.float64)
     if array.size == 0 or np.isnan(array).any():
         return None
@@ -48,24 +49,23 @@ def select(runs: pd.DataFrame, scene: str, ablation: str, train: str) -> pd.Data
 
 
 def over_seeds(runs: pd.DataFrame, scene: str, ablation: str, train: str, metric: str) -> Estimate | None:
-    """`metric` (a column such as `final.psnr`) of one experiment; None without runs or if a seed lacks it."""
+    """`metric` (a column such as `final.psnr`) of one experiment; None without runs or if one lacks the metric."""
     return estimate(select(runs, scene, ablation, train)[metric])
 
 
 def over_scenes(
     runs: pd.DataFrame, scenes: Iterable[str], ablation: str, train: str, metric: str
 ) -> tuple[Estimate | None, int]:
-    """Mean over `scenes` of the per-scene means, and how many of them had runs.
+    """Mean over `scenes` of the per-scene means, and the number of scenes with runs.
 
-    The std is that of the per-seed means over scenes, over the seeds that every scene has (NaN with fewer
-    than two).
+    The std is that of the per-seed means over scenes, for the seeds that every scene has (NaN with fewer than two).
     """
-    mine = runs[(runs["ablation"] == ablation) & (runs["train"] == train) & runs["scene"].isin(list(scenes))]
-    if mine.empty:
+    chosen = runs[(runs["ablation"] == ablation) & (runs["train"] == train) & runs["scene"].isin(list(scenes))]
+    if chosen.empty:
         return None, 0
-    if mine[metric].isna().any():
-        return None, mine["scene"].nunique()
-    scene_by_seed = mine.pivot_table(index="scene", columns="seed", values=metric)
+    if chosen[metric].isna().any():
+        return None, chosen["scene"].nunique()
+    scene_by_seed = chosen.pivot_table(index="scene", columns="seed", values=metric)
     mean = float(scene_by_seed.mean(axis=1).mean())
     common = scene_by_seed.dropna(axis=1).mean(axis=0)
     std = float(common.std(ddof=1)) if len(common) > 1 else math.nan
@@ -74,18 +74,18 @@ def over_scenes(
 
 @dataclass(frozen=True)
 class Verdict:
-    """Is an ablation worse than `full` on one scene, under one schedule, for one metric (more is better)?"""
+    """An ablation compared with its baseline on one scene, schedule and metric, where higher is better."""
 
     full: Estimate
     ablation: Estimate
-    difference: float  # mean(full) - mean(ablation); positive: the ablation is worse
-    standard_error: float  # of that difference; NaN where a side has one seed
+    difference: float  # mean(full) - mean(ablation)
+    standard_error: float  # of the difference; NaN where a side has one seed
 
     @property
     def word(self) -> str:
-        """`worse`, `better`, `no difference shown` or `too few seeds`."""
+        """`worse`, `better`, `no difference shown` or TOO_FEW_SEEDS."""
         if min(self.full.n, self.ablation.n) < MIN_SEEDS:
-            return "too few seeds"
+            return TOO_FEW_SEEDS
         if self.difference > STANDARD_ERRORS * self.standard_error:
             return "worse"
         if -self.difference > STANDARD_ERRORS * self.standard_error:
@@ -94,24 +94,24 @@ class Verdict:
 
 
 def compare(full: Estimate, ablation: Estimate) -> Verdict:
-    """See FORMULA."""
+    """The verdict by FORMULA. Where lower is better, pass negated values."""
     return Verdict(
         full, ablation, full.mean - ablation.mean, math.sqrt(full.standard_error**2 + ablation.standard_error**2)
     )
 
 
 def verdict(runs: pd.DataFrame, scene: str, ablation: str, train: str, metric: str) -> Verdict | None:
-    """A model against the one it is compared with (models.reference); None unless both have runs with this metric."""
-    if (whole := reference(ablation)) is None:
+    """A model compared with its baseline (model_labels.baseline_of); None unless both have runs with this metric."""
+    if (baseline := baseline_of(ablation)) is None:
         return None
-    full = over_seeds(runs, scene, whole, train, metric)
+    full = over_seeds(runs, scene, baseline, train, metric)
     other = over_seeds(runs, scene, ablation, train, metric)
     return compare(full, other) if full and other else None
 
 
 def trains(runs: pd.DataFrame, scenes: Iterable[str], ablation: str | None = None) -> list[str]:
-    """The schedules (`paper`, `fast`, …) that ran on any of `scenes`, sorted."""
-    mine = runs[runs["scene"].isin(list(scenes))]
+    """The sorted schedules (`paper`, `fast`, …) with runs on any of `scenes`; with `ablation`, of that model."""
+    chosen = runs[runs["scene"].isin(list(scenes))]
     if ablation is not None:
-        mine = mine[mine["ablation"] == ablation]
-    return sorted(mine["train"].unique())
+        chosen = chosen[chosen["ablation"] == ablation]
+    return sorted(chosen["train"].unique())

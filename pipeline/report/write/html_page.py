@@ -1,0 +1,68 @@
+"""Renders report.html from html_page.html: one self-contained page with inline images and without scripts."""
+
+from __future__ import annotations
+
+import base64
+import re
+from pathlib import Path
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from pipeline.presentation.table_layout import laid_out
+from pipeline.report.write.image_strips import DIFFERENCE_GAIN
+from pipeline.report.write.sections import TITLES, Content
+
+# Visible items of each kind; more are in an element that can be expanded.
+_CARDS, _SCENES, _PLOTS, _ROWS = 16, 6, 6, 24
+
+
+def render_page(content: Content) -> str:
+    """HTML text. The template engine escapes text; images become data URIs. Empty sections are left out."""
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {
+        "svg_uri": lambda svg: _data_uri("image/svg+xml", svg.encode()),
+        "webp_uri": lambda webp: _data_uri("image/webp", webp),
+        "pieces": pieces,
+    }
+    return environment.get_template("html_page.html").render(
+        content=content,
+        summary=content.summary,
+        laid_out=laid_out,
+        shown_cards=_CARDS,
+        shown_scenes=_SCENES,
+        shown_plots=_PLOTS,
+        shown_rows=_ROWS,
+        difference_gain=DIFFERENCE_GAIN,
+        sections=_sections(content),
+    )
+
+
+def _sections(content: Content) -> dict[str, str]:
+    """id -> title of the sections that are not empty, in order."""
+    parts = {
+        "summary": True,
+        "strips": content.strips,
+        "curves": content.plots,
+        "ablations": content.ablations,
+        "paper": content.paper,
+        "scenes": content.scenes,
+        "comparisons": content.comparisons,
+        "sfm": content.sfm,
+        "raw": content.raw,
+    }
+    return {key: title for key, title in TITLES.items() if parts[key]}
+
+
+def pieces(text: str) -> list[str]:
+    """`text` split where a line may break: after / _ and =."""
+    return re.split(r"(?<=[/_=])", text)
+
+
+def _data_uri(mime: str, content: bytes) -> str:
+    return f"data:{mime};base64,{base64.b64encode(content).decode()}"

@@ -1,0 +1,142 @@
+"""Image strips, render | truth | difference, from the images in a run's renders/ folder.
+
+Per scene one schedule: the one with the best mean final PSNR of `full`. Shown are the median and the worst view of
+`full`, and the same median view of the ablation that the scene was made for. Other models are compared in tables.
+"""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from pathlib import Path
+
+import pandas as pd
+from PIL import Image
+
+from datasets.files.errors import clear
+from pipeline.presentation.seed_statistics import select
+from pipeline.report.read import scenes
+from pipeline.runs.read.model_labels import ablation_of, baseline_of, requested
+from pipeline.runs.read.run_files import read_view_psnr
+from pipeline.runs.read.run_names import file_name, parts_of
+
+PARTS = ("render", "truth", "difference")
+_MAX_SIDE = 512  # pixels of a view, to limit the size of the page
+_GAP = 6  # pixels between the parts
+_QUALITY = 90  # of WebP; the exact images are in the run's renders/
+DIFFERENCE_GAIN = 4  # of the difference images that pipeline/evaluation/pictures.py writes
+
+
+@dataclass(frozen=True)
+class Strip:
+    """One view of one run; `webp` has render, truth and difference side by side."""
+
+    scene: str
+    ablation: str
+    train: str
+    seed: int
+    view: str
+    choice: str  # median | worst | example: how the view was chosen
+    chosen_for: str  # the model by whose PSNR it was chosen
+    psnr: float | None  # of this view, dB
+    webp: bytes
+
+    @property
+    def choice_text(self) -> str:
+        """How the view was chosen, such as `median of full`."""
+        return self.choice if self.chosen_for == self.ablation else f"{self.choice} of {self.chosen_for}"
+
+    @property
+    def filename(self) -> str:
+        """Unique among strips and valid in any file system."""
+        return webp_name(self.scene, self.ablation, self.train, f"seed{self.seed}", self.choice, self.view)
+
+
+def make_strips(runs: pd.DataFrame, no_pictures: tuple[str, ...] = ()) -> tuple[list[Strip], list[str]]:
+    """Strips in the order of the report, and a warning for each image that could not be read.
+
+    no_pictures: scenes (dnerf/lego) or families (dnerf) without strips; a warning names them.
+    """
+    strips: list[Strip] = []
+    warnings: list[str] = []
+    for scene in scenes.in_order(runs["scene"]):
+        if is_excluded(scene, no_pictures):
+            warnings.append(f"{scene}: no pictures, as requested by --no-pictures")
+            continue
+        train, model = shown_experiment(runs[runs["scene"] == scene])
+        first = _first_seed(runs, scene, model, train)
+        views = choose_views(first["folder"] / "renders", read_view_psnr(first["folder"] / "per_image.csv"))
+        wanted = [(first, *view) for view in views]
+        of_schedule = runs[(runs["scene"] == scene) & (runs["train"] == train)]
+        for label in scenes.ablations_in_order(of_schedule["ablation"]):
+            made_for = (scene, ablation_of(label)) in scenes.MADE_FOR_SCENE
+            if made_for and baseline_of(label) == model:
+                wanted += [(_first_seed(runs, scene, label, train), *view) for view in views[:1]]
+        for run, choice, view in wanted:
+            try:
+                strips.append(_strip(run, choice, view, model))
+            except Exception as error:  # PIL raises many types for damaged files
+                warnings.append(f"{run['run']}: no strip of {clear(view)}: {clear(error)}")
+    return strips, warnings
+
+
+def shown_experiment(runs: pd.DataFrame) -> tuple[str, str]:
+    """(schedule, model) of one scene with the best mean final PSNR of `full`.
+
+    Variants of a schedule (in brackets) count only if there are no other runs. Without `full`: of the first model.
+    """
+    unchanged = runs[[not parts_of(train)[1] for train in runs["train"]]]
+    runs = runs if unchanged.empty else unchanged
+    full = runs[runs["ablation"].map(requested) == "full"]
+    if full.empty:
+        full = runs[runs["ablation"] == scenes.ablations_in_order(runs["ablation"])[0]]
+    return full.groupby(["train", "ablation"], sort=True)["final.psnr"].mean().idxmax()
+
+
+def _first_seed(runs: pd.DataFrame, scene: str, model: str, train: str) -> pd.Series:
+    return select(runs, scene, model, train).sort_values("seed").iloc[0]
+
+
+def _strip(run: pd.Series, choice: str, view: str, chosen_for: str) -> Strip:
+    """Raises whatever PIL raises for missing and damaged images."""
+    folder = Path(run["folder"])
+    webp = compose([folder / "renders" / f"{view}_{part}.png" for part in PARTS])
+    psnr = read_view_psnr(folder / "per_image.csv").get(view)
+    return Strip(run["scene"], run["ablation"], run["train"], int(run["seed"]), view, choice, chosen_for, psnr, webp)
+
+
+def webp_name(*parts: str) -> str:
+    """The parts joined to a file name that is valid in any file system."""
+    return file_name("".join(c if c.isalnum() or c in "-_." else "_" for c in "__".join(parts))) + ".webp"
+
+
+def is_excluded(scene: str, no_pictures: tuple[str, ...]) -> bool:
+    """Whether the scene or its family is one of those whose images may not be published."""
+    return scene in no_pictures or scene.split("/")[0] in no_pictures
+
+
+def choose_views(renders: Path, psnr_of: dict[str, float]) -> list[tuple[str, str]]:
+    """(choice, view) of median and worst PSNR; without PSNRs the middle view by name; [] without images."""
+    views = sorted(p.name.removesuffix("_render.png") for p in renders.glob("*_render.png"))
+    known = sorted((psnr_of[v], v) for v in views if v in psnr_of)
+    if not known:
+        return [("example", views[len(views) // 2])] if views else []
+    median, worst = known[len(known) // 2][1], known[0][1]
+    return [("median", median)] + ([("worst", worst)] if worst != median else [])
+
+
+def compose(paths: list[Path], max_side: int = _MAX_SIDE) -> bytes:
+    """The images side by side as WebP, with transparent gaps; images larger than `max_side` pixels are scaled down."""
+    images = []
+    for path in paths:
+        with Image.open(path) as image:
+            images.append(image.convert("RGB"))
+    scale = min(1.0, max_side / max(images[0].size))
+    size = (max(1, round(images[0].width * scale)), max(1, round(images[0].height * scale)))
+    strip = Image.new("RGBA", (len(images) * size[0] + (len(images) - 1) * _GAP, size[1]), (0, 0, 0, 0))
+    for i, image in enumerate(images):
+        scaled = image if image.size == size else image.resize(size, Image.Resampling.LANCZOS)
+        strip.paste(scaled, (i * (size[0] + _GAP), 0))
+    buffer = io.BytesIO()
+    strip.save(buffer, "WEBP", quality=_QUALITY)
+    return buffer.getvalue()
