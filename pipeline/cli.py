@@ -25,7 +25,7 @@ from pipeline.terminal.closed_pipe import quiet_on_closed_pipe
 from pipeline.terminal.help_page import help_page
 from rasterizer.memory import keep_freed_memory
 
-# What a user can cause, by a wrong key, bad data, a full disk or a training that diverges. Anything else is a fault of
+# What a user can cause, by a wrong key, bad data, a full disk or a training that diverges. Anything else is a bug of
 # the program and shows its traceback.
 EXPECTED = (ValueError, OSError, ArithmeticError, MemoryError, HydraException, OmegaConfBaseException)
 
@@ -44,7 +44,7 @@ _HEADINGS = {
 
 
 class RunFailed(Exception):
-    """A run of a sweep ended badly and has said so; the others go on."""
+    """A run of a sweep failed and its error is printed; the other runs continue."""
 
 
 def main() -> None:
@@ -120,7 +120,7 @@ def _hint_at_settings(cfg: Config, chosen: str | None) -> None:
 
 
 def _refuse(line: str) -> None:
-    """Ends the command; without a scene with the page that says how one is named."""
+    """Prints the error and ends the command; without a scene, prints the help page instead."""
     if line.startswith("scene: must be given"):
         with quiet_on_closed_pipe():
             print(help_page(), end="")
@@ -185,7 +185,7 @@ def _report_line(cfg: Config, metrics: dict) -> None:
 
 
 def _title(cfg: Config, metrics: dict | None = None) -> str:
-    """metrics: of the finished run; they say whether selection by validation left time-varying colour out."""
+    """scene, model, schedule and seed in one line. metrics: of the finished run, for whether 4DSH was left out."""
     selection = (metrics or {}).get("select_time_colour")
     left_out = selection is not None and not selection["kept"]
     model = cfg.ablation.name + (", 4DSH left out" if left_out else "")

@@ -149,8 +149,8 @@ def _keys_of(container: dict, prefix: str = "") -> Iterator[str]:
 
 
 def options(group: str) -> list[str]:
-    """What conf/<group> offers, nested ones too (Hydra lists the first level only). Below conf/train/<schedule> are the
-    overrides that a schedule has for single scenes, which nobody chooses."""
+    """What conf/<group> offers, nested ones too (Hydra lists the first level only). Not the files below
+    conf/train/<schedule>: they are a schedule's overrides for single scenes."""
     folder = CONFIG_DIR / group
     if group == "train":
         return sorted(file.stem for file in folder.glob("*.yaml"))

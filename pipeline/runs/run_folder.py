@@ -1,11 +1,11 @@
-"""The run folder: where one run keeps everything it makes, and how it knows what is already done.
+"""The run folder: every file that a run writes, and the record of its finished stages.
 
     config.yaml  environment.json  stages.json  log.jsonl
     sfm.json  sfm.png  canonical.json  init.ply  checkpoint.safetensors  error_vs_time.csv
     metrics.json  per_image.csv  renders/
 
-Whole files are written beside their name, synced and renamed, so that a reader never meets half of one. The two that
-grow line by line (log.jsonl, error_vs_time.csv) lose at most a last, incomplete line, which is dropped when read.
+Whole files are written atomically (datasets/files/atomic_write.py). The two that grow line by line (log.jsonl,
+error_vs_time.csv) lose at most an incomplete last line, which is dropped when they are read.
 """
 
 from __future__ import annotations
@@ -23,14 +23,10 @@ from typing import Any
 
 from omegaconf import OmegaConf
 
-from datasets.files.atomic_write import write_text, writing
+from datasets.files.atomic_write import disk_errors_named, write_json, write_text
 from pipeline.runs.run_identity import FILES, UNFINISHED, Resolve, read_stages, refuse_foreign, refuse_other_run
 
 CURVE_COLUMNS = ("train_seconds", "iteration", "psnr", "ssim", "test_loss", "n_gaussians")
-
-
-def write_json(path: Path, value: Any) -> None:
-    write_text(path, json.dumps(value, indent=2, allow_nan=False) + "\n")
 
 
 def write_csv(path: Path, rows: list[dict]) -> None:
@@ -53,7 +49,7 @@ class RunFolder:
         another run, or is in use; then nothing there has changed.
         """
         refuse_foreign(path)
-        with writing(path):
+        with disk_errors_named(path):
             path.mkdir(parents=True, exist_ok=True)
         self.path = path
         self._lock = _locked(path)
@@ -188,7 +184,7 @@ class RunFolder:
 
 
 def _iteration_of(value: Any) -> int:
-    """What a line says of its iteration; where that is no number, one that no run reaches."""
+    """The iteration of a line; where it is no number, one that no run reaches."""
     try:
         return int(value)
     except (TypeError, ValueError, OverflowError):

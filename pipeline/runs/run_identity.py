@@ -1,4 +1,4 @@
-"""Whose run a folder holds: told from its config.yaml and stages.json before anything in it is touched."""
+"""Which run a folder holds, by its config.yaml and stages.json; checked before anything in it is changed."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from datasets.files.atomic_write import TEMPORARY
 from datasets.files.errors import DataError, clear, read_json
 from pipeline.config.renamed_keys import with_renamed_keys
 
-# Keys that say where and how a run is made, not what it computes: a finished run may be repeated with others.
+# Keys that do not change what a run computes: a finished run may be repeated with others.
 FREE_KEYS = ("out", "threads", "resume", "scene.cache", "evaluate", "estimate")
 FILES = (
     "config.yaml",
@@ -30,7 +30,7 @@ FILES = (
     "per_image.csv",
     "renders",
 )
-UNFINISHED = tuple(f"{TEMPORARY}{name}" for name in FILES)  # what a run that was killed while it wrote leaves behind
+UNFINISHED = tuple(f"{TEMPORARY}{name}" for name in FILES)  # left behind by a killed run
 RENAMED_STAGES = {"trial": "select_time_colour"}  # since version 0.1
 _GROUPS = ("scene", "train", "seed")  # of every run's config.yaml
 
@@ -38,7 +38,7 @@ Resolve = Callable[[dict], dict]
 
 
 def refuse_foreign(path: Path) -> None:
-    """ValueError where `path` holds files that no run made: an out= must not write over somebody's folder."""
+    """ValueError where `path` holds files that no run made: a run must not overwrite another folder."""
     if not path.exists():
         return
     if not path.is_dir():
@@ -58,15 +58,15 @@ def refuse_other_run(path: Path, config: dict, resolve: Resolve = dict, ignored:
     if not (path / "config.yaml").exists() or not read_stages(path):
         return  # nothing was made yet: a run that failed over a wrong path may be corrected
     free = (*FREE_KEYS, *ignored)
-    there, asked = _comparable(resolve(read_config(path / "config.yaml")), free), _comparable(config, free)
-    differing = [key for key in {**there, **asked} if there.get(key) != asked.get(key)]
+    stored, wanted = _comparable(resolve(read_config(path / "config.yaml")), free), _comparable(config, free)
+    differing = [key for key in {**stored, **wanted} if stored.get(key) != wanted.get(key)]
     if differing:
         first = differing[0]
         others = clear(", ".join(differing[1:4])) + (", …" if len(differing) > 4 else "")
         more = f" (and {others})" if differing[1:] else ""
         raise ValueError(
-            f"{path}: holds another run, with {clear(f'{first}={there.get(first)}')} where "
-            f"{asked.get(first)} is asked for{more}; give another out=DIR, or resume=false to "
+            f"{path}: holds another run, with {clear(f'{first}={stored.get(first)}')} but this "
+            f"command has {wanted.get(first)}{more}; give another out=DIR, or resume=false to "
             "replace it"
         )
 
@@ -81,7 +81,7 @@ def read_stages(path: Path) -> dict:
         isinstance(record, dict) and isinstance(record.get("inputs"), str) and isinstance(record.get("values"), dict)
         for record in stages.values()
     ):
-        raise DataError(path, "a record of each finished stage", "another thing; resume=false starts the run anew")
+        raise DataError(path, "a record of each finished stage", "something else; resume=false starts the run anew")
     return {RENAMED_STAGES.get(name, name): record for name, record in stages.items()}
 
 
@@ -101,8 +101,7 @@ def read_config(path: Path, where: str | None = None) -> dict:
 
 
 def _is_run(path: Path) -> bool:
-    """Whether a run of this program made what is in the folder: its config.yaml or, if that is damaged, stages.json
-    says so."""
+    """Whether the folder is a run folder of this program, by its config.yaml or, if that is damaged, stages.json."""
     try:
         return set(_GROUPS) <= set(read_config(path / "config.yaml"))
     except DataError:

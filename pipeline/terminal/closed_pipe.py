@@ -1,9 +1,9 @@
-"""A reader that has seen enough, as in `python -m pipeline.report RUNS | head`, is no error.
+"""Closed pipes are no error: `python -m pipeline.report RUNS | head` ends quietly.
 
     @quiet_on_closed_pipe()
     def main() -> int: ...
 
-What a command writes to files it should write before it prints: printing stops where the reader does.
+A command should write its files before it prints: printing stops when the pipe is closed.
 """
 
 from __future__ import annotations

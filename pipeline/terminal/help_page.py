@@ -25,7 +25,7 @@ EXAMPLES = (
     ("scene=dnerf scene.path=DIR scene.validation_every=8", "… without a test split: every eighth view is held out"),
     ("scene=dnerf/lego scene.path=DIR train=release", "a D-NeRF scene as the authors' released program trains it"),
     ("scene=plenoptic scene.path=DIR train=fast", "videos of several cameras with poses_bounds.npy"),
-    ("scene=video scene.path=DIR estimate=true", "videos without poses; only says what time and memory it takes"),
+    ("scene=video scene.path=DIR estimate=true", "videos without poses; only estimates time, memory and disk"),
     ("-m scene=synthetic/lamp ablation=full,no_4dsh seed=0,1,2", "a sweep: six runs; launcher=joblib: side by side"),
     ("scene=synthetic/wheel train.iterations=10000 out=DIR", "single keys, and a run folder of your own"),
     ("experiment=synthetic_suite", "the sweep that `make reproduce` starts with"),

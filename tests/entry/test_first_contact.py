@@ -207,14 +207,14 @@ def test_the_configuration_is_written_resolved_and_older_ones_still_open(shell: 
     text = path.read_text()
     assert "  batch: 3\n" in text and "static_overrides: null" in text
     assert re.search(r"background:\n +- 0.0\n +- 0.0\n +- 0.0\n", text)
-    # As it was written before: what was asked for.
+    # As an earlier version wrote it: unresolved.
     path.write_text(
         text.replace("  batch: 3\n", "  batch: 2\n").replace("static_overrides: null", "static_overrides: {batch: 3}")
     )
     out, _ = shell(*command)
     assert "train: already done" in out and path.read_text() == text
     _, err = shell(*command[:-2], "+train.static_overrides.batch=4", "out=still", status=1)
-    assert "holds another run, with train.batch=3 where 4 is asked for" in err
+    assert "holds another run, with train.batch=3 but this command has 4" in err
 
 
 # --- interruptions --------------------------------------------------------------------------------------------------

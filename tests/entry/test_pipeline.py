@@ -103,21 +103,21 @@ def test_metrics(finished: Path) -> None:
     assert metrics["model_with_optimiser_mb"] == pytest.approx(3 * metrics["model_mb"])
 
 
-def test_what_a_trial_leaves_out_the_model_does_not_hold(tmp_path: Path) -> None:
-    """Orders that come in after the end show nothing."""
-    shell, asked = Shell(tmp_path), (*TINY, "train.select_time_colour=0.5", "train.fourier_at=[80,80]", "out=run")
-    out, _ = shell(*asked)
-    assert "trial: without colours that change with time, 30 iterations; 6 training views, 2 judge" in out
+def test_time_varying_colour_without_a_gain_is_left_out_of_the_model(tmp_path: Path) -> None:
+    """Fourier orders that begin after the last iteration give no gain."""
+    shell, arguments = Shell(tmp_path), (*TINY, "train.select_time_colour=0.5", "train.fourier_at=[80,80]", "out=run")
+    out, _ = shell(*arguments)
+    assert "select_time_colour: without time-varying colour, 30 iterations; 6 training views, 2 validation views" in out
     assert "+0.00 ± 0.00 dB: left out" in out and "synthetic/wheel · full, 4DSH left out · smoke · seed 0" in out
     folder = tmp_path / "run"
     metrics = json.loads((folder / "metrics.json").read_text())
-    assert metrics["trial"]["kept"] is False and metrics["trial"]["gain"] == 0
+    assert metrics["select_time_colour"]["kept"] is False and metrics["select_time_colour"]["gain"] == 0
     assert metrics["model"] == {"motion": "full", "fourier_order": 0, "sh_degree": 3}
     # 65 float32 a Gaussian: mean 4, scale 4, rotations 8, opacity 1, colour 16 · 3.
     assert metrics["model_mb"] == pytest.approx(metrics["n_gaussians"] * 65 * 4 / 1e6)
     first = float(read_csv(folder / "error_vs_time.csv")[0]["train_seconds"])
-    assert metrics["train_seconds"] > first > metrics["trial"]["seconds"] > 0  # its seconds are training's
-    assert all(f"{stage}: already done" in shell(*asked)[0] for stage in ("trial", "init", "train", "evaluate"))
+    assert metrics["train_seconds"] > first > metrics["select_time_colour"]["seconds"] > 0  # its seconds are training's
+    assert all(f"{stage}: already done" in shell(*arguments)[0] for stage in ("select_time_colour", "init", "train", "evaluate"))
 
 
 def test_per_image_rows_average_to_the_metrics(finished: Path) -> None:
@@ -167,7 +167,7 @@ def test_other_settings_of_the_evaluation_repeat_only_that(finished: Path, shell
 def test_another_run_in_the_same_folder_is_refused(finished: Path, shell: Shell) -> None:
     _, err = shell(*TINY, "train.batch=1", status=1)
     assert err.count("\n") == 1
-    assert "holds another run, with train.batch=2 where 1 is asked for" in err and "resume=false" in err
+    assert "holds another run, with train.batch=2 but this command has 1" in err and "resume=false" in err
 
 
 def test_other_data_in_the_same_folder_is_refused(finished: Path, shell: Shell) -> None:

@@ -18,7 +18,7 @@ from datasets.scene import View
 from pipeline.config.schema import Config, EvaluateConfig
 from pipeline.config.train_schema import DensifyConfig, LearningRates
 from pipeline.data.prepare import prepare
-from pipeline.evaluation.evaluate import quick_evaluate
+from pipeline.evaluation.quick_evaluate import quick_evaluate
 from pipeline.model.initialise import initialise
 from pipeline.stages import run, stage_inputs
 from pipeline.training.loop import train

@@ -107,7 +107,7 @@ def test_another_run_is_refused_and_what_differs_said(tmp_path: Path) -> None:
     made(tmp_path / "run")
     with pytest.raises(
         ValueError,
-        match=r"run: holds another run, with train.batch=2 where 4 is asked for "
+        match=r"run: holds another run, with train.batch=2 but this command has 4 "
         r"\(and seed\); give another out=DIR, or resume=false",
     ):
         RunFolder(tmp_path / "run", changed(train={"batch": 4}, seed=1))
