@@ -1,4 +1,4 @@
-"""Scenes: one reader per layout on disk, each returning the same `Scene`."""
+"""Data sets: one reader per layout on disk, each of which returns a `Scene`; load_scene chooses it by the config."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from datasets.composition import BLACK, WHITE, Color
-from datasets.scene import Scene, SceneError, View, validate_scene
+from datasets.files.errors import SceneError
+from datasets.scene import Scene, View, validate_scene
 from datasets.settings import SceneConfig
 from datasets.validation import hold_out_every, hold_out_outermost
 
-if TYPE_CHECKING:  # it brings a video decoder, which other scenes do without
-    from datasets.plenoptic import Footage, Posed
+if TYPE_CHECKING:  # imports a video decoder, which other scenes do not need
+    from datasets.plenoptic import Footage, PosedFootage
 
 __all__ = [
     "Footage",
@@ -26,14 +27,14 @@ __all__ = [
     "validate_scene",
 ]
 
-Log = Callable[[str], None]  # takes a line of text for the user
+Log = Callable[[str], None]  # called with a line of text for the user
 
 
 def load_scene(cfg: SceneConfig, *, threads: int = 0, log: Log = print) -> Scene:
-    """The scene a config names; a synthetic one is made first, videos are decoded first, unless the cache holds them.
+    """The scene of a config. Synthetic scenes are made and videos are decoded first, unless they are in the cache.
 
-    threads: that decode; 0 for all. A reader's module is imported only when a config asks for it. Raises SceneError
-    for bad data, and for the reader `video`: its cameras are known only after structure from motion, see load_footage.
+    threads: for decoding; 0: all cores. Raises SceneError for invalid data, and for the reader `video`, whose cameras
+    are known only after structure from motion (see load_footage).
     """
     if is_filmed(cfg):
         return load_posed(cfg, threads=threads, log=log).to_scene()
@@ -42,7 +43,7 @@ def load_scene(cfg: SceneConfig, *, threads: int = 0, log: Log = print) -> Scene
     from datasets.dnerf import has_split, read_dnerf
 
     path = _make_synthetic(cfg, log) if cfg.reader == "synthetic" else _path(cfg)
-    # Where training views are held out, a scene may come without a test split.
+    # With a validation split a scene needs no test split.
     split = None if cfg.validation_every and not has_split(path, cfg.test_split) else cfg.test_split
     scene = read_dnerf(
         path,
@@ -59,15 +60,15 @@ def load_scene(cfg: SceneConfig, *, threads: int = 0, log: Log = print) -> Scene
     return validate_scene(hold_out(scene, cfg.validation_every))
 
 
-def background_color(asked: str | Sequence[float]) -> Color | None:
-    """What scene.background means: RGB in [0, 1]; None for auto."""
-    if isinstance(asked, str):
-        return {"auto": None, "black": BLACK, "white": WHITE}[asked]
-    return tuple(float(channel) for channel in asked)
+def background_color(setting: str | Sequence[float]) -> Color | None:
+    """scene.background as RGB in [0, 1]; None for auto."""
+    if isinstance(setting, str):
+        return {"auto": None, "black": BLACK, "white": WHITE}[setting]
+    return tuple(float(channel) for channel in setting)
 
 
-def load_posed(cfg: SceneConfig, *, threads: int = 0, log: Log = print) -> Posed:
-    """What several cameras filmed, and where they stood: checked but not decoded; Posed.to_scene makes the scene."""
+def load_posed(cfg: SceneConfig, *, threads: int = 0, log: Log = print) -> PosedFootage:
+    """Multi-camera videos with known poses, checked but not decoded; PosedFootage.to_scene decodes them."""
     if cfg.reader == "video" or not is_filmed(cfg):
         raise SceneError(
             "scene.reader",
@@ -76,25 +77,25 @@ def load_posed(cfg: SceneConfig, *, threads: int = 0, log: Log = print) -> Posed
         )
     from datasets.plenoptic import open_plenoptic
 
-    filming = _filming(cfg, threads, log)
+    options = _footage_options(cfg, threads, log)
     path = _make_synthetic(cfg, log) if cfg.reader == "synthetic" else _path(cfg)
-    return open_plenoptic(path, **filming)
+    return open_plenoptic(path, **options)
 
 
 def load_footage(cfg: SceneConfig, *, threads: int = 0, log: Log = print) -> Footage:
-    """The videos a config names, checked but not decoded; what a run will cost can be told from them.
+    """The videos of a config, checked but not decoded: enough to estimate the cost of a run.
 
-    Of the reader `video` this is all there is until cameras are known for it: Footage.to_scene makes the scene.
+    With the reader `video` cameras come from structure from motion later; Footage.to_scene takes them.
     """
     if cfg.reader == "video":
         from datasets.plenoptic import read_footage
 
-        return read_footage(_path(cfg), **_filming(cfg, threads, log))
+        return read_footage(_path(cfg), **_footage_options(cfg, threads, log))
     return load_posed(cfg, threads=threads, log=log).footage
 
 
 def is_filmed(cfg: SceneConfig) -> bool:
-    """Did several cameras film it at once? Then frames are decoded into a store, and points come from COLMAP."""
+    """Whether the scene consists of multi-camera videos: frames are decoded into a store, points come from COLMAP."""
     if cfg.reader == "synthetic":
         from datasets.synthetic import FILMED
 
@@ -103,7 +104,7 @@ def is_filmed(cfg: SceneConfig) -> bool:
 
 
 def __getattr__(name: str) -> Any:
-    if name == "Footage":  # late, as all that needs a video decoder
+    if name == "Footage":  # imported on first use: it needs a video decoder
         from datasets.plenoptic import Footage
 
         return Footage
@@ -122,7 +123,7 @@ def _make_synthetic(cfg: SceneConfig, log: Log) -> Path:
         test_views=cfg.test_views,
         cameras=cfg.cameras,
         frames=cfg.frames,
-        progress=lambda done, all_of_them: log(f"{cfg.name}: {done} of {all_of_them} cameras filmed"),
+        progress=lambda done, total: log(f"{cfg.name}: {done} of {total} cameras rendered"),
     )
 
 
@@ -130,12 +131,12 @@ def _synthetic_name(cfg: SceneConfig) -> str:
     return cfg.name.rpartition("/")[2]
 
 
-def _filming(cfg: SceneConfig, threads: int, log: Log) -> dict[str, Any]:
-    """The fields of datasets.plenoptic.Reading. SceneError where views are to be held out, not cameras."""
+def _footage_options(cfg: SceneConfig, threads: int, log: Log) -> dict[str, Any]:
+    """The fields of plenoptic.FootageOptions. SceneError for scene.validation_every, which is for photographs."""
     if cfg.validation_every:
         raise SceneError(
             "scene.validation_every",
-            f"0 for {cfg.name}, which several cameras filmed (hold out another by scene.test_cameras)",
+            f"0 for the multi-camera videos of {cfg.name} (scene.test_cameras holds out another camera)",
             str(cfg.validation_every),
         )
     return {

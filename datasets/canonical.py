@@ -1,18 +1,16 @@
-"""Canonical coordinates: one place for the origin, one unit of length and one of time for every scene.
+"""Canonical coordinates: normalisation of every scene to one origin, one unit of length and one unit of time.
 
-What training does depends on units: rotations in 4D mix space with time, the time of a Gaussian is learned at a rate
-per unit of time, random points start in a cube round the origin, and float32 has few digits left far from it. So a
-scene is brought into canonical coordinates before anything is made of it, and a world in millimetres or far from its
-origin, or a film in frames or since 1970, gives what the same one gives in any other unit:
+Training depends on units: 4D rotations mix space with time, learning rates are per unit of time, random points are
+drawn in a cube around the origin, and float32 loses digits far from it. Every scene is therefore normalised first:
 
     canonical x = (x - centre) scale        canonical t = (t - time_origin) time_scale
 
-Space: the origin is where the training cameras look, 4 units from them in the mean: so D-NeRF's scenes are made, and
-so the released program's converter turns others. Time: photographs take [0, 1], D-NeRF's convention; of a film 30
-frames are a unit, so that 30 a second, as Plenoptic Video's, are seconds. The world is not turned.
+Space: the origin is the least-squares intersection of the training cameras' optical axes, at a mean distance of 4
+units, as in D-NeRF's scenes and the released program's converter. There is no rotation. Time: photographs take
+[0, 1], D-NeRF's convention; 30 video frames are one unit, which is a second of Plenoptic Video.
 
-What obeys the convention to a tenth is left exactly as it is. Two scalings of one world that both do are not made
-equal, therefore: they differ by a tenth at most.
+A scene that follows the convention within 10 % is left unchanged, bit for bit. Two scalings of one world that are both
+within 10 % are therefore not made equal.
 """
 
 from __future__ import annotations
@@ -22,25 +20,25 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from datasets.cameras.optical_axes import axes_meet, mean_direction
+from datasets.cameras.optical_axes import intersect_axes, mean_direction
 from datasets.scene import Box, Scene, View, camera_extent
 from rasterizer.camera import Camera
 
-DISTANCE = 4.0  # of the training cameras from the origin, mean
-FRAMES_A_UNIT = 30.0  # of a film
-TOLERANCE = 0.1  # in parts of DISTANCE: a scene whose origin and cameras are so near to the convention obeys it
-# Relative. A rate told from times in float64 is 30 but for their rounding, which after 1970 in seconds is 2e-7.
+DISTANCE = 4.0  # mean distance of the training cameras from the origin
+FRAMES_PER_UNIT = 30.0  # of a video
+TOLERANCE = 0.1  # relative deviation from the convention up to which a scene is left unchanged
+# Relative. Removes the rounding of a frame rate that was computed from times in float64.
 RATE_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
 class Canonical:
-    """How a scene's own coordinates become canonical ones. As it stands: the identity."""
+    """The transform from a scene's own coordinates to canonical ones. The defaults are the identity."""
 
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0)  # world units
-    scale: float = 1.0  # canonical units of a world unit
-    time_origin: float = 0.0  # the scene's time unit; of a film since the first frame in use
-    time_scale: float = 1.0  # canonical units of a unit of the scene's time
+    scale: float = 1.0  # canonical units per world unit
+    time_origin: float = 0.0  # the scene's unit of time; in videos relative to the first frame in use
+    time_scale: float = 1.0  # canonical units per unit of the scene's time
 
     @property
     def keeps_space(self) -> bool:
@@ -56,12 +54,12 @@ class Canonical:
 
     @property
     def unit(self) -> float:
-        """World units of one canonical unit."""
+        """World units per canonical unit."""
         return 1.0 / self.scale
 
     @property
     def inverse(self) -> Canonical:
-        """From canonical coordinates back to the scene's own, by the same functions."""
+        """The transform from canonical coordinates to the scene's own."""
         return Canonical(
             tuple(-self.scale * x for x in self.centre),
             1.0 / self.scale,
@@ -73,23 +71,24 @@ class Canonical:
         """(…, 3) world -> (…, 3) canonical, float64."""
         return (np.asarray(world, dtype=np.float64) - self.centre) * self.scale
 
-    def time(self, own: float) -> float:
-        return (own - self.time_origin) * self.time_scale
+    def time(self, time: float) -> float:
+        """The scene's time -> canonical."""
+        return (time - self.time_origin) * self.time_scale
 
     def camera(self, camera: Camera) -> Camera:
-        """The camera that sees at canonical points what `camera` sees at the world's; its depths are × scale."""
+        """The same camera in canonical coordinates: points project to the same pixels, depths are × scale."""
         pose = camera.world_to_cam.copy()
         pose[:3, 3] = self.scale * (pose[:3, :3] @ self.centre + pose[:3, 3])
         return replace(camera, world_to_cam=pose)
 
     def box(self, world: Box) -> Box:
-        """A box as Scene.init_box, world -> canonical; the very same where space stays as it is."""
+        """A box as Scene.init_box, world -> canonical; the same object if the transform keeps space."""
         if self.keeps_space:
             return world
         return tuple(tuple(self.points(np.broadcast_to(corner, 3)).tolist()) for corner in world)
 
     def described(self) -> dict:
-        """For canonical.json: the numbers, and what they mean."""
+        """The content of canonical.json."""
         return {
             **asdict(self),
             "meaning": "canonical x = (x - centre) scale, canonical t = (t - time_origin) time_scale; a "
@@ -97,7 +96,7 @@ class Canonical:
         }
 
     def __str__(self) -> str:
-        """What changes, in one line."""
+        """The transform in one line of a log."""
         parts, centre = [], ", ".join(f"{x:.6g}" for x in self.centre)
         if not self.keeps_space:
             parts.append(f"x → (x - ({centre})) × {self.scale:.6g}")
@@ -107,36 +106,35 @@ class Canonical:
 
 
 def canonical_of(scene: Scene) -> Canonical:
-    """Follows from the scene's training cameras, its range of time and, where it was filmed, its rate."""
+    """The transform for a scene, from its training cameras, its range of time and the frame rate of its videos."""
     space = canonical_space([view.camera for view in scene.train], scene.unit)
     if scene.frame_rate is None:
         time_scale = 1.0 / scene.duration
     else:
-        time_scale = scene.frame_rate / FRAMES_A_UNIT
+        time_scale = scene.frame_rate / FRAMES_PER_UNIT
         if abs(time_scale - 1.0) < RATE_ROUNDING:
             time_scale = 1.0
     return replace(space, time_origin=float(scene.time_start), time_scale=float(time_scale))
 
 
 def canonical_space(cameras: Sequence[Camera], unit: float | None = None) -> Canonical:
-    """The part of space, from training cameras (each may come often and counts once); time stays as it is.
+    """The spatial part of the transform, from the distinct training cameras; time is kept.
 
-    The centre is the point nearest to all optical axes, by least squares. Axes that are almost parallel, or part
-    from each other, do not tell it. Then `unit`, in world units, is taken for the canonical one, and the centre lies
-    DISTANCE units ahead of the mean camera; of cameras that look all around, it is where they stand. unit: what the
-    scene is normalised by otherwise (Scene.unit: the nearest bound, where the data has bounds); None: 3DGS's extent
-    of the cameras. All of these shift and scale with the world, hence so does the result.
+    The centre is the least-squares intersection of the optical axes. If they are nearly parallel or diverge, the
+    centre lies DISTANCE canonical units in front of the mean camera, or at the mean camera if they have no common
+    direction, and one canonical unit is `unit` world units (Scene.unit, or None for 3DGS's camera extent). All of
+    these shift and scale with the world, so that the result does not depend on its unit and origin.
     """
     cameras = list({camera.world_to_cam.tobytes(): camera for camera in cameras}.values())
     positions = np.stack([camera.position for camera in cameras])
     directions = np.stack([camera.world_to_cam[2, :3] for camera in cameras])
     middle = positions.mean(axis=0)
-    around = positions - middle  # what follows has all its digits, wherever the origin is
-    centre = axes_meet(around, directions)
+    around = positions - middle  # avoids cancellation far from the origin
+    centre = intersect_axes(around, directions)
     if centre is not None:
         unit = float(np.linalg.norm(around - centre, axis=1).mean()) / DISTANCE
     else:
-        unit = unit or camera_extent(cameras) or 1.0  # cameras all in one place are refused elsewhere
+        unit = unit or camera_extent(cameras) or 1.0  # 1: cameras all at one place, which validate_scene refuses
         ahead = mean_direction(directions)
         centre = np.zeros(3) if ahead is None else DISTANCE * unit * ahead
     centre = middle + centre
@@ -145,26 +143,26 @@ def canonical_space(cameras: Sequence[Camera], unit: float | None = None) -> Can
     return Canonical(tuple(centre.tolist()), 1.0 / unit)
 
 
-def canonicalise(scene: Scene, frame: Canonical) -> Scene:
-    """The same scene in canonical coordinates: all that has a length or a time in it. The identity gives it itself."""
-    if frame.is_identity:
+def canonicalise(scene: Scene, transform: Canonical) -> Scene:
+    """The scene in canonical coordinates; the same object if the transform is the identity."""
+    if transform.is_identity:
         return scene
-    moved: dict[int, Camera] = {}  # by id: the frames of a film share their camera
+    cameras: dict[int, Camera] = {}  # by id: the frames of a video share their camera
 
     def view_of(view: View) -> View:
         key = id(view.camera)
-        if key not in moved:
-            moved[key] = frame.camera(view.camera)
-        return replace(view, camera=moved[key], time=frame.time(view.time))
+        if key not in cameras:
+            cameras[key] = transform.camera(view.camera)
+        return replace(view, camera=cameras[key], time=transform.time(view.time))
 
     return replace(
         scene,
         train=tuple(map(view_of, scene.train)),
         test=tuple(map(view_of, scene.test)),
-        duration=scene.duration * frame.time_scale,
-        time_start=frame.time(scene.time_start),
-        extent=scene.extent * frame.scale,
-        init_box=frame.box(scene.init_box),
-        unit=scene.unit * frame.scale,
-        frame_rate=None if scene.frame_rate is None else scene.frame_rate / frame.time_scale,
+        duration=scene.duration * transform.time_scale,
+        time_start=transform.time(scene.time_start),
+        extent=scene.extent * transform.scale,
+        init_box=transform.box(scene.init_box),
+        unit=scene.unit * transform.scale,
+        frame_rate=None if scene.frame_rate is None else scene.frame_rate / transform.time_scale,
     )

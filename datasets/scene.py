@@ -1,6 +1,6 @@
-"""What every reader returns: posed, timed images of one scene, and the checks any scene must pass.
+"""`Scene`: the posed, timed images that every reader returns, and `validate_scene`, the checks for all of them.
 
-A reader (`datasets/dnerf.py`, …) turns one layout on disk into a `Scene`; nothing after it knows the layout.
+A reader (`datasets/dnerf.py`, …) turns one layout on disk into a `Scene`; no other code depends on the layout.
 """
 
 from __future__ import annotations
@@ -10,28 +10,24 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Protocol, Union
+from typing import Protocol
 
 import numpy as np
 
-from datasets.files.errors import DataError
-from rasterizer.arguments import SHORTEST_DURATION
+from datasets.files.errors import SceneError
 from rasterizer.camera import Camera
+from rasterizer.request import MIN_DURATION
 
 # 3DGS scales its position learning rate by 1.1 × the distance of the farthest training camera from their centre.
 EXTENT_MARGIN = 1.1
 
 # Opposite corners, low and high; one number is the same on all three axes.
-Corner = Union[float, tuple[float, float, float]]
+Corner = float | tuple[float, float, float]
 Box = tuple[Corner, Corner]
 
 
-class SceneError(DataError):
-    """Data on disk is not what its layout promises. One line: the file or key, what was expected, what was found."""
-
-
 class Image(Protocol):
-    """Pixels (H, W, 3) uint8: an array, or something that reads one when asked for it (frames.StoredFrame)."""
+    """Pixels (H, W, 3) uint8: an array, or an object that `np.asarray` reads (frame_store.StoredFrame)."""
 
     @property
     def shape(self) -> tuple[int, ...]: ...
@@ -44,82 +40,82 @@ class Image(Protocol):
 
 @dataclass(frozen=True)
 class View:
-    """One image: who saw it, when, and what was seen."""
+    """One image with its camera and time."""
 
     camera: Camera
-    time: float  # in the scene's own unit, within [time_start, time_start + duration]; 0 when static
-    image: Image  # already composed over the scene's background; np.asarray reads it
+    time: float  # the scene's unit, within [time_start, time_start + duration]; 0 if the scene is static
+    image: Image  # already composed over the scene's background
     name: str  # unique in the scene, e.g. "train/r_0"
-    coverage: np.ndarray | None = None  # (H, W) uint8, 255 where no background shows; None: nowhere does it
+    coverage: np.ndarray | None = None  # (H, W) uint8, alpha × 255; None: opaque everywhere
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A scene split into the views to learn from and the views held out.
+    """Training views and held-out views of one scene.
 
-    Readers give it in the units of its files; canonical.py turns it into those that training works in.
+    Readers return it in the units of its files; canonical.py converts it to the units of training.
     """
 
     name: str
     train: tuple[View, ...]
     test: tuple[View, ...]
-    duration: float  # T of 4DSH's Fourier basis, in the unit of the times
+    duration: float  # period T of 4DSH's Fourier basis, in the unit of the times
     time_start: float
     background: tuple[float, float, float]  # RGB in [0, 1]
     extent: float  # world units, see camera_extent
-    init_box: Box  # random points start in it, world units
+    init_box: Box  # random initial points are drawn in it, world units
     source: Path  # the folder it was read from
-    unit: float = 1.0  # world units of one normalised unit, which the near plane is given in
-    frame_rate: float | None = None  # frames of the videos it was filmed as in a unit of time; None: photographs
-    shown_rate: float | None = None  # frames a second to show it at; None: frame_rate
+    unit: float = 1.0  # world units per normalised unit, in which the near plane is given
+    frame_rate: float | None = None  # of videos: frames per unit of time; None: photographs
+    playback_rate: float | None = None  # of videos: frames a second of rendered videos; None: frame_rate
 
     @property
     def time_end(self) -> float:
         return self.time_start + self.duration
 
     @cached_property
-    def moments(self) -> tuple[float, ...]:
-        """The times of the training views, each once, ascending."""
+    def train_times(self) -> tuple[float, ...]:
+        """The distinct times of the training views, ascending."""
         return tuple(sorted({view.time for view in self.train}))
 
     @property
     def frame_spacing(self) -> float:
-        """The mean time between training moments; the whole duration where there is one moment."""
-        return self.duration / max(1, len(self.moments) - 1)
+        """Mean difference of consecutive training times; the duration if there is only one time."""
+        return self.duration / max(1, len(self.train_times) - 1)
 
     @property
     def is_static(self) -> bool:
-        """True when every view has the same time: such a scene has no use for a time axis."""
+        """True if every view has the same time: the model then has no time axis."""
         return len({view.time for view in self.train + self.test}) <= 1
 
 
 def camera_extent(cameras: Sequence[Camera]) -> float:
-    """1.1 × the largest distance of a camera from the mean of their positions, world units; 0 for one position."""
+    """3DGS's scene extent: 1.1 × the largest distance of a camera from their mean position, world units."""
     positions = np.stack([camera.position for camera in cameras])
     distances = np.linalg.norm(positions - positions.mean(axis=0), axis=1)
     return EXTENT_MARGIN * float(distances.max())
 
 
-def cube_round(places: np.ndarray, margin: float = 0.0) -> Box:
-    """The cube about the middle of `places` (N, 3) that holds them all, `margin` farther out on every side."""
-    low, high = np.min(places, axis=0), np.max(places, axis=0)
+def bounding_cube(points: np.ndarray, margin: float = 0.0) -> Box:
+    """The axis-aligned cube around `points` (N, 3), enlarged by `margin` on every side."""
+    low, high = np.min(points, axis=0), np.max(points, axis=0)
     middle, half = 0.5 * (low + high), 0.5 * float(np.max(high - low)) + margin
     return tuple((middle - half).tolist()), tuple((middle + half).tolist())
 
 
-def camera_of(where: str | Path, make: Callable[[], Camera]) -> Camera:
-    """The camera that `make` makes of what a file says; SceneError that names the file where there can be none."""
+def make_camera(where: str | Path, make: Callable[[], Camera]) -> Camera:
+    """make(), with the ValueError of invalid parameters turned into a SceneError that names the file."""
     try:
         return make()
     except ValueError as error:
-        raise SceneError(where, "what makes a camera", str(error)) from None
+        raise SceneError(where, "valid camera parameters", str(error)) from None
 
 
 def validate_scene(scene: Scene) -> Scene:
-    """The scene itself, if it can be trained on; otherwise SceneError.
+    """Returns the scene unchanged, or raises SceneError if it cannot be trained on.
 
-    Checks what holds for any layout: views in both splits, one image size, images that fit their cameras, times
-    in range, unique names, an extent above zero. What only one layout can get wrong is its reader's business.
+    Checks what every layout shares: views in both splits, one image size, images that fit their cameras, times in
+    range, unique names, an extent above zero. Readers check what is specific to their layout.
     """
     for split, views in (("train", scene.train), ("test", scene.test)):
         if not views:
@@ -128,8 +124,8 @@ def validate_scene(scene: Scene) -> Scene:
         raise SceneError(
             scene.source, "a finite start and a duration > 0", f"start {scene.time_start}, duration {scene.duration}"
         )
-    if scene.duration < SHORTEST_DURATION:
-        raise SceneError(scene.source, f"a duration of at least {SHORTEST_DURATION:g}", f"{scene.duration:g}")
+    if scene.duration < MIN_DURATION:
+        raise SceneError(scene.source, f"a duration of at least {MIN_DURATION:g}", f"{scene.duration:g}")
     if len(scene.background) != 3 or not all(0 <= channel <= 1 for channel in scene.background):
         raise SceneError(scene.source, "a background of three values in [0, 1]", f"{scene.background}")
     if not (
@@ -141,17 +137,17 @@ def validate_scene(scene: Scene) -> Scene:
         raise SceneError(scene.source, "a unit > 0", f"{scene.unit}")
 
     first = scene.train[0]
-    seen: set[str] = set()
+    names: set[str] = set()
     for view in scene.train + scene.test:
         _validate_view(view, scene, first)
-        if view.name in seen:
+        if view.name in names:
             raise SceneError(scene.source, "each view's name once", f"{view.name} twice")
-        seen.add(view.name)
+        names.add(view.name)
 
-    # Relative to the distance of the cameras from the origin: rounding alone must not pass for movement, but a rig of a
-    # metre in coordinates of a map, which are millions of metres, must.
-    reach = max(float(np.linalg.norm(view.camera.position)) for view in scene.train)
-    if not scene.extent > 1e-9 * reach:
+    # Relative to the distance from the origin: rounding errors are no extent, but a rig of one metre is, also in map
+    # coordinates of millions of metres.
+    farthest = max(float(np.linalg.norm(view.camera.position)) for view in scene.train)
+    if not scene.extent > 1e-9 * farthest:
         raise SceneError(
             scene.source,
             "training cameras at two places or more (their spread scales the learning rate)",

@@ -1,4 +1,4 @@
-"""The settings of a scene, `scene=…`: where its data are and how they are read. Every key, its default and its range."""
+"""SceneConfig: the settings `scene.*`, which say where the data of a scene are and how they are read."""
 
 from __future__ import annotations
 
@@ -12,35 +12,36 @@ COLOR_NAMES = ("auto", "black", "white")  # of scene.background
 
 @dataclass
 class SceneConfig:
-    """Where a scene comes from and how it is read."""
+    """Every key with its default; __post_init__ checks the ranges."""
 
-    # Names the run folder; may hold a slash. scene=dnerf, plenoptic and video take it from the folder of scene.path
+    # Name of the scene and of its run folder; may contain a slash. By default derived from the folder of scene.path
     name: str = "dnerf"
-    reader: str = "dnerf"  # dnerf | plenoptic | video | synthetic
-    path: Optional[str] = None  # folder of the data; synthetic scenes make their own
-    test_split: str = "test"  # dnerf: test | val, which split is held out
-    # To choose settings by: every so many-th training view takes the place of the held-out ones. 0: off
+    reader: str = "dnerf"  # layout of the data: dnerf | plenoptic | video | synthetic
+    path: Optional[str] = None  # folder of the data; not used by synthetic scenes
+    test_split: str = "test"  # dnerf: the held-out split, test | val
+    # Validation: every n-th training view replaces the test views, so that settings are not selected by these. 0: off
     validation_every: int = 0
-    validation_outermost: bool = False  # as many, but those that look from farthest outside
-    test_cameras: list[int] = field(default_factory=lambda: [0])  # plenoptic, video: held out
-    drop_cameras: list[int] = field(default_factory=list)  # plenoptic, video: left out altogether
-    first_frame: int = 0  # plenoptic, video
-    frames: int = 300  # plenoptic, video: at most so many from first_frame on; synthetic/counter: made
+    validation_outermost: bool = False  # validation by as many of the outermost training views instead
+    test_cameras: list[int] = field(default_factory=lambda: [0])  # plenoptic, video: numbers of held-out cameras
+    drop_cameras: list[int] = field(default_factory=list)  # plenoptic, video: numbers of cameras to ignore
+    first_frame: int = 0  # plenoptic, video: the first video frame in use
+    frames: int = 300  # plenoptic, video: largest number of frames in use; synthetic/counter: frames to render
     downscale: int = 2  # images are read at 1/downscale of their size
-    # Composed under transparent pixels: RGB in [0, 1], black or white. auto: where no image has alpha and their borders
-    # are of one colour, that colour; else black
+    # Colour under transparent pixels: black, white or RGB in [0, 1]. auto: the border colour of opaque images if all
+    # borders have one colour, else black
     background: Any = "auto"
-    background_model: str = "none"  # none | sphere | envmap: how what is far outside the cameras is modelled
-    cache: str = "results/cache"  # where synthetic scenes, decoded frames and COLMAP's results are kept
+    background_model: str = "none"  # model of the distant background: none | sphere | envmap
+    cache: str = "results/cache"  # folder of synthetic scenes, decoded frames and COLMAP's results
     size: int = 200  # synthetic: image width in pixels
-    cameras: int = 12  # synthetic/counter: those held out among them
-    train_views: int = 60  # the other synthetic scenes
-    test_views: int = 12  # the other synthetic scenes
-    seed: int = 0  # synthetic: the scene's own seed, apart from the run's
-    init_points: int = 100_000  # random points that training starts from
-    # [low, high] of the cube random points start in, canonical units; videos have bounds or a cube round their cameras
+    cameras: int = 12  # synthetic/counter: number of cameras, held-out ones included
+    train_views: int = 60  # other synthetic scenes: number of training views
+    test_views: int = 12  # other synthetic scenes: number of test views
+    seed: int = 0  # synthetic: seed of the scene; the run has its own
+    init_points: int = 100_000  # number of random initial points
+    # [low, high] of the cube of random initial points, canonical units; not used by videos, whose box follows from
+    # their bounds or cameras
     init_box: list[float] = field(default_factory=lambda: [-1.2, 1.2])
-    near: float = 0.2  # in the scene's normalised unit (Scene.unit)
+    near: float = 0.2  # near plane in the scene's normalised unit (Scene.unit)
 
     def __post_init__(self) -> None:
         require(self.reader in READERS, "scene.reader", ", ".join(READERS), self.reader)
@@ -91,7 +92,7 @@ class SceneConfig:
 
 
 def require(condition: bool, key: str, expected: str, found: Any) -> None:
-    """Raises ValueError, one line, unless the condition holds."""
+    """Raises a ValueError of one line if the condition is false."""
     if not condition:
         raise ValueError(f"{key}: expected {expected}, found {found!r}")
 

@@ -1,4 +1,4 @@
-"""A validation split out of the training views: settings chosen by it have never seen the test views."""
+"""Validation splits: training views held out in place of the test views, to select settings by validation."""
 
 from __future__ import annotations
 
@@ -7,23 +7,23 @@ from dataclasses import replace
 
 import numpy as np
 
-from datasets.scene import Scene, SceneError, camera_extent
+from datasets.files.errors import SceneError
+from datasets.scene import Scene, camera_extent
 
 
 def hold_out_every(scene: Scene, every: int) -> Scene:
-    """The scene with every `every`-th training view, counted from its half, in place of the test views.
+    """The scene with the training views every//2, every//2 + every, … as its test views.
 
-    The rest of the training views stay in their order; the extent is theirs. Raises SceneError when either part would
-    be empty. Meant for photographs: of several cameras that filmed at once, `scene.test_cameras` holds out another.
+    The other training views keep their order, and the extent is theirs. Raises SceneError if a split would be empty.
+    For photographs only: in multi-camera videos `scene.test_cameras` holds out another camera.
     """
     return _hold_out(scene, set(range(every // 2, len(scene.train), every)), every)
 
 
 def hold_out_poses(scene: Scene, every: int) -> Scene:
-    """Likewise every `every`-th pose that a training camera takes, with all its views.
+    """Like hold_out_every, for distinct camera poses: every `every`-th pose is held out with all its views.
 
-    One moving camera has a pose a view, so that it is `hold_out_every`; of several standing ones whole cameras are held
-    out. Raises SceneError as that does.
+    With one moving camera every view has its own pose. With several static cameras whole cameras are held out.
     """
     poses = dict.fromkeys(view.camera.world_to_cam.tobytes() for view in scene.train)
     chosen = set(list(poses)[every // 2 :: every])
@@ -33,10 +33,10 @@ def hold_out_poses(scene: Scene, every: int) -> Scene:
 
 
 def hold_out_outermost(scene: Scene, every: int) -> Scene:
-    """Likewise as many views, those that look in the directions farthest from the mean direction of all.
+    """Like hold_out_every, but as many of the views whose viewing directions are farthest from the mean direction.
 
-    Where the cameras stand on a hemisphere these are the lowest ones. What the others leave open, an underside or how
-    far a thing reaches along their rays, shows in these and hardly in every `every`-th one, which has others around it.
+    For cameras on a hemisphere these are the lowest ones. They show geometry that the other views do not constrain,
+    which a view between training views hides.
     """
     forward = np.stack([view.camera.world_to_cam[2, :3] for view in scene.train])
     along = forward @ forward.mean(axis=0)

@@ -1,1 +1,1 @@
-"""Cameras as files describe them: poses, intrinsics, lenses."""
+"""Cameras as data sets store them: poses, intrinsics, lens distortion, optical axes."""

@@ -1,11 +1,10 @@
-"""A camera's intrinsics as a transforms file names them: instant-ngp's keys, which COLMAP-to-NeRF converters write.
+"""Intrinsics of transforms files: instant-ngp's keys, which COLMAP-to-NeRF converters write.
 
-    "fl_x", "fl_y", "cx", "cy"     pixels of an image "w" × "h"; without "w" and "h", of the image at hand
-    "camera_angle_x", "…_y"        fields of view in radians; they stand in for "fl_x", "fl_y"
-    "k1", "k2", "p1", "p2", "k3"   OpenCV's lens distortion; "camera_model" says which of them are meant
+    "fl_x", "fl_y", "cx", "cy"     pixels of an image "w" × "h"; by default of the image file's size
+    "camera_angle_x", "…_y"        fields of view in radians, instead of "fl_x", "fl_y"
+    "k1", "k2", "p1", "p2", "k3"   OpenCV's lens distortion; "camera_model" is COLMAP's name of the lens model
 
-What is missing is taken as a NeRF renderer means it: square pixels, the principal point in the middle, no distortion.
-Keys of a single frame go before those of the file.
+Defaults: square pixels, the principal point in the middle, no distortion. Keys of an entry override those of the file.
 """
 
 from __future__ import annotations
@@ -16,42 +15,45 @@ from typing import Any
 
 import numpy as np
 
+from datasets.files.errors import SceneError
 from datasets.files.json_values import read_number
-from datasets.scene import SceneError, camera_of
+from datasets.scene import make_camera
 from rasterizer.camera import Camera
 
-LENS_KEYS = ("k1", "k2", "p1", "p2", "k3")  # in OpenCV's order
-# COLMAP's names, as far as OpenCV's formula covers them: the others' coefficients mean something else.
+DISTORTION_KEYS = ("k1", "k2", "p1", "p2", "k3")  # in OpenCV's order
+# COLMAP's models that OpenCV's formula covers; coefficients of other models have another meaning.
 LENS_MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
-LARGEST_LENS = 1e6  # of a coefficient; those of real lenses are below 100
-SMALLEST_ANGLE = 1e-6  # radians; a telescope sees 1e-3
-ANGLE_TOLERANCE = 0.01  # of the focal length: converters round, and compute the angle before they resize
-FOCAL_KEYS = (("fl_x", "camera_angle_x"), ("fl_y", "camera_angle_y"))  # of each axis
+LARGEST_COEFFICIENT = 1e6  # of distortion; those of real lenses are below 100
+SMALLEST_ANGLE = 1e-6  # radians; a telescope's field of view is 1e-3
+ANGLE_TOLERANCE = (
+    0.01  # relative difference of fl_x and camera_angle_x: converters round, and compute the angle before resizing
+)
+FOCAL_KEYS = (("fl_x", "camera_angle_x"), ("fl_y", "camera_angle_y"))  # of x and of y
 
 
-def intrinsics_of(content: dict, frame: dict) -> dict[str, Any]:
-    """What holds for one frame: the file's keys and over them the frame's own.
+def merge_intrinsics(content: dict, entry: dict) -> dict[str, Any]:
+    """The keys of the file, overridden by those of one entry.
 
-    A frame's own focal length, in pixels or as an angle, replaces what the file says of that axis either way.
+    A focal length of the entry, in pixels or as an angle, replaces both of the file's keys for that axis.
     """
-    replaced = {key for keys in FOCAL_KEYS for key in keys if any(key in frame for key in keys)}
+    replaced = {key for keys in FOCAL_KEYS for key in keys if any(key in entry for key in keys)}
     shared = {key: value for key, value in content.items() if key != "frames" and key not in replaced}
-    return {**shared, **frame}
+    return {**shared, **entry}
 
 
 def read_pinhole(
     values: dict[str, Any], size: tuple[int, int], cam_to_world: np.ndarray, where: str, file: Path
 ) -> Camera:
-    """The camera, free of distortion, of an image of `size` (width, height) pixels.
+    """The pinhole camera of an undistorted image of `size` (width, height) pixels.
 
-    values: see `intrinsics_of`. cam_to_world: (4, 4), Blender axes. where, file: named in messages. Raises SceneError
-    for values that make no camera, and for "fl_x" and "camera_angle_x" that contradict each other.
+    values: of merge_intrinsics. cam_to_world: (4, 4), Blender axes. where, file: named in messages. Raises SceneError
+    for invalid parameters, and for "fl_x" and "camera_angle_x" that contradict each other.
     """
     if "fl_x" not in values and "camera_angle_x" not in values:
         raise SceneError(file, "the key camera_angle_x, or fl_x", f"only {', '.join(values)}")
     if not any(key in values for key in ("fl_x", "fl_y", "cx", "cy", "camera_angle_y")):  # D-NeRF's own files
         focal = _focal_of_angle("camera_angle_x", size[0], values, file)
-        return camera_of(where, lambda: Camera.from_blender(*size, focal, cam_to_world))
+        return make_camera(where, lambda: Camera.from_blender(*size, focal, cam_to_world))
 
     width, height = _stated_size(values, size, where)
     fx = _focal("fl_x", "camera_angle_x", width, values, where, file)
@@ -62,12 +64,12 @@ def read_pinhole(
     fx, cx, fy, cy = fx * scale_x, cx * scale_x, fy * scale_y, cy * scale_y
     if not (fx > 0 and fy > 0 and np.isfinite([fx, fy, cx, cy]).all()):
         raise SceneError(where, "finite intrinsics, fl_x and fl_y > 0", f"{fx:g}, {fy:g}, {cx:g}, {cy:g}")
-    pose = camera_of(where, lambda: Camera.from_blender(*size, fx, cam_to_world)).world_to_cam
-    return camera_of(where, lambda: Camera(*size, fx, fy, cx, cy, pose))
+    pose = make_camera(where, lambda: Camera.from_blender(*size, fx, cam_to_world)).world_to_cam
+    return make_camera(where, lambda: Camera(*size, fx, fy, cx, cy, pose))
 
 
-def read_lens(values: dict[str, Any], where: str) -> tuple[float, ...]:
-    """Distortion coefficients, as LENS_KEYS; 0 where the file says nothing. SceneError for a lens of another formula."""
+def read_distortion(values: dict[str, Any], where: str) -> tuple[float, ...]:
+    """Distortion coefficients in the order of DISTORTION_KEYS, 0 by default; SceneError for another lens model."""
     model = values.get("camera_model", LENS_MODELS[0])
     if model not in LENS_MODELS or values.get("is_fisheye"):
         raise SceneError(
@@ -76,15 +78,14 @@ def read_lens(values: dict[str, Any], where: str) -> tuple[float, ...]:
     if (k4 := read_number(values.get("k4", 0.0), f"{where}: k4")) != 0:
         raise SceneError(
             f"{where}: k4",
-            "0: of distortion k1, k2, p1, p2 and k3 are understood; undistort the images "
-            "first (colmap image_undistorter)",
+            "0: only k1, k2, p1, p2 and k3 are supported; undistort the images first (colmap image_undistorter)",
             f"{k4:g}",
         )
-    return tuple(read_number(values.get(key, 0.0), f"{where}: {key}", LARGEST_LENS) for key in LENS_KEYS)
+    return tuple(read_number(values.get(key, 0.0), f"{where}: {key}", LARGEST_COEFFICIENT) for key in DISTORTION_KEYS)
 
 
 def _stated_size(values: dict[str, Any], size: tuple[int, int], where: str) -> tuple[float, float]:
-    """What "w" and "h" say; the file's size may be another scale of the same image than that at hand."""
+    """ "w" and "h", by default `size`; they may be the size of the same image at another scale."""
     width, height = (read_number(values.get(key, pixels), f"{where}: {key}") for key, pixels in zip("wh", size))
     if not (
         width > 0 and height > 0 and abs(width * size[1] / height - size[0]) <= max(1.0, size[1] / height) < math.inf
@@ -98,7 +99,7 @@ def _stated_size(values: dict[str, Any], size: tuple[int, int], where: str) -> t
 def _focal(
     pixels: str, angle: str, side: float, values: dict[str, Any], where: str, file: Path, default: float | None = None
 ) -> float:
-    """A focal length in pixels of an image `side` pixels wide or high, from either of two keys that must agree."""
+    """Focal length in pixels of an image `side` pixels wide or high, from either of two keys, which must agree."""
     if pixels not in values:
         return default if default is not None and angle not in values else _focal_of_angle(angle, side, values, file)
     focal = read_number(values[pixels], f"{where}: {pixels}")
@@ -107,7 +108,7 @@ def _focal(
         if abs(other - focal) > ANGLE_TOLERANCE * focal:
             raise SceneError(
                 f"{where}: {pixels}",
-                f"the focal length that {angle} says too, {other:.6g}; remove the key that is wrong",
+                f"the focal length of {angle}, {other:.6g}; remove the key that is wrong",
                 f"{focal:.6g}",
             )
     return focal

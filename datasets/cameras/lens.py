@@ -1,4 +1,4 @@
-"""Images of a lens with distortion as a pinhole would have taken them. OpenCV does the work."""
+"""Lens undistortion with OpenCV: the image that a pinhole camera of the same intrinsics would have taken."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from rasterizer.camera import Camera
 
 @dataclass(frozen=True)
 class Undistortion:
-    """A lens to be straightened. The image keeps its size, focal lengths and principal point: those of the Camera."""
+    """A distorted lens. The undistorted image has the same size, focal lengths and principal point."""
 
-    fx: float  # pixels, as all intrinsics here: centres of pixels lie at integer + 0.5
+    fx: float  # pixels; pixel centres lie at integer + 0.5, as in Camera
     fy: float
     cx: float
     cy: float
@@ -22,29 +22,26 @@ class Undistortion:
 
     @classmethod
     def of(cls, camera: Camera, *coefficients: float) -> Undistortion:
-        """The lens of a camera; coefficients that are left out are 0."""
+        """The lens of a camera; missing coefficients are 0."""
         return cls(camera.fx, camera.fy, camera.cx, camera.cy, coefficients + (0.0,) * (5 - len(coefficients)))
 
     def maps(self, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-        """Where each pixel of the straight image (width, height) is taken from, as cv2.remap wants it."""
+        """Source position of each pixel of the undistorted image (width, height), in the format of cv2.remap."""
         # OpenCV's pixel centres lie at integers.
         matrix = np.array([[self.fx, 0, self.cx - 0.5], [0, self.fy, self.cy - 0.5], [0, 0, 1]])
         return cv2.initUndistortRectifyMap(matrix, np.array(self.coefficients), None, matrix, size, cv2.CV_16SC2)
 
 
-def straighten(image: np.ndarray, maps: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    """The image as a pinhole would have taken it; maps: Undistortion.maps.
-
-    Where it then reaches beyond what was seen, the edge goes on: there is no truth to show.
-    """
+def undistort(image: np.ndarray, maps: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """The undistorted image; maps: Undistortion.maps. Pixels outside the original image repeat its border."""
     return cv2.remap(image, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 
-def straighten_rgba(rgba: np.ndarray, maps: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    """`straighten` of (H, W, 4) uint8 with straight alpha: colours count by their alpha, as far as they show."""
+def undistort_rgba(rgba: np.ndarray, maps: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """`undistort` of (H, W, 4) uint8 with straight alpha, interpolated premultiplied."""
     if rgba[..., 3].min() == 255:
-        return np.dstack([straighten(np.ascontiguousarray(rgba[..., :3]), maps), rgba[..., 3]])
+        return np.dstack([undistort(np.ascontiguousarray(rgba[..., :3]), maps), rgba[..., 3]])
     alpha = rgba[..., 3:].astype(np.float32) / 255
-    moved = straighten(np.concatenate([rgba[..., :3] * alpha, alpha], axis=-1), maps)
-    color = moved[..., :3] / np.maximum(moved[..., 3:], 1e-6)
-    return np.rint(np.concatenate([np.minimum(color, 255), 255 * moved[..., 3:]], axis=-1)).astype(np.uint8)
+    premultiplied = undistort(np.concatenate([rgba[..., :3] * alpha, alpha], axis=-1), maps)
+    color = premultiplied[..., :3] / np.maximum(premultiplied[..., 3:], 1e-6)
+    return np.rint(np.concatenate([np.minimum(color, 255), 255 * premultiplied[..., 3:]], axis=-1)).astype(np.uint8)

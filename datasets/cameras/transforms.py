@@ -1,72 +1,100 @@
-"""Transforms files: the JSON that lists a scene's images with their poses, in the D-NeRF layout and its relatives."""
+"""Transforms files (transforms_train.json, …): entries of images with poses and intrinsics, read and checked."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from datasets.files.errors import read_json
-from datasets.files.json_values import get_key
-from datasets.scene import SceneError
-from rasterizer.camera import FARTHEST
+from datasets.cameras.intrinsics import merge_intrinsics
+from datasets.files.errors import SceneError, read_json
+from datasets.files.json_values import get_key, read_number
+from rasterizer.camera import MAX_DISTANCE
 
-# RᵀR may differ from I by this much: D-NeRF stores float32 (2e-7), files rounded to four decimals reach 1e-4.
+# Bound of |RᵀR - I|: D-NeRF stores float32 (2e-7), files rounded to four decimals reach 1e-4.
 RIGID_TOLERANCE = 1e-3
-# Tried in this order after a name without its ending. D-NeRF leaves .png out.
-ENDINGS = (".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
+# Appended in this order to a file_path without suffix. D-NeRF's files omit .png.
+SUFFIXES = (".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
 
 
-def load_transforms(path: Path) -> tuple[dict, list]:
-    """A transforms file's content, and the list of its frames: one at least."""
+@dataclass(frozen=True)
+class TransformsEntry:
+    """One entry of `frames` in a transforms file."""
+
+    file: Path  # the transforms file
+    where: str  # "DIR/transforms_train.json: frames[0]", for messages
+    file_path: str  # as the file has it: "./train/r_0"
+    image_path: Path  # the image it names
+    time: float | None  # finite, the file's unit; None: the entry has no time
+    cam_to_world: np.ndarray  # (4, 4) float64, rigid, Blender axes
+    intrinsics: dict[str, Any]  # see intrinsics.py
+
+
+def read_transforms(file: Path, root: Path) -> list[TransformsEntry]:
+    """All entries of a transforms file, one at least. `root`: the folder that file_path is relative to."""
+    content, entries = _load(file)
+    return [_read_entry(entry, content, f"{file}: frames[{i}]", file, root) for i, entry in enumerate(entries)]
+
+
+def _load(file: Path) -> tuple[dict, list]:
+    """The content of a transforms file and its list `frames`."""
     try:
-        content = read_json(path, SceneError)
+        content = read_json(file, SceneError)
     except FileNotFoundError:
-        raise SceneError(path, "a file (D-NeRF layout)", "none") from None
+        raise SceneError(file, "a file (D-NeRF layout)", "none") from None
     if not isinstance(content, dict):
-        raise SceneError(path, "an object with camera_angle_x and frames", type(content).__name__)
-    entries = get_key(content, "frames", path)
+        raise SceneError(file, "an object with camera_angle_x and frames", type(content).__name__)
+    entries = get_key(content, "frames", file)
     if not isinstance(entries, list) or not entries:
-        raise SceneError(
-            f"{path}: frames",
-            "a list of at least one frame",
-            "an empty list" if entries == [] else type(entries).__name__,
-        )
+        found = "an empty list" if entries == [] else type(entries).__name__
+        raise SceneError(f"{file}: frames", "a list of at least one frame", found)
     return content, entries
 
 
-def find_image(entry: Any, where: str, root: Path) -> tuple[str, Path]:
-    """The file_path of an entry of `frames`, as it stands there, and the file it names."""
+def _read_entry(entry: Any, content: dict, where: str, file: Path, root: Path) -> TransformsEntry:
+    file_path, image_path = _find_image(entry, where, root)
+    time = None
+    if "time" in entry:
+        time = read_number(entry["time"], f"{where}: time")
+        if not math.isfinite(time):
+            raise SceneError(f"{where}: time", "a finite time", f"{time}")
+    pose = read_pose(get_key(entry, "transform_matrix", where), f"{where}: transform_matrix")
+    return TransformsEntry(file, where, file_path, image_path, time, pose, merge_intrinsics(content, entry))
+
+
+def _find_image(entry: Any, where: str, root: Path) -> tuple[str, Path]:
+    """The file_path of an entry and the existing file that it names."""
     if not isinstance(entry, dict):
         raise SceneError(where, "an object", type(entry).__name__)
     file_path = get_key(entry, "file_path", where)
     if not isinstance(file_path, str) or not Path(file_path).name:
         raise SceneError(f"{where}: file_path", "a file name", repr(file_path))
     named = root / file_path
-    candidates = [named, *(named.with_name(named.name + ending) for ending in ENDINGS)]
-    if named.suffix in ENDINGS:
+    candidates = [named, *(named.with_name(named.name + suffix) for suffix in SUFFIXES)]
+    if named.suffix in SUFFIXES:
         candidates = candidates[:1]
     for image_path in candidates:
         if _is_file(image_path):
             return file_path, image_path
-    without = "" if len(candidates) == 1 else f", nor with {', '.join(ENDINGS[:-1])} or {ENDINGS[-1]} after it"
+    without = "" if len(candidates) == 1 else f", nor with {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]} after it"
     raise SceneError(named, f"an image, named by {where}", f"no such file{without}")
 
 
 def _is_file(path: Path) -> bool:
     try:
         return path.is_file()
-    except OSError:  # a name that is too long, a folder that may not be entered
+    except OSError:  # a name that is too long, a folder without permission
         return False
 
 
 def read_pose(value: Any, where: str) -> np.ndarray:
-    """(4, 4) float64, rigid."""
+    """A camera-to-world matrix (4, 4) float64 from nested lists; SceneError unless rigid and within MAX_DISTANCE."""
     try:
         pose = np.array(value)
-        if pose.dtype.kind not in "fiuO":  # O: integers too large for numpy's; text is no number
+        if pose.dtype.kind not in "fiuO":  # O: integers beyond int64; strings are refused
             raise TypeError
         pose = pose.astype(np.float64)
     except (TypeError, ValueError, OverflowError, RecursionError):
@@ -84,7 +112,7 @@ def read_pose(value: Any, where: str) -> np.ndarray:
             "a rigid pose (a rotation, last row 0 0 0 1)",
             f"|RᵀR - I| up to {error:.2g}, det R {determinant:.3g}, last row {pose[3].tolist()}",
         )
-    if np.abs(position).max() > FARTHEST:
-        raise SceneError(where, f"a position within {FARTHEST:g} of the origin", f"{position.tolist()}")
+    if np.abs(position).max() > MAX_DISTANCE:
+        raise SceneError(where, f"a position within {MAX_DISTANCE:g} of the origin", f"{position.tolist()}")
     pose[3] = 0, 0, 0, 1
     return pose

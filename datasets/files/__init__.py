@@ -1,1 +1,1 @@
-"""Files in general: written whole or not at all, read with errors of one line."""
+"""File input and output shared by all readers: atomic writes, error classes, JSON values, images, decoded frames."""

@@ -1,33 +1,36 @@
-"""Files written whole or not at all, and errors of writing that name the file."""
+"""Atomic writes: a file or folder appears complete or not at all. Errors of the disk name the path."""
 
 from __future__ import annotations
 
 import errno
+import json
 import os
 import shutil
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
-# No room: on the device, in the user's quota, below the process's file size limit.
-_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-TEMPORARY = ".tmp-"  # how the names of unfinished files begin
-_FULL_BYTES = 2**20  # less free space than this is none; numpy's errors of writing do not say why
+TEMPORARY = ".tmp-"  # prefix of the names of incomplete files
+_NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # disk, user's quota, file size limit of the process
+# Some libraries (numpy) raise OSError without errno. With less free space than this the disk is taken to be full.
+_FULL_BYTES = 2**20
 
 
 class DiskFull(OSError):
-    """There is no room for a file. One line: which, and what to do."""
+    """No space is left for a file. One line: the path and what to do."""
 
 
 @contextmanager
-def writing(path: Path) -> Iterator[None]:
-    """Errors of the operating system inside name `path`; DiskFull where there is no room for it."""
+def disk_errors_named(path: Path) -> Iterator[None]:
+    """An OSError raised in the block names `path`. It becomes DiskFull where no space is left."""
     try:
         yield
     except DiskFull:
         raise
     except OSError as error:
-        if error.errno in _NO_ROOM or (error.errno is None and _free_bytes(path) < _FULL_BYTES):
+        if error.errno in _NO_SPACE or (error.errno is None and _free_bytes(path) < _FULL_BYTES):
             raise DiskFull(
                 f"{path}: expected room to write it, found no space left ({_free_bytes(path) / 1e6:.0f} MB "
                 "free); make room and give the same command again: what was finished is kept"
@@ -39,13 +42,13 @@ def writing(path: Path) -> Iterator[None]:
 
 @contextmanager
 def atomic_file(path: Path) -> Iterator[Path]:
-    """A temporary path of the same suffix beside `path`, renamed over it at the end if nothing went wrong.
+    """Yields a temporary path beside `path`, with its suffix, and renames it to `path` unless the block raises.
 
-    Synced to the disk first: after a power cut, too, the name holds the old file or the new one, whole.
+    The file is synced before the rename: even after a power cut `path` is the complete old file or the new one.
     """
     temporary = path.with_name(f"{TEMPORARY}{path.name}")
     try:
-        with writing(path):
+        with disk_errors_named(path):
             yield temporary
             _sync(temporary)
             os.replace(temporary, path)
@@ -54,10 +57,34 @@ def atomic_file(path: Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
+@contextmanager
+def atomic_folder(folder: Path, marker: str) -> Iterator[Path]:
+    """Yields an empty folder beside `folder` and renames it to `folder` unless the block raises.
+
+    marker: name of a file that every complete folder holds. If another process completed `folder` first, that copy
+    stays and this one is deleted.
+    """
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with disk_errors_named(folder), tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}-") as parent:
+        temporary = Path(parent) / folder.name  # a subfolder: TemporaryDirectory itself is private to its user
+        temporary.mkdir()
+        yield temporary
+        try:
+            os.rename(temporary, folder)
+        except OSError:
+            if not (folder / marker).is_file():
+                raise
+
+
 def write_text(path: Path, text: str) -> None:
-    """Replace `path` by `text`, whole or not at all."""
+    """Replaces `path` atomically by UTF-8 text."""
     with atomic_file(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+def write_json(path: Path, value: Any, indent: int = 2) -> None:
+    """Replaces `path` atomically by JSON. ValueError for NaN and infinity, which JSON lacks."""
+    write_text(path, json.dumps(value, indent=indent, allow_nan=False) + "\n")
 
 
 def _free_bytes(path: Path) -> int:
@@ -69,7 +96,7 @@ def _free_bytes(path: Path) -> int:
 
 
 def _sync(path: Path) -> None:
-    """Force a file, or a directory's entries, to the disk."""
+    """Flushes a file, or the entries of a directory, to the disk."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)

@@ -1,4 +1,4 @@
-"""What is raised for a file that is not what it should be: one line of plain text, whatever the file holds."""
+"""Errors for invalid files: one printable line with the file or key, what was expected and what was found."""
 
 from __future__ import annotations
 
@@ -6,19 +6,25 @@ import json
 from pathlib import Path
 from typing import Any
 
-LONGEST_PART = 400  # characters; a file may hold a name or a number of a million
+LONGEST_PART = 400  # characters of a message's part: a file may hold a name or a number of a million
 
 
 class DataError(ValueError):
-    """A file is not what it should be. One line: the file or key, what was expected, what was found."""
+    """A file is invalid. One line: the file or key, what was expected, what was found."""
 
     def __init__(self, where: str | Path, expected: str, found: str) -> None:
         super().__init__(f"{clear(where)}: expected {clear(expected)}, found {clear(found)}")
 
 
+class SceneError(DataError):
+    """A data set on disk does not follow its layout, or a setting of `scene` does not fit it."""
+
+
 def clear(text: object, longest: int = LONGEST_PART) -> str:
-    """A text as it can be printed in one line: spaces for line ends, escapes for what a terminal would obey or cannot
-    show, and no more than `longest` characters, of which the middle ones are left out."""
+    """`text` as one printable line of at most `longest` characters.
+
+    Whitespace becomes single spaces, control characters are escaped, and the middle of a long text is left out.
+    """
     line = " ".join(str(text).split())
     if len(line) > longest:
         line = f"{line[: longest // 2]} … {line[-longest // 2 :]}"
@@ -26,10 +32,11 @@ def clear(text: object, longest: int = LONGEST_PART) -> str:
 
 
 def read_json(path: Path, error: type[DataError] = DataError) -> Any:
-    """What a JSON file holds. Raises `error` for what is none or cannot be read, FileNotFoundError for none at all."""
+    """The content of a JSON file. Raises `error` if it is invalid or unreadable, FileNotFoundError if it is absent."""
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise
-    except (ValueError, RecursionError, OSError) as fault:  # no text, no JSON, a number of 5,000 digits; too deep
-        raise error(path, "valid JSON", str(fault)) from None
+    # ValueError: not UTF-8, not JSON, or a number of more than 4300 digits. RecursionError: lists nested too deeply.
+    except (ValueError, RecursionError, OSError) as cause:
+        raise error(path, "valid JSON", str(cause)) from None

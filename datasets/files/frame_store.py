@@ -1,12 +1,12 @@
-"""Decoded frames on disk: a file per camera, read at random without decoding anything again.
+"""Store of decoded video frames: one memory-mapped array per camera with random access.
 
-    <camera>.npy    (frames, H, W, 3) uint8 RGB, a plain numpy array; frame after frame, not compressed
-    <camera>.json   its shape, where it comes from, and a checksum of every frame
+    <camera>.npy    (frames, H, W, 3) uint8 RGB, a plain numpy array, not compressed
+    <camera>.json   its shape, its source, and a checksum of every frame
 
-The .json is written last: where it stands and the size of the .npy agrees with it, a camera is finished.
+The .json is written last: a camera is complete if its .json exists and fits the size of the .npy.
 
-Frames are copied out of a memory map, and the pages of the map are let go of at once: a scene larger than the memory
-then costs the process what it holds at the moment, not what it has ever looked at.
+A frame is copied out of the memory map and its pages are released at once, so that the resident memory of the process
+does not grow with the frames read.
 """
 
 from __future__ import annotations
@@ -23,31 +23,30 @@ from typing import Any
 import numpy as np
 
 from datasets.files.atomic_write import atomic_file
-from datasets.files.errors import DataError, read_json
-from datasets.scene import SceneError
+from datasets.files.errors import DataError, SceneError, read_json
 
 
 class FrameFile:
-    """One camera's decoded frames, mapped when the first one is read. May be pickled, and read by several threads."""
+    """One camera's decoded frames, mapped at the first read. Can be pickled and read by several threads."""
 
     def __init__(self, path: Path, shape: tuple[int, int, int, int], offset: int, checksums: tuple[str, ...]) -> None:
-        """shape: (frames, H, W, 3). offset: bytes before the first frame. checksums: one a frame, see checksum_of."""
+        """shape: (frames, H, W, 3). offset: bytes before the first frame. checksums: checksum_of each frame."""
         self.path, self.shape, self.checksums = path, shape, checksums
         self._offset = offset
         self._frame_bytes = math.prod(shape[1:])
         self._map: mmap.mmap | None = None
-        self._verified = bytearray(shape[0])  # 1: read before in this process, and sound
+        self._verified = bytearray(shape[0])  # 1: this process has compared the checksum
 
     def __getstate__(self) -> dict:
         return {**self.__dict__, "_map": None}
 
     def read(self, index: int) -> np.ndarray:
-        """A copy of frame `index`, (H, W, 3) uint8. SceneError if it is not what was written."""
+        """A copy of frame `index`, (H, W, 3) uint8. SceneError if its checksum differs."""
         mapped = self._open()
         start = self._offset + index * self._frame_bytes
         image = np.frombuffer(mapped, np.uint8, self._frame_bytes, start).reshape(self.shape[1:]).copy()
         first_page = start // mmap.PAGESIZE * mmap.PAGESIZE
-        # The kernel keeps the pages as long as it has memory to spare; they only stop counting as this process's.
+        # The pages may stay in the page cache; they no longer count as memory of this process.
         mapped.madvise(mmap.MADV_DONTNEED, first_page, start + self._frame_bytes - first_page)
         if not self._verified[index]:
             found = checksum_of(image)
@@ -61,7 +60,7 @@ class FrameFile:
         return image
 
     def _open(self) -> mmap.mmap:
-        # Of two threads here at once, each maps the file and one map is dropped: no lock is needed for that.
+        # No lock: if two threads map the file at the same time, one of the two maps is dropped.
         mapped = self._map
         if mapped is None:
             with open(self.path, "rb") as file:
@@ -72,7 +71,7 @@ class FrameFile:
 
 @dataclass(frozen=True)
 class StoredFrame:
-    """An image (H, W, 3) uint8 that lies decoded on disk; `np.asarray` reads it, each time anew."""
+    """A decoded image (H, W, 3) uint8 on disk; every `np.asarray` reads it again."""
 
     file: FrameFile
     index: int
@@ -87,7 +86,7 @@ class StoredFrame:
 
     @property
     def checksum(self) -> str:
-        """Of the pixels as they were decoded; known without reading them."""
+        """checksum_of the decoded pixels, from the manifest."""
         return self.file.checksums[self.index]
 
     def __array__(self, dtype: np.dtype | None = None, copy: bool | None = None) -> np.ndarray:
@@ -100,7 +99,7 @@ class StoredFrame:
 def checksum_of(image: np.ndarray) -> str:
     """CRC-32 of the bytes, 8 hexadecimal digits.
 
-    It guards against damage, not against malice, and is fast: 4.8 GB/s on a frame of 1352 x 1014, BLAKE2b 0.9.
+    It detects accidental damage at 4.8 GB/s on a frame of 1352 x 1014; BLAKE2b reaches 0.9 GB/s.
     """
     return f"{zlib.crc32(image):08x}"
 
@@ -108,12 +107,12 @@ def checksum_of(image: np.ndarray) -> str:
 def write_frames(
     folder: Path, camera: str, shape: tuple[int, int, int, int], images: Iterable[np.ndarray], facts: dict[str, Any]
 ) -> None:
-    """Write one camera's frames, whole or not at all.
+    """Writes one camera's frames atomically.
 
-    shape: (frames, H, W, 3), which `images` must amount to. facts: what else its .json says, for people.
+    shape: (frames, H, W, 3) of `images`; ValueError if they differ. facts: further entries of the .json, not read back.
     """
     manifest = folder / f"{camera}.json"
-    manifest.unlink(missing_ok=True)  # of a damaged .npy
+    manifest.unlink(missing_ok=True)  # a manifest must never describe an older .npy
     checksums = []
     with atomic_file(folder / f"{camera}.npy") as temporary, open(temporary, "wb") as file:
         np.lib.format.write_array_header_1_0(file, {"descr": "|u1", "fortran_order": False, "shape": shape})
@@ -131,20 +130,20 @@ def write_frames(
 
 
 def read_frames(folder: Path, camera: str, shape: tuple[int, int, int, int]) -> tuple[StoredFrame, ...] | None:
-    """One camera's frames; None if they were never finished, or are not of `shape` = (frames, H, W, 3)."""
+    """One camera's frames; None if they are incomplete or not of `shape` = (frames, H, W, 3)."""
     path = folder / f"{camera}.npy"
     try:
         content = read_json(folder / f"{camera}.json")
         offset, checksums = content["offset"], tuple(content["checksums"])
-        sound = (
+        valid = (
             isinstance(offset, int)
             and offset >= 0
             and tuple(content["shape"]) == shape
             and len(checksums) == shape[0]
             and all(isinstance(checksum, str) for checksum in checksums)
         )
-        # A file cut short must not be mapped: reading behind its end kills the process.
-        if not sound or path.stat().st_size != offset + math.prod(shape):
+        # A truncated file must not be mapped: reading past its end kills the process (SIGBUS).
+        if not valid or path.stat().st_size != offset + math.prod(shape):
             return None
     except (OSError, DataError, KeyError, TypeError):
         return None

@@ -1,4 +1,4 @@
-"""Image files, read whole or by their headers alone."""
+"""Reads image files with Pillow: pixels as RGBA, sizes from the headers alone."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from datasets.scene import SceneError
+from datasets.files.errors import SceneError
 
 
 def common_size(paths: Sequence[Path]) -> tuple[int, int]:
-    """(width, height) of all images, from their headers."""
+    """(width, height) of all images, from their headers. SceneError if they differ or a file is no image."""
     sizes = []
     for path in paths:
         try:
@@ -28,12 +28,12 @@ def common_size(paths: Sequence[Path]) -> tuple[int, int]:
 
 
 def read_rgba(path: Path) -> np.ndarray:
-    """(H, W, 4) uint8, straight alpha; 255 where the file has none."""
+    """(H, W, 4) uint8 RGBA with straight alpha, which is 255 if the file has none. SceneError for more than 8 bits."""
     try:
         with Image.open(path) as image:
             mode = image.mode
             rgba = np.asarray(image.convert("RGBA"))
-    except Exception as error:  # a truncated file shows only now
+    except Exception as error:  # a truncated file is detected only on decoding
         raise SceneError(path, "a readable image", str(error)) from None
     if mode.startswith(("I", "F")):
         raise SceneError(path, "8 bits a channel", f"image mode {mode}")

@@ -1,22 +1,22 @@
-"""Values of a JSON file, checked one by one: each fault is a line that names the key."""
+"""Checked access to values of a JSON file; SceneError names the key."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
-from datasets.scene import SceneError
+from datasets.files.errors import SceneError
 
 
 def get_key(container: dict, key: str, where: str | Path) -> Any:
-    """container[key]; SceneError that lists what there is instead."""
+    """container[key]; SceneError that lists the keys present if it is missing."""
     if key not in container:
         raise SceneError(where, f"the key {key}", f"only {', '.join(container) or 'nothing'}")
     return container[key]
 
 
 def read_number(value: Any, where: str, largest: float | None = None) -> float:
-    """A float, within ±largest; where that is None NaN and infinity too."""
+    """`value` as a float within ±largest. With largest=None NaN and infinity are accepted too."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise SceneError(where, "a number", repr(value))
     try:

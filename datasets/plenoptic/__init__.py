@@ -1,10 +1,10 @@
-"""Reads the Plenoptic Video layout, and bare videos that lack poses.
+"""Reader of the Plenoptic Video layout, and of multi-camera videos without poses.
 
-    DIR/cam00.mp4, cam01.mp4, …     synchronised videos, one a camera
+    DIR/cam00.mp4, cam01.mp4, …     synchronised videos, one per camera
     DIR/poses_bounds.npy            their poses (poses.py)
 
-or what the released program's converter makes of them, DIR/images and DIR/transforms_*.json (images.py). Where a
-folder holds both, the videos are read. Every frame is decoded once, into a store under the cache (decode.py).
+or the output of the released program's converter, DIR/images and DIR/transforms_*.json (images.py). If a folder has
+both, the videos are read. Every frame is decoded once, into a store in the cache folder (decode.py).
 """
 
 from __future__ import annotations
@@ -18,88 +18,97 @@ import numpy as np
 
 from datasets.cameras.lens import Undistortion
 from datasets.canonical import canonical_space
+from datasets.files.errors import SceneError
 from datasets.plenoptic.decode import fingerprint
-from datasets.plenoptic.footage import Footage, Reading
-from datasets.plenoptic.images import camera_number, read_camera, read_entries, sequences
+from datasets.plenoptic.footage import Footage, FootageOptions
+from datasets.plenoptic.images import camera_number, image_sequences, read_camera, read_cameras
 from datasets.plenoptic.poses import read_poses
-from datasets.plenoptic.sync import choose, common_frames
+from datasets.plenoptic.sync import common_frames, select_cameras
 from datasets.plenoptic.videos import VideoFile, find_cameras, find_footage, probe
-from datasets.scene import Box, Scene, SceneError
+from datasets.scene import Box, Scene
 from rasterizer.camera import Camera
 
-__all__ = ["Footage", "Posed", "Reading", "Undistortion", "open_plenoptic", "read_footage", "read_plenoptic"]
+__all__ = [
+    "Footage",
+    "PosedFootage",
+    "FootageOptions",
+    "Undistortion",
+    "open_plenoptic",
+    "read_footage",
+    "read_plenoptic",
+]
 
-VIDEO_PART = 1 << 20  # bytes at a video's beginning and at its end that tell whether it is the same
-IMAGE_PART = 1 << 12  # there are thousands of images; a PNG ends in checksums of its pixels
+# Bytes hashed at the beginning and at the end of each file.
+VIDEO_PART = 1 << 20
+IMAGE_PART = 1 << 12  # there are thousands of images; a PNG ends with checksums of its pixels
 
 
 @dataclass(frozen=True)
-class Posed:
-    """Footage and where its cameras stood: all there is to know before a frame is decoded."""
+class PosedFootage:
+    """Footage with camera poses; no frame is decoded yet."""
 
     footage: Footage
-    cameras: Mapping[str, Camera]  # of the full-size images
-    undistortion: Mapping[str, Undistortion] | None = None
-    unit: float = 1.0
-    init_box: Box | None = None
+    cameras: Mapping[str, Camera]  # by name; of the full-size images
+    undistortion: Mapping[str, Undistortion] | None = None  # by name; None: no distortion
+    unit: float = 1.0  # world units per normalised unit
+    init_box: Box | None = None  # None: a cube around the cameras
 
     def first_images(self) -> dict[str, np.ndarray]:
-        """Name -> the first frame of each camera as `cameras` see it, full size."""
+        """Name -> the first frame of each camera, undistorted, full size."""
         return self.footage.first_images(self.undistortion)
 
     def to_scene(self) -> Scene:
-        """Decodes what is not in the store yet."""
+        """The scene; decodes the frames that are not in the store."""
         return self.footage.to_scene(self.cameras, self.undistortion, self.unit, self.init_box)
 
 
 def read_plenoptic(path: str | Path, **options: Any) -> Scene:
-    """The scene in folder `path`, in either form of the layout; decodes what is not in the store yet.
+    """The scene in folder `path`, in either form of the layout; decodes the frames that are not in the store.
 
-    options: the fields of Reading. Raises SceneError for anything that is not as the layout promises, before a frame
-    is decoded unless only decoding shows it.
+    options: the fields of FootageOptions. Raises SceneError for invalid data, before decoding where possible.
     """
     return open_plenoptic(path, **options).to_scene()
 
 
-def open_plenoptic(path: str | Path, **options: Any) -> Posed:
-    """`read_plenoptic` up to the decoding."""
-    root, reading = Path(path), Reading(**options)
+def open_plenoptic(path: str | Path, **options: Any) -> PosedFootage:
+    """`read_plenoptic` without the decoding."""
+    root, checked = Path(path), FootageOptions(**options)
     if not root.is_dir():
         raise SceneError(root, "a folder in the Plenoptic Video layout", "a file" if root.exists() else "nothing there")
     files, poses, transforms = find_cameras(root), root / "poses_bounds.npy", root / "transforms_train.json"
     if files and (poses.exists() or not transforms.exists()):
-        footage = _footage(root, files, reading)
+        footage = _footage(root, files, checked)
         found = read_poses(poses, [file.name for file in files], footage.names, footage.size)
-        return Posed(footage, found.cameras, unit=found.unit, init_box=found.init_box)
+        return PosedFootage(footage, found.cameras, unit=found.unit, init_box=found.init_box)
     if transforms.exists():
-        return _open_images(root, reading)
+        return _open_images(root, checked)
     raise SceneError(root, "cam00.mp4 … and poses_bounds.npy, or images and transforms_train.json", "neither")
 
 
 def read_footage(path: str | Path, **options: Any) -> Footage:
-    """The videos in folder `path`, whatever their names, without poses. options: the fields of Reading."""
+    """The videos in folder `path`, of any names, without poses. options: the fields of FootageOptions."""
     root = Path(path)
-    return _footage(root, find_footage(root), Reading(**options))
+    return _footage(root, find_footage(root), FootageOptions(**options))
 
 
-def _footage(root: Path, files: Sequence[VideoFile], reading: Reading) -> Footage:
-    keep = choose([file.number for file in files], root, reading.test_cameras, reading.drop_cameras)
-    videos = probe(files, keep, reading.drop_cameras)
-    count = common_frames(videos, reading.first_frame, reading.frames, reading.drop_cameras)
-    return Footage(root, videos, count, fingerprint([file.path for file in files], VIDEO_PART), reading)
+def _footage(root: Path, files: Sequence[VideoFile], options: FootageOptions) -> Footage:
+    keep = select_cameras([file.number for file in files], root, options.test_cameras, options.drop_cameras)
+    videos = probe(files, keep, options.drop_cameras)
+    count = common_frames(videos, options.first_frame, options.frames, options.drop_cameras)
+    return Footage(root, videos, count, fingerprint([file.path for file in files], VIDEO_PART), options)
 
 
-def _open_images(root: Path, reading: Reading) -> Posed:
-    entries = read_entries(root)
-    keep = choose([camera_number(name) for name in entries], root, reading.test_cameras, reading.drop_cameras)
-    found = sequences(entries, keep, reading.background)
-    count = common_frames(found, reading.first_frame, reading.frames, reading.drop_cameras)
-    files = [entry.image_path for camera in entries.values() for entry in camera]
-    content = f"{fingerprint(files, IMAGE_PART)} over {reading.background}"
-    footage = Footage(root, found, count, content, reading)
+def _open_images(root: Path, options: FootageOptions) -> PosedFootage:
+    entries = read_cameras(root)
+    keep = select_cameras([camera_number(name) for name in entries], root, options.test_cameras, options.drop_cameras)
+    sequences = image_sequences(entries, keep, options.background)
+    count = common_frames(sequences, options.first_frame, options.frames, options.drop_cameras)
+    files = [frame.image_path for frames in entries.values() for frame in frames]
+    content = f"{fingerprint(files, IMAGE_PART)} over {options.background}"
+    footage = Footage(root, sequences, count, content, options)
     posed = {name: read_camera(entries[name], footage.size) for name in footage.names}
     cameras = {name: camera for name, (camera, _) in posed.items()}
-    trained = [camera for name, camera in cameras.items() if name not in footage.held_out]
-    return Posed(
-        footage, cameras, {name: lens for name, (_, lens) in posed.items()}, unit=canonical_space(trained).unit
-    )  # these files have no bounds
+    undistortion = {name: lens for name, (_, lens) in posed.items()}
+    train_cameras = [camera for name, camera in cameras.items() if name not in footage.held_out]
+    # This form of the layout has no bounds: one normalised unit is one canonical unit.
+    return PosedFootage(footage, cameras, undistortion, unit=canonical_space(train_cameras).unit)

@@ -1,9 +1,9 @@
-"""Fills the decoded-frame store: every camera once, several side by side, going on where a killed run stopped.
+"""Decodes videos into the frame store: each camera once, several in parallel, resuming after a killed run.
 
     <cache>/<scene>-<hash>/<camera>.npy, <camera>.json     see datasets/files/frame_store.py
 
-The hash is that of everything the frames follow from, but not of the place the data lie in or the cameras that are
-left out: a copied data set, or one with a camera dropped, finds its frames.
+The hash covers everything that determines the frames. It excludes the path of the data set and the dropped cameras,
+so that a copied data set, or one with a camera dropped, uses the same store.
 """
 
 from __future__ import annotations
@@ -18,42 +18,41 @@ import threading
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
 import cv2
 import numpy as np
 
-from datasets.cameras.lens import Undistortion, straighten
+from datasets.cameras.lens import Undistortion, undistort
 from datasets.files.atomic_write import TEMPORARY, DiskFull
+from datasets.files.errors import SceneError
 from datasets.files.frame_store import StoredFrame, read_frames, write_frames
 from datasets.plenoptic.display import DecodingDisplay, Log
-from datasets.scene import SceneError
-from rasterizer.camera import Camera
 
-STORE_VERSION = 1  # raised whenever the same input would give other frames
+STORE_VERSION = 1  # to be increased by every change that alters the decoded frames
 
 
 class Stream(Protocol):
-    """One camera's images in order of time, all of one size."""
+    """One camera's images in order of time, all of one size: a video or a folder of images."""
 
-    name: str  # "cam00"; unique, names its file in the store
+    name: str  # "cam00"; unique, the name of its file in the store
     number: int  # as in scene.test_cameras and scene.drop_cameras
-    path: Path  # the video, or what stands for it in a message
+    path: Path  # the video, or the first image; named in messages
     size: tuple[int, int]  # (width, height)
-    rate: float  # frames a second
-    count: int  # frames its header promises
-    start: float  # when the first frame was taken, in frames
+    rate: float  # frames per unit of time
+    count: int  # frames according to its header
+    start: float  # time of the first frame, in frames
 
     def read(self, first: int, count: int, threads: int) -> Iterator[np.ndarray]:
-        """Frames first … first + count - 1, each (height, width, 3) uint8 RGB; SceneError if one cannot be had."""
+        """Frames first … first + count - 1, each (height, width, 3) uint8 RGB; SceneError if one cannot be decoded."""
         ...
 
 
 @dataclass(frozen=True)
-class Recipe:
-    """What is done to every camera."""
+class DecodeOptions:
+    """The settings that are the same for all cameras; part of the hash."""
 
     first_frame: int
     frames: int
@@ -61,7 +60,7 @@ class Recipe:
 
 
 def reduce_image(image: np.ndarray, downscale: int) -> np.ndarray:
-    """(H, W, 3) uint8 -> (H // downscale, W // downscale, 3): area average, less what fills no block at the end."""
+    """(H, W, 3) uint8 -> (H // downscale, W // downscale, 3): area average, without pixels that fill no block."""
     if downscale == 1:
         return image
     height, width = image.shape[0] // downscale, image.shape[1] // downscale
@@ -69,26 +68,17 @@ def reduce_image(image: np.ndarray, downscale: int) -> np.ndarray:
     return cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)
 
 
-def reduce_camera(camera: Camera, downscale: int) -> Camera:
-    """The camera of `reduce_image`: first the part that is kept (intrinsics from the top left stay), then its scale."""
-    width, height = camera.width // downscale, camera.height // downscale
-    return replace(camera, width=width * downscale, height=height * downscale).resized(width, height)
-
-
 def store_folder(
-    cache: Path, scene: str, content: str, recipe: Recipe, undistortion: Mapping[str, Undistortion]
+    cache: Path, scene: str, content: str, options: DecodeOptions, undistortion: Mapping[str, Undistortion]
 ) -> Path:
-    """Where a scene's frames lie.
-
-    content: hash of the videos or images, all in the folder, whether left out or not.
-    """
-    parts = (STORE_VERSION, content, vars(recipe), {name: vars(lens) for name, lens in undistortion.items()})
+    """The folder of a scene's frames. content: hash of all videos or images of the scene, dropped ones included."""
+    parts = (STORE_VERSION, content, vars(options), {name: vars(lens) for name, lens in undistortion.items()})
     digest = hashlib.blake2b(json.dumps(parts, sort_keys=True).encode(), digest_size=6).hexdigest()
     return cache / f"{scene.replace('/', '_')}-{digest}"
 
 
 def fingerprint(paths: Sequence[Path], part: int) -> str:
-    """Hash of each file's name, size, and first and last `part` bytes: a copy has the same, an edited file another."""
+    """Hash of the name, the size, and the first and last `part` bytes of each file."""
     digest = hashlib.blake2b(digest_size=16)
     for path in paths:
         try:
@@ -107,18 +97,18 @@ def fingerprint(paths: Sequence[Path], part: int) -> str:
 def decode(
     streams: Sequence[Stream],
     folder: Path,
-    recipe: Recipe,
+    options: DecodeOptions,
     undistortion: Mapping[str, Undistortion],
     threads: int,
     log: Log,
 ) -> dict[str, tuple[StoredFrame, ...]]:
-    """Camera -> its frames in `folder`, decoded now unless they are there. All streams are of one size.
+    """Camera -> its frames in `folder`, decoded if they are not there. All streams have one size.
 
-    threads: cameras decoded side by side. Another process that decodes into the same folder is waited for. Raises
-    SceneError for a video that cannot be decoded as promised, or a disk without room.
+    threads: number of cameras decoded in parallel. Waits for another process that decodes into the same folder. Raises
+    SceneError if a video cannot be decoded or the disk is full.
     """
     width, height = streams[0].size
-    shape = (recipe.frames, height // recipe.downscale, width // recipe.downscale, 3)
+    shape = (options.frames, height // options.downscale, width // options.downscale, 3)
     found = {stream.name: read_frames(folder, stream.name, shape) for stream in streams}
     if None in found.values():
         folder.mkdir(parents=True, exist_ok=True)
@@ -127,8 +117,8 @@ def decode(
                 leftover.unlink()
             missing = [stream for stream in streams if read_frames(folder, stream.name, shape) is None]
             _check_space(folder, len(missing) * math.prod(shape))
-            with DecodingDisplay(len(missing), recipe.frames, log) as display:
-                _decode_missing(missing, folder, shape, recipe, undistortion, threads, display)
+            with DecodingDisplay(len(missing), options.frames, log) as display:
+                _decode_missing(missing, folder, shape, options, undistortion, threads, display)
         found = {stream.name: read_frames(folder, stream.name, shape) for stream in streams}
     return found
 
@@ -137,21 +127,21 @@ def _decode_missing(
     streams: Sequence[Stream],
     folder: Path,
     shape: tuple[int, int, int, int],
-    recipe: Recipe,
+    options: DecodeOptions,
     undistortion: Mapping[str, Undistortion],
     threads: int,
     display: DecodingDisplay,
 ) -> None:
-    stop = threading.Event()  # an error, or Ctrl-C, must not wait for minutes of decoding in the other threads
-    each = max(1, threads // max(1, len(streams)))  # threads of one decoder
+    stop = threading.Event()  # ends the other threads after an error or Ctrl-C
+    threads_each = max(1, threads // max(1, len(streams)))
 
-    def one(stream: Stream) -> None:
-        images = _prepared(stream, recipe, undistortion.get(stream.name), each, stop, display)
+    def decode_one(stream: Stream) -> None:
+        images = _reduced_frames(stream, options, undistortion.get(stream.name), threads_each, stop, display)
         facts = {
             "source": stream.path.name,
             "rate": stream.rate,
-            "first_frame": recipe.first_frame,
-            "downscale": recipe.downscale,
+            "first_frame": options.first_frame,
+            "downscale": options.downscale,
             "store_version": STORE_VERSION,
         }
         try:
@@ -161,7 +151,7 @@ def _decode_missing(
         display.camera(stream.name)
 
     with ThreadPoolExecutor(max_workers=max(1, threads)) as pool:
-        futures = [pool.submit(one, stream) for stream in streams]
+        futures = [pool.submit(decode_one, stream) for stream in streams]
         try:
             for future in as_completed(futures):
                 future.result()
@@ -171,22 +161,22 @@ def _decode_missing(
             raise
 
 
-def _prepared(
+def _reduced_frames(
     stream: Stream,
-    recipe: Recipe,
+    options: DecodeOptions,
     lens: Undistortion | None,
     threads: int,
     stop: threading.Event,
     display: DecodingDisplay,
 ) -> Iterator[np.ndarray]:
-    """A camera's frames as they are stored."""
+    """A camera's frames as they are stored: undistorted and reduced."""
     maps = lens.maps(stream.size) if lens else None
-    for image in stream.read(recipe.first_frame, recipe.frames, threads):
+    for image in stream.read(options.first_frame, options.frames, threads):
         if stop.is_set():
-            raise RuntimeError("decoding was stopped")  # seen by nobody: the error that stopped it is raised
+            raise RuntimeError("decoding was stopped")  # not shown: the error that set `stop` is raised instead
         if maps is not None:
-            image = straighten(image, maps)
-        yield reduce_image(image, recipe.downscale)
+            image = undistort(image, maps)
+        yield reduce_image(image, options.downscale)
         display.frame()
 
 

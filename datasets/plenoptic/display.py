@@ -1,4 +1,4 @@
-"""What decoding shows while it runs: a live bar on a terminal, one clean line a camera elsewhere."""
+"""Progress display of decoding: a progress bar on a terminal, one line per camera elsewhere."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
-Log = Callable[[str], None]  # takes a line of text for the user
+Log = Callable[[str], None]  # called with a line of text for the user
 
 
 class DecodingDisplay:
-    """A context manager; `frame` and `camera` may be called from several threads."""
+    """A context manager; `frame` and `camera` are thread-safe."""
 
     def __init__(self, cameras: int, frames: int, log: Log, console: Console | None = None) -> None:
-        """cameras: to be decoded, of `frames` each."""
+        """cameras: number of cameras to decode; frames: of each."""
         self._console = console or Console()
-        self._cameras, self._frames, self._say = cameras, cameras * frames, log
+        self._cameras, self._frames, self._log = cameras, cameras * frames, log
         self._cameras_done = self._frames_done = 0
         self._lock = threading.Lock()
         self._started = time.perf_counter()
@@ -41,18 +41,18 @@ class DecodingDisplay:
         self._bar.__exit__(*exception)
 
     def frame(self) -> None:
-        """One more frame is written."""
+        """Counts one written frame."""
         with self._lock:
             self._frames_done += 1
             self._bar.update(self._task, completed=self._frames_done, text=f"frames decoded  {self._pace()}")
 
     def camera(self, name: str) -> None:
-        """A camera is finished."""
+        """Reports a finished camera."""
         with self._lock:
             self._cameras_done += 1
             line = f"decoded {name}: {self._cameras_done} of {self._cameras} cameras  {self._pace()}"
         if not self._console.is_terminal:
-            self._say(line)
+            self._log(line)
 
     def _pace(self) -> str:
         pace = self._frames_done / max(time.perf_counter() - self._started, 1e-9)

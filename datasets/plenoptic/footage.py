@@ -1,43 +1,43 @@
-"""Several cameras that filmed one scene at the same time: from files on disk to a `Scene`, once poses are known.
-
-The one way all forms of the layout take: videos or folders of images, with poses that came with them or were found.
-"""
+"""Footage: synchronised videos or image sequences of several cameras, which camera poses turn into a `Scene`."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from datasets.cameras.lens import Undistortion, straighten
-from datasets.canonical import FRAMES_A_UNIT
-from datasets.plenoptic.decode import Recipe, Stream, decode, reduce_camera, store_folder
+from datasets.cameras.lens import Undistortion, undistort
+from datasets.canonical import FRAMES_PER_UNIT
+from datasets.composition import reduced_camera
+from datasets.files.errors import SceneError
+from datasets.plenoptic.decode import DecodeOptions, Stream, decode, store_folder
 from datasets.plenoptic.display import Log
 from datasets.plenoptic.sync import drop_advice
-from datasets.scene import Box, Image, Scene, SceneError, View, camera_extent, camera_of, cube_round, validate_scene
+from datasets.scene import Box, Image, Scene, View, bounding_cube, camera_extent, make_camera, validate_scene
 from rasterizer.camera import Camera
 from rasterizer.cores import thread_count
 
-# Images may count time in frames or milliseconds: a rate beyond these is none of a film in seconds.
-FILM_RATES = (5.0, 1000.0)
+# Rates outside this range are taken to be per millisecond, per frame or the like, not per second.
+PLAYBACK_RATES = (5.0, 1000.0)
 
 
 @dataclass(frozen=True)
-class Reading:
-    """How footage is read; scene.* of the configuration. Lists and strings become tuples and paths."""
+class FootageOptions:
+    """How footage is read: settings of SceneConfig. Lists and strings become tuples and paths."""
 
     name: str  # of the scene
     downscale: int = 2
     test_cameras: Sequence[int] = (0,)  # held out
-    drop_cameras: Sequence[int] = ()  # left out altogether
+    drop_cameras: Sequence[int] = ()  # ignored
     first_frame: int = 0
-    frames: int = 300  # at most so many
-    cache: str | Path = "results/cache"  # the decoded frames are kept under it
-    background: Sequence[float] = (0.0, 0.0, 0.0)  # RGB in [0, 1], under what is transparent
-    threads: int = 0  # 0: as many as there are cores
+    frames: int = 300  # largest number in use
+    cache: str | Path = "results/cache"  # the folder of the frame stores
+    background: Sequence[float] = (0.0, 0.0, 0.0)  # RGB in [0, 1], under transparent pixels
+    threads: int = 0  # 0: all cores
     log: Log = print
 
     def __post_init__(self) -> None:
@@ -56,13 +56,13 @@ class Reading:
 
 @dataclass(frozen=True)
 class Footage:
-    """Cameras whose headers agree; nothing is decoded yet, poses may still be unknown."""
+    """Synchronised cameras in use; nothing is decoded yet, and poses may be unknown."""
 
     source: Path  # the folder
     streams: tuple[Stream, ...]  # the cameras in use
-    count: int  # frames in use of each
-    content: str  # hash of all files in the folder
-    reading: Reading
+    count: int  # frames in use, of each camera
+    content: str  # hash of all files of the data set
+    options: FootageOptions
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -76,7 +76,7 @@ class Footage:
     @property
     def held_out(self) -> tuple[str, ...]:
         """Names of the test cameras."""
-        return tuple(stream.name for stream in self.streams if stream.number in self.reading.test_cameras)
+        return tuple(stream.name for stream in self.streams if stream.number in self.options.test_cameras)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -85,24 +85,23 @@ class Footage:
 
     @property
     def rate(self) -> float:
-        """Frames a second, or in what unit of time the files have."""
+        """Frames per unit of the files' time: per second in videos."""
         return self.streams[0].rate
 
     @property
-    def shown_rate(self) -> float:
-        """Frames a second to show it at."""
-        return self.rate if FILM_RATES[0] <= self.rate <= FILM_RATES[1] else FRAMES_A_UNIT
+    def playback_rate(self) -> float:
+        """Frames a second of rendered videos."""
+        return self.rate if PLAYBACK_RATES[0] <= self.rate <= PLAYBACK_RATES[1] else FRAMES_PER_UNIT
 
     def first_images(self, undistortion: Mapping[str, Undistortion] | None = None) -> dict[str, np.ndarray]:
-        """Name -> the first frame in use of each camera, (height, width, 3) uint8 RGB at full resolution; straight
-        where there is a lens to straighten."""
+        """Name -> the first frame in use of each camera, (height, width, 3) uint8 RGB at full size, undistorted."""
 
         def first(stream: Stream) -> np.ndarray:
-            image = next(iter(stream.read(self.reading.first_frame, 1, 1)))
+            image = next(iter(stream.read(self.options.first_frame, 1, 1)))
             lens = (undistortion or {}).get(stream.name)
-            return straighten(image, lens.maps(stream.size)) if lens and any(lens.coefficients) else image
+            return undistort(image, lens.maps(stream.size)) if lens and any(lens.coefficients) else image
 
-        with ThreadPoolExecutor(self.reading.cores) as pool:
+        with ThreadPoolExecutor(self.options.cores) as pool:
             return dict(zip(self.names, pool.map(first, self.streams)))
 
     def to_scene(
@@ -112,28 +111,28 @@ class Footage:
         unit: float = 1.0,
         init_box: Box | None = None,
     ) -> Scene:
-        """The scene seen by `cameras` (name -> camera of the full-size image), decoding what is not in the store.
+        """The scene with `cameras` (name -> camera of the full-size image); decodes frames that are not in the store.
 
-        undistortion: name -> lens, for images that are to be straightened; their cameras are those of the straight
-        image. unit: world units of one normalised unit. init_box: None for a cube round the cameras. The scene is
-        checked before a frame is decoded.
+        undistortion: name -> lens of the distorted images; `cameras` are those of the undistorted ones. unit: world
+        units per normalised unit. init_box: None: a cube around the cameras. SceneError, before decoding, if the scene
+        is invalid.
         """
-        reading = self.reading
+        options = self.options
         self._check_cameras(cameras)
         undistortion = {name: lens for name, lens in (undistortion or {}).items() if any(lens.coefficients)}
         small = {
-            name: camera_of(self.source / name, lambda: reduce_camera(cameras[name], reading.downscale))
+            name: make_camera(self.source / name, partial(reduced_camera, cameras[name], options.downscale))
             for name in self.names
         }
-        init_box = init_box or _cube_round(list(small.values()), unit)
-        # Not one pixel is needed to see whether the scene can be trained on.
+        init_box = init_box or _camera_cube(list(small.values()), unit)
+        # All checks but those of pixels, with blank images, before the long decoding.
         camera = small[self.names[0]]
         blank = np.broadcast_to(np.uint8(0), (camera.height, camera.width, 3))
         validate_scene(self._scene(small, {name: [blank] * self.count for name in self.names}, unit, init_box))
 
-        recipe = Recipe(reading.first_frame, self.count, reading.downscale)
-        folder = store_folder(reading.cache, reading.name, self.content, recipe, undistortion)
-        images = decode(self.streams, folder, recipe, undistortion, reading.cores, reading.log)
+        decoding = DecodeOptions(options.first_frame, self.count, options.downscale)
+        folder = store_folder(options.cache, options.name, self.content, decoding, undistortion)
+        images = decode(self.streams, folder, decoding, undistortion, options.cores, options.log)
         return validate_scene(self._scene(small, images, unit, init_box))
 
     def _check_cameras(self, cameras: Mapping[str, Camera]) -> None:
@@ -143,16 +142,16 @@ class Footage:
                 raise SceneError(
                     stream.path,
                     "a pose for each camera",
-                    f"none; {drop_advice(stream.number, self.reading.drop_cameras)}",
+                    f"none; {drop_advice(stream.number, self.options.drop_cameras)}",
                 )
             if (camera.width, camera.height) != self.size:
                 raise SceneError(
                     stream.path, "a camera of {} x {} pixels".format(*self.size), f"{camera.width} x {camera.height}"
                 )
-        if min(self.size) < self.reading.downscale:
+        if min(self.size) < self.options.downscale:
             raise SceneError(
                 self.source,
-                f"at least {self.reading.downscale} pixels a side (downscale)",
+                f"at least {self.options.downscale} pixels a side (downscale)",
                 "{} x {}".format(*self.size),
             )
 
@@ -167,28 +166,28 @@ class Footage:
                     cameras[stream.name],
                     index / self.rate,
                     image,
-                    f"{split}/{stream.name}_{self.reading.first_frame + index:04d}",
+                    f"{split}/{stream.name}_{self.options.first_frame + index:04d}",
                 )
                 for index, image in enumerate(images[stream.name])
             ]
         train, test = tuple(views["train"]), tuple(views["test"])
         return Scene(
-            name=self.reading.name,
+            name=self.options.name,
             train=train,
             test=test,
             duration=self.count / self.rate,
             time_start=0.0,
-            background=self.reading.background,
+            background=self.options.background,
             extent=camera_extent([view.camera for view in train]),
             init_box=init_box,
             source=self.source,
             unit=unit,
             frame_rate=self.rate,
-            shown_rate=self.shown_rate,
+            playback_rate=self.playback_rate,
         )
 
 
-def _cube_round(cameras: Sequence[Camera], unit: float) -> Box:
-    """A cube that holds the cameras with room to spare: nothing says how far the scene reaches."""
+def _camera_cube(cameras: Sequence[Camera], unit: float) -> Box:
+    """A cube around the cameras with a margin, for data without depth bounds."""
     positions = np.stack([camera.position for camera in cameras])
-    return cube_round(positions, margin=max(0.5 * float(np.ptp(positions, axis=0).max()), unit))
+    return bounding_cube(positions, margin=max(0.5 * float(np.ptp(positions, axis=0).max()), unit))

@@ -1,12 +1,12 @@
-"""The folder-of-images form of the layout, as the released program's converter leaves it behind.
+"""The image form of the Plenoptic Video layout, which the released program's converter writes.
 
-    DIR/images/cam00_0000.png …   camera, frame number; frames of a camera follow each other without a gap
+    DIR/images/cam00_0000.png …   camera and frame number; the frame numbers of a camera have no gaps
     DIR/transforms_train.json, transforms_test.json
-        {"w", "h", "fl_x", "fl_y", "cx", "cy": pixels, or "camera_angle_x": radians (see datasets/cameras/intrinsics.py),
+        {"w", "h", "fl_x", "fl_y", "cx", "cy": pixels, or "camera_angle_x": radians (see cameras/intrinsics.py),
          "frames": [{"file_path": "images/cam00_0000", "time": …, "transform_matrix": 4×4 camera-to-world}, …]}
 
-Poses have Blender's camera axes. Which cameras are held out is not taken from the
-two files but from scene.test_cameras, as for videos. Times are in any unit: frames, seconds, since 1970.
+Poses have Blender's camera axes. Times may be in any unit and from any origin. scene.test_cameras says which cameras
+are held out, as for videos; the split into two files is ignored.
 """
 
 from __future__ import annotations
@@ -18,46 +18,45 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets.cameras.intrinsics import intrinsics_of, read_lens, read_pinhole
+from datasets.cameras.intrinsics import read_distortion, read_pinhole
 from datasets.cameras.lens import Undistortion
-from datasets.cameras.transforms import find_image, load_transforms, read_pose
+from datasets.cameras.transforms import TransformsEntry, read_transforms
 from datasets.composition import compose
+from datasets.files.errors import SceneError
 from datasets.files.image_files import common_size, read_rgba
-from datasets.files.json_values import get_key, read_number
-from datasets.scene import SceneError
 from rasterizer.camera import Camera
 
 FRAME_NAME = re.compile(r"(?P<camera>\D*(?P<number>\d+))_(?P<frame>\d+)")  # cam00_0000
 SPLITS = ("train", "test")
-STILL_TOLERANCE = 1e-6  # world units; a camera's pose is repeated in each of its frames
+STILL_TOLERANCE = 1e-6  # world units; the entries of a camera repeat its pose
 LATEST = 1e19  # nanoseconds since 1970 are 2e18
-SINGLE_FRAME_RATE = 30.0  # what the converter divides frame numbers by; from one frame no rate can be told
+SINGLE_FRAME_RATE = 30.0  # the converter's frames per unit of time, which one frame alone does not determine
 
 
 @dataclass(frozen=True)
-class Entry:
-    """One entry of a transforms file, checked."""
+class CameraFrame:
+    """An entry of a transforms file with its frame number."""
 
-    where: str
-    image_path: Path
-    frame: int
+    number: int
     time: float  # the file's unit
-    cam_to_world: np.ndarray  # (4, 4), Blender axes
-    intrinsics: dict  # the keys of this frame and, where it has none, of the file
-    file: Path
+    entry: TransformsEntry
+
+    @property
+    def image_path(self) -> Path:
+        return self.entry.image_path
 
 
 @dataclass(frozen=True)
 class ImageSequence:
-    """A camera's images: a decode.Stream."""
+    """A camera's images. Implements decode.Stream."""
 
     name: str
     number: int
     path: Path  # of the first image
     size: tuple[int, int]  # (width, height)
-    rate: float  # frames in a unit of the file's time
+    rate: float  # frames per unit of the file's time
     count: int
-    start: float  # when the first image was taken, in frames since the earliest camera's
+    start: float  # time of the first image, in frames after the earliest image of all cameras
     paths: tuple[Path, ...]
     background: tuple[float, float, float]  # under transparent pixels
 
@@ -68,29 +67,20 @@ class ImageSequence:
             yield rgba[..., :3] if (rgba[..., 3] == 255).all() else compose(rgba, self.background)
 
 
-def read_entries(root: Path) -> dict[str, list[Entry]]:
-    """Camera -> its entries in order of frames, of both files; cameras by name."""
-    cameras: dict[str, list[Entry]] = {}
+def read_cameras(root: Path) -> dict[str, list[CameraFrame]]:
+    """Camera name, sorted -> its frames of both files, by frame number."""
+    cameras: dict[str, list[CameraFrame]] = {}
     for split in SPLITS:
-        path = root / f"transforms_{split}.json"
-        content, frames = load_transforms(path)
-        for index, frame in enumerate(frames):
-            where = f"{path}: frames[{index}]"
-            file_path, image_path = find_image(frame, where, root)
-            parts = FRAME_NAME.fullmatch(Path(file_path).name.removesuffix(image_path.suffix))
+        for entry in read_transforms(root / f"transforms_{split}.json", root):
+            parts = FRAME_NAME.fullmatch(Path(entry.file_path).name.removesuffix(entry.image_path.suffix))
             if parts is None:
-                raise SceneError(f"{where}: file_path", "a name like images/cam00_0000", file_path)
-            entry = Entry(
-                where,
-                image_path,
-                int(parts["frame"]),
-                read_number(get_key(frame, "time", where), f"{where}: time", LATEST),
-                read_pose(get_key(frame, "transform_matrix", where), f"{where}: transform_matrix"),
-                intrinsics_of(content, frame),
-                path,
-            )
-            cameras.setdefault(parts["camera"], []).append(entry)
-    return {name: sorted(cameras[name], key=lambda entry: entry.frame) for name in sorted(cameras)}
+                raise SceneError(f"{entry.where}: file_path", "a name like images/cam00_0000", entry.file_path)
+            if entry.time is None or not abs(entry.time) <= LATEST:
+                found = "none" if entry.time is None else f"{entry.time}"
+                raise SceneError(f"{entry.where}: time", f"a number within ±{LATEST:g}", found)
+            frame = CameraFrame(int(parts["frame"]), entry.time, entry)
+            cameras.setdefault(parts["camera"], []).append(frame)
+    return {name: sorted(cameras[name], key=lambda frame: frame.number) for name in sorted(cameras)}
 
 
 def camera_number(name: str) -> int:
@@ -98,65 +88,67 @@ def camera_number(name: str) -> int:
     return int(re.search(r"\d+$", name)[0])
 
 
-def sequences(
-    cameras: dict[str, list[Entry]], keep: Collection[int], background: tuple[float, float, float]
+def image_sequences(
+    cameras: dict[str, list[CameraFrame]], keep: Collection[int], background: tuple[float, float, float]
 ) -> tuple[ImageSequence, ...]:
-    """The cameras in use, their frames and times checked."""
-    kept = {name: entries for name, entries in cameras.items() if camera_number(name) in keep}
-    # Of times since 1970 only differences say which frame it is: each camera's rate is a little rounded.
-    earliest = min((entries[0].time for entries in kept.values()), default=0.0)
-    found = []
-    for name, entries in kept.items():
-        rate = _rate(entries)
-        paths = tuple(entry.image_path for entry in entries)
-        found.append(
+    """The cameras with the numbers `keep`; SceneError if their frame numbers or times have gaps."""
+    kept = {name: frames for name, frames in cameras.items() if camera_number(name) in keep}
+    # Starts are relative to the earliest image: a rounded rate times the seconds since 1970 would be off by frames.
+    earliest = min((frames[0].time for frames in kept.values()), default=0.0)
+    sequences = []
+    for name, frames in kept.items():
+        rate = _frame_rate(frames)
+        paths = tuple(frame.image_path for frame in frames)
+        sequences.append(
             ImageSequence(
-                name,
-                camera_number(name),
-                paths[0],
-                common_size(paths),
-                rate,
-                len(entries),
-                (entries[0].time - earliest) * rate,
-                paths,
-                background,
+                name=name,
+                number=camera_number(name),
+                path=paths[0],
+                size=common_size(paths),
+                rate=rate,
+                count=len(frames),
+                start=(frames[0].time - earliest) * rate,
+                paths=paths,
+                background=background,
             )
         )
-    return tuple(found)
+    return tuple(sequences)
 
 
-def read_camera(entries: list[Entry], size: tuple[int, int]) -> tuple[Camera, Undistortion]:
-    """The camera of one camera's full-size images (width, height), and its lens."""
-    first = entries[0]
-    for entry in entries:
-        if np.abs(entry.cam_to_world - first.cam_to_world).max() > STILL_TOLERANCE:
+def read_camera(frames: list[CameraFrame], size: tuple[int, int]) -> tuple[Camera, Undistortion]:
+    """The camera of full-size images (width, height), and its lens. SceneError if the camera moves."""
+    first = frames[0].entry
+    for frame in frames:
+        if np.abs(frame.entry.cam_to_world - first.cam_to_world).max() > STILL_TOLERANCE:
             raise SceneError(
-                f"{entry.where}: transform_matrix",
+                f"{frame.entry.where}: transform_matrix",
                 f"the pose of {first.image_path.name}, for cameras do not move",
                 "another",
             )
     camera = read_pinhole(first.intrinsics, size, first.cam_to_world, first.where, first.file)
-    return camera, Undistortion.of(camera, *read_lens(first.intrinsics, first.where))
+    return camera, Undistortion.of(camera, *read_distortion(first.intrinsics, first.where))
 
 
-def _rate(entries: list[Entry]) -> float:
-    """Frames in a unit of time: a camera's frames follow each other without a gap, at equal steps in time."""
-    first, last = entries[0], entries[-1]
-    for index, entry in enumerate(entries):
-        if entry.frame != first.frame + index:
-            raise SceneError(entry.where, f"frame {first.frame + index} of its camera next", f"{entry.frame}")
-    if len(entries) == 1:
+def _frame_rate(frames: list[CameraFrame]) -> float:
+    """Frames per unit of time. SceneError unless frame numbers are consecutive and times equidistant."""
+    first, last = frames[0], frames[-1]
+    for index, frame in enumerate(frames):
+        if frame.number != first.number + index:
+            raise SceneError(frame.entry.where, f"frame {first.number + index} of its camera next", f"{frame.number}")
+    if len(frames) == 1:
         return SINGLE_FRAME_RATE
     if not last.time > first.time:
         raise SceneError(
-            f"{last.where}: time", f"a time after that of frame {first.frame}, {first.time:.13g}", f"{last.time:.13g}"
+            f"{last.entry.where}: time",
+            f"a time after that of frame {first.number}, {first.time:.13g}",
+            f"{last.time:.13g}",
         )
-    rate = (len(entries) - 1) / (last.time - first.time)
-    for index, entry in enumerate(entries):
-        if not abs((entry.time - first.time) * rate - index) <= 0.5:
+    rate = (len(frames) - 1) / (last.time - first.time)
+    for index, frame in enumerate(frames):
+        if not abs((frame.time - first.time) * rate - index) <= 0.5:
             raise SceneError(
-                f"{entry.where}: time",
+                f"{frame.entry.where}: time",
                 f"{first.time + index / rate:.13g}, at equal steps in time",
-                f"{entry.time:.13g}",
+                f"{frame.time:.13g}",
             )
     return rate

@@ -1,4 +1,4 @@
-"""Do the cameras belong together: one size, one rate, one start, enough frames each? Seen from headers alone."""
+"""Checks that cameras are synchronised, from headers alone: one size, one frame rate, one start, enough frames."""
 
 from __future__ import annotations
 
@@ -6,21 +6,21 @@ from collections import Counter
 from collections.abc import Callable, Collection, Hashable, Sequence
 from pathlib import Path
 
+from datasets.files.errors import SceneError
 from datasets.plenoptic.decode import Stream
-from datasets.scene import SceneError
 
-# Relative. 29.97 and 30 a second pass for one rate: over the 300 frames of a scene they part by less than half a frame.
+# Relative. Accepts 29.97 beside 30 frames a second: over 300 frames they differ by less than half a frame.
 RATE_TOLERANCE = 1.5e-3
 START_TOLERANCE = 0.5  # frames
 
 
-def choose(numbers: Sequence[int], root: Path, test: Collection[int], drop: Collection[int]) -> tuple[int, ...]:
-    """The cameras' `numbers` less those dropped, if each number asked for is among them and some are left to train."""
+def select_cameras(numbers: Sequence[int], root: Path, test: Collection[int], drop: Collection[int]) -> tuple[int, ...]:
+    """`numbers` without `drop`. SceneError for unknown numbers, or if no training camera is left."""
     for number in numbers:
         if numbers.count(number) > 1:
             raise SceneError(root, "one name a camera", f"several with number {number}")
-    for key, wanted in (("scene.test_cameras", test), ("scene.drop_cameras", drop)):
-        unknown = sorted(set(wanted) - set(numbers))
+    for key, chosen in (("scene.test_cameras", test), ("scene.drop_cameras", drop)):
+        unknown = sorted(set(chosen) - set(numbers))
         if unknown:
             raise SceneError(f"{root}: {key}", f"cameras among {', '.join(map(str, numbers))}", f"{unknown[0]}")
     both = sorted(set(test) & set(drop))
@@ -37,39 +37,41 @@ def choose(numbers: Sequence[int], root: Path, test: Collection[int], drop: Coll
 
 
 def common_frames(streams: Sequence[Stream], first_frame: int, frames: int, drop: Collection[int]) -> int:
-    """How many frames from `first_frame` on, at most `frames`, every camera has.
+    """The number of frames from `first_frame` on, at most `frames`, that every camera has.
 
-    Raises SceneError, naming the camera that differs from most and how to leave it out, for different sizes, rates or
-    starts, and for different lengths where they matter.
+    Raises SceneError if sizes, rates or starts differ, or lengths where they matter. It names a camera that differs
+    from the majority, and the setting that drops it.
     """
 
-    def all_alike(
+    def require_equal(
         what: str,
         value: Callable[[Stream], Hashable],
-        alike: Callable[[Hashable, Hashable], bool],
+        equal: Callable[[Hashable, Hashable], bool],
         show: Callable[[Hashable], str],
     ) -> None:
-        # Of a tie the first: of two cameras nobody can say which one is right.
+        # In a tie the first value counts: which of two cameras is wrong cannot be known.
         usual = Counter(value(stream) for stream in streams).most_common(1)[0][0]
-        model = next(stream for stream in streams if value(stream) == usual)
+        example = next(stream for stream in streams if value(stream) == usual)
         for stream in streams:
-            if not alike(value(stream), usual):
+            if not equal(value(stream), usual):
                 raise SceneError(
                     stream.path,
-                    f"{show(usual)}{what} as {model.path.name}",
+                    f"{show(usual)}{what} as {example.path.name}",
                     f"{show(value(stream))}: unsynchronised; {drop_advice(stream.number, drop)}",
                 )
 
-    all_alike(" pixels", lambda s: s.size, lambda a, b: a == b, lambda size: "{} x {}".format(*size))
-    all_alike(" frames a second", lambda s: s.rate, lambda a, b: abs(a - b) <= RATE_TOLERANCE * b, lambda r: f"{r:.6g}")
-    all_alike(
+    require_equal(" pixels", lambda s: s.size, lambda a, b: a == b, lambda size: "{} x {}".format(*size))
+    require_equal(
+        " frames a second", lambda s: s.rate, lambda a, b: abs(a - b) <= RATE_TOLERANCE * b, lambda r: f"{r:.6g}"
+    )
+    require_equal(
         " frames",
         lambda s: s.start,
         lambda a, b: abs(a - b) <= START_TOLERANCE,
         lambda start: f"a first frame at {start:g}",
     )
     if any(stream.count < first_frame + frames for stream in streams):
-        all_alike(" frames", lambda s: s.count, lambda a, b: a == b, str)
+        require_equal(" frames", lambda s: s.count, lambda a, b: a == b, str)
     shortest = min(stream.count for stream in streams)
     if shortest <= first_frame:
         raise SceneError(
@@ -81,6 +83,6 @@ def common_frames(streams: Sequence[Stream], first_frame: int, frames: int, drop
 
 
 def drop_advice(number: int, drop: Collection[int]) -> str:
-    """How to do without a camera, on the command line; what is dropped already stays so."""
+    """The setting that drops a camera besides those dropped already, for messages."""
     numbers = ",".join(map(str, sorted({*drop, number})))
     return f"scene.drop_cameras=[{numbers}] leaves camera {number} out"

@@ -1,4 +1,4 @@
-"""Videos: which there are, what their headers promise, and their frames."""
+"""Finds the video files of a folder, checks their headers and decodes their frames with OpenCV (FFmpeg)."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from datasets.files.errors import SceneError
 from datasets.plenoptic.sync import drop_advice
-from datasets.scene import SceneError
 
 FOOTAGE_SUFFIXES = (".mp4", ".mov", ".mkv", ".avi")
 PLENOPTIC_NAME = re.compile(r"cam(\d+)\.mp4")
 
-# What is wrong with a video is said in one line of ours: FFmpeg's and OpenCV's own lines would stand before it.
-os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # AV_LOG_QUIET; read when the first video is opened
+# Errors are reported in one SceneError; FFmpeg's own output on stderr is turned off.
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # AV_LOG_QUIET; takes effect when the first video is opened
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class VideoFile:
 
 @dataclass(frozen=True)
 class Video:
-    """A camera's video and what its header promises: a decode.Stream."""
+    """A camera's video with the values of its header. Implements decode.Stream."""
 
     name: str
     number: int
@@ -41,13 +41,13 @@ class Video:
     size: tuple[int, int]  # (width, height)
     rate: float  # frames a second
     count: int
-    start: float  # when the first frame is shown, in frames
-    advice: str  # how to do without this camera
+    start: float  # presentation time of the first frame, in frames
+    advice: str  # the setting that drops this camera, for messages
 
     def read(self, first: int, count: int, threads: int) -> Iterator[np.ndarray]:
         """Frames first … first + count - 1, each (height, width, 3) uint8 RGB.
 
-        Frames before the first are decoded and thrown away: seeking is not exact in every file.
+        Earlier frames are decoded and discarded, because seeking is not exact in all files.
         """
         capture = open_video(self.path, threads, self.advice)
         try:
@@ -77,16 +77,16 @@ class Video:
 
 
 def find_cameras(root: Path) -> list[VideoFile]:
-    """cam00.mp4, cam01.mp4, … of a folder by name; the number in the name is the camera's. Gaps are allowed."""
+    """cam00.mp4, cam01.mp4, … of a folder, sorted; a camera's number is the one in the name. Gaps are allowed."""
     found = sorted((path.name, path) for path in root.iterdir() if PLENOPTIC_NAME.fullmatch(path.name))
     return [VideoFile(path.stem, int(PLENOPTIC_NAME.fullmatch(name)[1]), path) for name, path in found]
 
 
 def find_footage(root: Path) -> list[VideoFile]:
-    """All videos of a folder by name, whatever their names; a camera's number is its place in that order, from 0."""
+    """All videos of a folder, sorted by name; a camera's number is its index in that order."""
     if not root.is_dir():
         raise SceneError(root, "a folder of videos", "a file" if root.exists() else "nothing there")
-    # Hidden ones are what file managers leave behind.
+    # Hidden files are not the user's: file managers write them.
     paths = sorted(
         path for path in root.iterdir() if path.suffix.lower() in FOOTAGE_SUFFIXES and not path.name.startswith(".")
     )
@@ -100,15 +100,15 @@ def find_footage(root: Path) -> list[VideoFile]:
 
 
 def probe(files: Sequence[VideoFile], keep: Collection[int], drop: Collection[int]) -> tuple[Video, ...]:
-    """The videos of the cameras `keep`, each opened for a look at its header and its first frame.
+    """The videos of the cameras `keep`, with header and first frame checked.
 
-    drop: the cameras left out already, for the advice that goes with a bad video.
+    drop: the cameras dropped already, for the advice in messages.
     """
     return tuple(_probe(file, drop_advice(file.number, drop)) for file in files if file.number in keep)
 
 
 def open_video(path: Path, threads: int, advice: str) -> cv2.VideoCapture:
-    """threads: that decode it."""
+    """Opens a video to be decoded by `threads` threads; SceneError if FFmpeg cannot."""
     level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
         capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, threads])

@@ -1,10 +1,10 @@
-"""Synthetic scenes with known truth: made by an analytic ray tracer, written and read as real data is.
+"""Synthetic scenes with known ground truth: ray-traced, written to disk and read back in the layouts of real data.
 
-wheel   turns fast while it travels           (needs 4D rotation)
-lamp    colours that change with time and view (needs 4DSH)
-burst   things appear, move off and vanish     (needs the split in time)
-still   nothing moves, no time at all          (needs none of them)
-counter filmed by a rig of cameras             (things move and flicker before a far background)
+wheel     fast rotation and translation               tests 4D rotation
+lamp      colours that depend on time and direction   tests 4DSH
+burst     objects that appear, move and vanish        tests densification in time
+still     static, without times                       the control: none of these is needed
+counter   multi-camera video                          motion, flicker and a distant background
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets.scene import SceneError
+from datasets.files.errors import SceneError
 
-PHOTOGRAPHED = ("wheel", "lamp", "burst", "still")  # in the D-NeRF layout: one camera a time
-FILMED = ("counter",)  # in the Plenoptic Video layout: many cameras all the time
+PHOTOGRAPHED = ("wheel", "lamp", "burst", "still")  # in the D-NeRF layout: one camera per time
+FILMED = ("counter",)  # in the Plenoptic Video layout: several cameras at every time
 SCENE_NAMES = PHOTOGRAPHED + FILMED
 
-Progress = Callable[[int, int], None]  # told after each filmed camera: those done, all
+Progress = Callable[[int, int], None]  # called after each camera of a film: cameras done, all cameras
 
 
 def make_scene(
@@ -39,12 +39,12 @@ def make_scene(
     processes: int = 1,
     progress: Progress | None = None,
 ) -> Path:
-    """The folder of a synthetic scene under `cache`, made now unless it stands there already.
+    """The folder of a synthetic scene under `cache`; traces the scene if it is not there.
 
-    size: width of an image in pixels. train_views and test_views are for photographed scenes, cameras and frames
-    for filmed ones; so are processes and progress, see build_scene. The folder's name ends in a hash of all that
-    the images follow from: the tracer's and the scene's source, and the other arguments. Raises SceneError for an
-    unknown name or an argument out of range.
+    size: image width in pixels. train_views, test_views: of photographed scenes. cameras, frames, processes, progress:
+    of filmed scenes, see build_scene. The folder's name ends with a hash of everything that determines the images: the
+    sources of the tracer and of the scene, and the arguments. Raises SceneError for an unknown name or an invalid
+    argument.
     """
     _check_name(name)
     parameters = {"scene": name, "seed": seed, "size": size}
@@ -73,30 +73,30 @@ def build_scene(
     processes: int = 1,
     progress: Progress | None = None,
 ) -> Path:
-    """Traces a scene into `folder`, which must not hold anything yet. The same arguments give the same bytes.
+    """Traces a scene into `folder`, which must be absent or empty. The same arguments give the same bytes.
 
-    train_views, test_views: of a photographed scene. The rest is for filmed ones: samples × samples rays a pixel,
-    `processes` cameras side by side (spawned: the caller's main module must be importable).
+    train_views, test_views: of a photographed scene. The rest is for filmed scenes: samples × samples rays per pixel,
+    `processes` cameras in parallel (spawned: the caller's main module must be importable).
     """
     _check_name(scene)
     if scene in FILMED:
-        from datasets.synthetic.write_film import Shooting, write_film
+        from datasets.synthetic.write_film import FilmSettings, write_film
 
-        shooting = Shooting(scene=scene, seed=seed, size=size, cameras=cameras, frames=frames, samples=samples)
-        return write_film(shooting, Path(folder), processes=processes, progress=progress)
+        settings = FilmSettings(scene=scene, seed=seed, size=size, cameras=cameras, frames=frames, samples=samples)
+        return write_film(settings, Path(folder), processes=processes, progress=progress)
 
-    from datasets.synthetic.camera_path import held_out_shots, training_shots
+    from datasets.synthetic.camera_path import held_out_poses, training_poses
     from datasets.synthetic.write import write_scene
 
     if train_views < 2 or test_views < 1:
         raise SceneError("scene.train_views, scene.test_views", "at least 2 and 1", f"{train_views} and {test_views}")
-    # One generator a purpose: the cameras of a seed stay where they are when a scene draws more numbers.
+    # Separate generators: the cameras of a seed do not change when a scene draws more random numbers.
     world_rng, train_rng, val_rng, test_rng = np.random.default_rng(seed).spawn(4)
     world = importlib.import_module(f"datasets.synthetic.scenes.{scene}").build(world_rng)
-    shots = {
-        "train": training_shots(train_views, train_rng),
-        "val": held_out_shots(max(1, test_views // 3), train_views, val_rng),
-        "test": held_out_shots(test_views, train_views, test_rng),
+    poses = {
+        "train": training_poses(train_views, train_rng),
+        "val": held_out_poses(max(1, test_views // 3), train_views, val_rng),
+        "test": held_out_poses(test_views, train_views, test_rng),
     }
     meta = {
         "scene": scene,
@@ -108,7 +108,7 @@ def build_scene(
         "flow": "pixels right and down to time + flow_dt, same camera",
         "depth": "z along the viewing axis",
     }
-    return write_scene(world, shots, size, meta, Path(folder))
+    return write_scene(world, poses, size, meta, Path(folder))
 
 
 def _check_name(name: str) -> None:

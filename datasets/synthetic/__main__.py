@@ -1,4 +1,4 @@
-"""python -m datasets.synthetic wheel --out DIR: makes one synthetic scene in a folder of your choice."""
+"""python -m datasets.synthetic wheel --out DIR: writes one synthetic scene to a folder."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-from datasets.scene import SceneError
+from datasets.files.errors import SceneError
 from datasets.synthetic import FILMED, PHOTOGRAPHED, SCENE_NAMES, build_scene
 from rasterizer.cores import usable_cores
 
@@ -40,7 +40,7 @@ def main(arguments: list[str] | None = None) -> int:
         "--processes",
         type=int,
         default=usable_cores(),
-        help="cameras filmed side by side (default: %(default)s, all processors)",
+        help="cameras rendered in parallel (default: %(default)s, all processors)",
     )
     options = vars(parser.parse_args(arguments))
     folder = options.pop("out")
@@ -64,7 +64,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 @contextmanager
 def _progress() -> Iterator[Callable[[int, int], None]]:
-    """A live bar on a terminal, one line a camera elsewhere."""
+    """A progress bar on a terminal, one line per camera elsewhere."""
     console = Console()
     with Progress(
         TextColumn("{task.completed:.0f}/{task.total:.0f} cameras"),
@@ -87,5 +87,5 @@ def _progress() -> Iterator[Callable[[int, int], None]]:
 
 
 if __name__ == "__main__":
-    signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # `… | head` ends it without a word
+    signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # no traceback when the reader of a pipe ends, as in `… | head`
     sys.exit(main())

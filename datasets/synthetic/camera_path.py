@@ -1,4 +1,4 @@
-"""Where the cameras stand and when they look: one camera a time, as in D-NeRF's monocular captures."""
+"""Camera poses and times of photographed scenes: one camera per time on a hemisphere, as in D-NeRF."""
 
 from __future__ import annotations
 
@@ -10,39 +10,39 @@ RADIUS = 4.0  # distance to the origin, world units, as D-NeRF's scenes (4.03)
 ANGLE_X = 0.6911112070083618  # D-NeRF's horizontal field of view, radians
 # Sine of the elevation: uniform between these, hence uniform in area over this part of the upper hemisphere.
 LOW, HIGH = 0.15, 0.92
-# The R2 sequence (Roberts 2018): steps that spread points evenly in the unit square, neighbours in time far apart.
+# The R2 sequence (Roberts 2018), quasi-random in the unit square: consecutive times have distant poses.
 PLASTIC = 1.32471795724474602596
 R2_STEPS = np.array([1 / PLASTIC, 1 / PLASTIC**2])
 
 
 @dataclass(frozen=True)
-class Shot:
+class TimedPose:
     """One camera pose at one time."""
 
     time: float  # in [0, 1]
     cam_to_world: np.ndarray  # (4, 4), Blender axes: x right, y up, z backward
 
 
-def training_shots(count: int, rng: np.random.Generator) -> list[Shot]:
-    """Times i / (count - 1); every time from another place of the upper hemisphere."""
+def training_poses(count: int, rng: np.random.Generator) -> list[TimedPose]:
+    """Times i / (count - 1); each from another position on the upper hemisphere."""
     times = np.arange(count) / max(count - 1, 1)
-    return _shots(times, rng)
+    return _timed_poses(times, rng)
 
 
-def held_out_shots(count: int, train_count: int, rng: np.random.Generator) -> list[Shot]:
-    """Times half-way between neighbouring training times, spread over the whole; new places."""
+def held_out_poses(count: int, train_count: int, rng: np.random.Generator) -> list[TimedPose]:
+    """Times halfway between neighbouring training times, evenly spaced; other positions."""
     gaps = train_count - 1
     gap = np.floor((np.arange(count) + 0.5) * gaps / count)
-    return _shots((gap + 0.5) / gaps, rng)
+    return _timed_poses((gap + 0.5) / gaps, rng)
 
 
-def _shots(times: np.ndarray, rng: np.random.Generator) -> list[Shot]:
+def _timed_poses(times: np.ndarray, rng: np.random.Generator) -> list[TimedPose]:
     places = (rng.random(2) + np.arange(len(times))[:, None] * R2_STEPS) % 1.0
     azimuth = 2 * np.pi * places[:, 0]
     height = LOW + (HIGH - LOW) * places[:, 1]
     flat = np.sqrt(1 - height**2)
     positions = RADIUS * np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), height], axis=-1)
-    return [Shot(float(time), look_at_origin(position)) for time, position in zip(times, positions)]
+    return [TimedPose(float(time), look_at_origin(position)) for time, position in zip(times, positions)]
 
 
 def look_at_origin(position: np.ndarray) -> np.ndarray:

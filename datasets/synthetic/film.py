@@ -1,8 +1,7 @@
-"""Many images of one world through a camera that does not move, for little more than the price of what changes.
+"""Renders the video frames of a static camera; static bodies are traced only once.
 
-Bodies that stay as they are (`Body.changes` is False) are traced once, ray by ray. A frame then traces only the
-screen blocks of the bodies that change, against the depth of what stands still. This is exact because such
-bodies cast no shadow and the lights are steady: nothing that stands still looks any different for them.
+For each frame only the screen blocks of changing bodies (`Body.changes`) are traced, against the depth of the static
+ones. This equals a full trace because changing bodies cast no shadow and the lights are constant.
 """
 
 from __future__ import annotations
@@ -14,40 +13,40 @@ import numpy as np
 
 from datasets.synthetic.shade import Placed, place
 from datasets.synthetic.shapes import column
-from datasets.synthetic.trace import NOTHING, cast, check_samples, first_hits, pool, rays, screen_block
+from datasets.synthetic.trace import NOTHING, cast_rays, check_samples, first_hits, pool, rays, screen_block
 from datasets.synthetic.world import World
 from rasterizer.camera import Camera
 
-STRIP_RAYS = 1 << 19  # traced at one go: a few hundred bytes a ray are in use meanwhile, 16 afterwards
+STRIP_RAYS = 1 << 19  # traced together; each ray takes a few hundred bytes meanwhile, and 16 in the result
 
 Block = tuple[slice, slice]  # rows and columns
 
 
 def film(world: World, camera: Camera, times: Sequence[float], *, samples: int = 3) -> Iterator[np.ndarray]:
-    """Images (H, W, 3) uint8 of the world at `times`, one after the other; samples × samples rays a pixel (odd).
+    """Images (H, W, 3) uint8 of the world at `times`, equal to trace(), rounded; samples × samples rays a pixel (odd).
 
-    What trace() gives for each time, rounded. Raises ValueError for a world that it would show wrongly: bodies that
-    change and cast a shadow, lights that change, places where there is nothing (a video has no alpha).
+    Raises ValueError for a world that the method cannot render: changing bodies that cast shadows, changing lights,
+    pixels without any body (a video has no alpha).
     """
     check_samples(samples)
     _check(world, times)
     still = replace(world, bodies=tuple(body for body in world.bodies if not body.changes))
-    lively = replace(world, bodies=tuple(body for body in world.bodies if body.changes))
+    changing = replace(world, bodies=tuple(body for body in world.bodies if body.changes))
     occluders = place(still, times[0])
-    color, depth = _expose(still, camera, samples, occluders, times[0])
+    color, depth = _trace_static(still, camera, samples, occluders, times[0])
     picture = to_pixels(pool(color, samples))
     for time in times:
         frame, covered = picture.copy(), []
-        for item in place(lively, time):
+        for item in place(changing, time):
             block = screen_block(item, camera, 1)
             inside = _scaled(block, samples)
             if depth[inside].size == 0:
                 continue
-            met = cast([item], crop(camera, block), samples, occluders, world, time, before=depth[inside])
-            hit = met.owner != NOTHING
+            hits = cast_rays([item], crop(camera, block), samples, occluders, world, time, before=depth[inside])
+            hit = hits.owner != NOTHING
             covered.append((block, inside, color[:, *inside].copy(), depth[inside].copy()))
-            np.copyto(color[:, *inside], met.color, where=hit)
-            np.copyto(depth[inside], met.depth, where=hit)
+            np.copyto(color[:, *inside], hits.color, where=hit)
+            np.copyto(depth[inside], hits.depth, where=hit)
         for block, inside, _, _ in covered:
             frame[block] = to_pixels(pool(color[:, *inside], samples))
         for _, inside, color_before, depth_before in reversed(covered):  # blocks may overlap
@@ -56,7 +55,7 @@ def film(world: World, camera: Camera, times: Sequence[float], *, samples: int =
 
 
 def depth_of(world: World, camera: Camera, time: float) -> np.ndarray:
-    """Depth z (H, W) float32 at the pixels' centres, world units; inf where nothing is."""
+    """Depth z (H, W) float32 at pixel centres, world units; inf where there is no body."""
     placed = place(world, time)
     blocks = [screen_block(item, camera, 1) for item in placed]
     return first_hits(column(camera.position), rays(camera, 1), placed, blocks)[0]
@@ -68,7 +67,7 @@ def to_pixels(color: np.ndarray) -> np.ndarray:
 
 
 def crop(camera: Camera, block: Block) -> Camera:
-    """The camera that sees only a block of pixels, each as before."""
+    """The camera of a block of pixels."""
     rows, columns = block
     return replace(
         camera,
@@ -79,7 +78,7 @@ def crop(camera: Camera, block: Block) -> Camera:
     )
 
 
-def _expose(
+def _trace_static(
     still: World, camera: Camera, samples: int, placed: list[Placed], time: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Colour (3, H·samples, W·samples) and depth (H·samples, W·samples) of every ray, traced in strips of rows."""
@@ -88,11 +87,11 @@ def _expose(
     rows = max(1, STRIP_RAYS // (camera.width * samples**2))
     for top in range(0, camera.height, rows):
         strip = slice(top, min(top + rows, camera.height)), slice(0, camera.width)
-        met = cast(placed, crop(camera, strip), samples, placed, still, time)
-        if (met.owner == NOTHING).any():
+        hits = cast_rays(placed, crop(camera, strip), samples, placed, still, time)
+        if (hits.owner == NOTHING).any():
             raise ValueError("world: expected something behind every pixel, found a ray that meets nothing")
         inside = _scaled(strip, samples)
-        color[:, *inside], depth[inside] = met.color, met.depth
+        color[:, *inside], depth[inside] = hits.color, hits.depth
     return color, depth
 
 

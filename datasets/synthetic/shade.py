@@ -1,13 +1,13 @@
-"""Light on the surfaces the rays have met: hemispheric light, soft shadows, glossy highlights.
+"""Shading of ray hits: hemispheric light, area lights with soft shadows, Blinn-Phong highlights.
 
     colour = texture · (hemisphere(n) + Σ_lights visibility · colour · max(0, n·l))
            + Σ_lights visibility · colour · specular · max(0, n·h)^shininess + glow
 
-or the texture as it is, for a material that is not lit.
+or the texture alone, for an unlit material.
 
-Soft shadows without noise: the light's disc is sampled by as many points as a pixel has rays, and ray k of every
-pixel asks whether point k is in sight. A pixel's average is then the disc's visible part, the same from
-every camera: a surface keeps its colour when seen from elsewhere, which random shadow rays would not grant.
+Soft shadows without noise: the light's disc has as many sample points as a pixel has rays, and ray k of every pixel
+tests sample point k. The average over a pixel is the visible part of the disc. It is the same from every camera, which
+random shadow rays would not give.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ import numpy as np
 from datasets.synthetic.shapes import column, dot, norm
 from datasets.synthetic.world import Body, Light, Pose, World
 
-# Shadow rays start so far above the surface, or float32 rounding (4e-7 at distance 4) would let it shade itself.
+# Offset of shadow rays from the surface, against self-shadowing by float32 rounding (4e-7 at distance 4).
 SHADOW_BIAS = np.float32(1e-4)
 GOLDEN_ANGLE = np.pi * (3 - 5**0.5)
 
 
 @dataclass(frozen=True)
 class Placed:
-    """A body where it is at one time."""
+    """A body with its pose at one time."""
 
     body: Body
     pose: Pose
@@ -38,7 +38,7 @@ class Placed:
 
 
 def place(world: World, time: float) -> list[Placed]:
-    """The bodies that are there at a time."""
+    """The bodies present at a time, with their poses."""
     placed = [Placed(body, body.motion(time)) for body in world.bodies]
     return [item for item in placed if item.pose.scale > 0]
 
@@ -56,14 +56,14 @@ def shade(
 ) -> np.ndarray:
     """Colour (3, N) in [0, 1] of N points of one body.
 
-    points, local: (3, N) in the world and in the body's frame. toward_eye: (3, N) unit. sample: (N,) which of
-    the pixel's `samples` rays met the point.
+    points, local: (3, N) in world and body coordinates. toward_eye: (3, N) unit vectors. sample: (N,) index of the ray
+    among the `samples` rays of its pixel.
     """
     material = receiver.body.material
     if not material.is_lit:
         return np.clip(material.texture(local), 0, 1)
     normal = receiver.pose.rotation.astype(np.float32) @ receiver.body.shape.normal(local)
-    normal = np.copysign(1, dot(normal, toward_eye)) * normal  # a rectangle has two sides
+    normal = np.copysign(1, dot(normal, toward_eye)) * normal  # towards the camera: a rectangle has two sides
 
     up = 0.5 + 0.5 * normal[2]
     diffuse = up * column(world.sky) + (1 - up) * column(world.ground)
@@ -75,7 +75,7 @@ def shade(
         toward_light = toward_light / norm(toward_light)
         facing = np.maximum(dot(normal, toward_light), 0)
         if light.casts_shadow:
-            facing *= in_sight(points + SHADOW_BIAS * normal, segment, facing > 0, receiver, light, placed)
+            facing *= unoccluded(points + SHADOW_BIAS * normal, segment, facing > 0, receiver, light, placed)
         diffuse += facing * incoming
         if material.specular > 0:
             lit = np.flatnonzero(facing)
@@ -88,16 +88,16 @@ def shade(
     return np.clip(colour, 0, 1)
 
 
-def in_sight(
-    start: np.ndarray, segment: np.ndarray, wanted: np.ndarray, receiver: Placed, light: Light, placed: list[Placed]
+def unoccluded(
+    start: np.ndarray, segment: np.ndarray, tested: np.ndarray, receiver: Placed, light: Light, placed: list[Placed]
 ) -> np.ndarray:
-    """Which of the segments start (3, N) … start + segment meet no body: (N,) bool. Asked only where `wanted`."""
-    clear = wanted.copy()
+    """(N,) bool: the segments from start (3, N) to start + segment that hit no body. False unless `tested`."""
+    clear = tested.copy()
     squared = dot(segment, segment)
     for occluder in placed:
         if not occluder.body.casts_shadow or not _may_shade(occluder, receiver, light):
             continue
-        # Segments that pass through the occluder's bounding sphere; the rest need no closer look.
+        # Exact intersection only for segments through the occluder's bounding sphere.
         offset = column(occluder.pose.position) - start
         along = np.clip(dot(offset, segment) / squared, 0, 1)
         offset -= along * segment
@@ -111,8 +111,10 @@ def in_sight(
 
 
 def sample_disc(light: Light, count: int) -> np.ndarray:
-    """`count` points (3, count) spread over the light's disc: a sunflower spiral (Vogel 1979), so that no shadow's
-    edge, whatever its direction, meets many of them at once. One sample is the centre."""
+    """`count` points (3, count) on the light's disc: a sunflower spiral (Vogel 1979), even in every direction.
+
+    A single sample is the centre.
+    """
     centre = np.asarray(light.position, dtype=float)
     axis = centre / np.linalg.norm(centre)
     side = np.cross(axis, [0.0, 0.0, 1.0] if abs(axis[2]) < 0.9 else [1.0, 0.0, 0.0])
@@ -125,7 +127,7 @@ def sample_disc(light: Light, count: int) -> np.ndarray:
 
 
 def _may_shade(occluder: Placed, receiver: Placed, light: Light) -> bool:
-    """Whether the occluder reaches into the tube of all segments from the receiver to the light."""
+    """Whether the occluder's bounding sphere meets the tube of all segments from the receiver to the light."""
     if occluder is receiver:
         return not receiver.body.shape.is_convex
     tube = max(receiver.radius, light.radius) + occluder.radius

@@ -1,8 +1,7 @@
-"""The solids the ray tracer knows, each in its own frame, centred at the origin.
+"""Shapes of the ray tracer, each in its own frame and centred at the origin: ray intersections and normals.
 
-A shape answers two questions: how far along a ray is it first met, and what is its normal there. Rays are
-`origin + distance · direction`; the direction need not have unit length, so that a distance keeps its meaning
-(here: depth along the viewing axis) when a ray is carried from the world into a shape's frame.
+Rays are `origin + distance · direction`. Directions need not have unit length, so that a distance is the same (depth
+along the viewing axis) in world and shape coordinates.
 
 Points and directions are float32 (3, N), one row a coordinate: several times faster in numpy than (N, 3).
 """
@@ -14,25 +13,25 @@ from typing import Protocol
 
 import numpy as np
 
-# Stands in for a zero that would divide to NaN.
+# Replaces a zero divisor.
 TINY = 1e-12
 
 
 class Shape(Protocol):
-    """What the tracer asks of a shape."""
+    """Interface of a shape."""
 
     @property
     def radius(self) -> float:
-        """Of a sphere about the origin that holds the shape."""
+        """Radius of a bounding sphere around the origin."""
 
     @property
     def is_convex(self) -> bool:
-        """A convex shape throws no shadow on itself (its far side is dark by n·l < 0 already)."""
+        """A convex shape casts no shadow on itself: its far side has n·l < 0."""
 
     def intersect(self, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
-        """Distance (N,) to where rays from outside enter; negative, inf or NaN where they do not.
+        """Distance (N,) at which rays from outside enter the shape; negative, inf or NaN for a miss.
 
-        origin (3, 1) or (3, N), direction (3, N). Compare with `<` only, which no NaN passes.
+        origin (3, 1) or (3, N), direction (3, N). Compare with `<` or `>` only: both are false for NaN.
         """
 
     def normal(self, points: np.ndarray) -> np.ndarray:
@@ -54,7 +53,7 @@ class Sphere:
 
 @dataclass(frozen=True)
 class Dome:
-    """A sphere seen from inside: what is far off on all sides."""
+    """A sphere seen from inside, for a distant background."""
 
     radius: float
     is_convex: bool = False
@@ -92,10 +91,10 @@ class Box:
 
 @dataclass(frozen=True)
 class Rectangle:
-    """A finite piece of the plane z = 0, seen from both sides, perhaps with a rectangular hole."""
+    """A finite piece of the plane z = 0, seen from both sides, optionally with a rectangular hole."""
 
     half: tuple[float, float]
-    hole: tuple[float, float, float, float] | None = None  # lowest x, lowest y, highest x, highest y of what is cut out
+    hole: tuple[float, float, float, float] | None = None  # min x, min y, max x, max y
     is_convex: bool = True
 
     @property
@@ -132,7 +131,7 @@ class Ring:
         return self.inner == 0
 
     def intersect(self, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
-        # A ray enters through the cap that faces it, the near side of the outer wall or the far side of the hole.
+        # A ray enters through the cap facing it, the near side of the outer wall or the far side of the hole.
         distance = (-np.sign(direction[2]) * np.float32(self.half_height) - origin[2]) / _nonzero(direction[2])
         hit = origin[:2] + distance * direction[:2]
         squared = dot(hit, hit)
@@ -153,7 +152,7 @@ class Ring:
         outward[2] = 0
         upward = np.zeros_like(points)
         upward[2] = np.sign(points[2])
-        # The surface a point lies on is the one it is nearest to. Without a hole there is no inner wall.
+        # A point lies on the surface nearest to it. Without a hole there is no inner wall.
         inner = np.abs(around - self.inner) if self.inner > 0 else np.full_like(around, np.inf)
         gaps = np.stack([np.abs(around - self.outer), inner, np.abs(np.abs(points[2]) - self.half_height)])
         return np.choose(gaps.argmin(axis=0), [outward, -outward, upward])
@@ -173,14 +172,14 @@ def norm(vectors: np.ndarray) -> np.ndarray:
 
 
 def column(values: tuple[float, ...] | np.ndarray) -> np.ndarray:
-    """A float32 column (D, 1), to go with (D, N) arrays."""
+    """A float32 column (D, 1) that broadcasts with (D, N) arrays."""
     return np.asarray(values, dtype=np.float32)[:, None]
 
 
 def _chord(origin: np.ndarray, direction: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
-    """Where rays cross a circle or sphere about the origin: distances middle ± half; half is NaN for a miss.
+    """Distances middle ± half at which rays cross a circle or sphere around the origin; half is NaN for a miss.
 
-    Reckoned from the ray's point nearest to the centre: in the textbook formula b² - c cancels for small far spheres.
+    Computed from the ray's point nearest to the centre: in the textbook formula b² - c cancels for small far spheres.
     """
     squared = np.maximum(dot(direction, direction), np.float32(TINY))
     middle = -dot(origin, direction) / squared
@@ -190,5 +189,5 @@ def _chord(origin: np.ndarray, direction: np.ndarray, radius: float) -> tuple[np
 
 
 def _nonzero(values: np.ndarray) -> np.ndarray:
-    """The values with zeros (and nearly zeros) replaced by a tiny number, to divide by."""
+    """The values with |x| < TINY replaced by TINY, as divisors."""
     return np.where(np.abs(values) < TINY, np.float32(TINY), values)

@@ -1,8 +1,7 @@
 """Procedural solid textures: colour as a function of the point in the object's own frame.
 
-A texture is any callable (3, N) float32 points -> (3, N) RGB in [0, 1]. Being solid it needs no surface coordinates
-and moves and turns with its object. At 200 pixels a side and distance 4 one pixel covers 0.014 world units:
-features of 0.05 and more can be learned from images.
+A texture is any callable (3, N) float32 points -> (3, N) RGB in [0, 1]. Solid textures need no surface coordinates.
+At 200 pixels a side and distance 4 one pixel covers 0.014 world units: features of 0.05 and more can be learned.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from datasets.synthetic.shapes import column
 Texture = Callable[[np.ndarray], np.ndarray]
 Colour = tuple[float, float, float]
 
-NOISE_WAVES = 14  # enough that no single wave is seen
+NOISE_WAVES = 14  # enough to hide the single waves
 
 
 def plain(colour: Colour) -> Texture:
@@ -24,7 +23,7 @@ def plain(colour: Colour) -> Texture:
 
 
 def select(index: np.ndarray, parts: Sequence[Texture], points: np.ndarray) -> np.ndarray:
-    """Colour (3, N): texture parts[index] for each point; each part is asked for its own points only."""
+    """Colour (3, N): texture parts[index] for each point; each part is evaluated at its own points only."""
     colours = np.empty_like(points)
     for number, part in enumerate(parts):
         inside = np.flatnonzero(index == number)
@@ -33,12 +32,12 @@ def select(index: np.ndarray, parts: Sequence[Texture], points: np.ndarray) -> n
 
 
 def checker(even: Texture, odd: Texture, size: float) -> Texture:
-    """Cubes of edge `size` in turn. The quarter shift keeps faces through the origin off the cell boundaries."""
+    """Alternating cubes of edge `size`. The shift by ¼ keeps faces through the origin off the cell boundaries."""
     return lambda points: select(np.floor(points / np.float32(size) + 0.25).sum(axis=0) % 2, (even, odd), points)
 
 
 def tiles(even: Texture, odd: Texture, size: float) -> Texture:
-    """A checker in x and y only, for floors: rounding in z cannot flip it."""
+    """A checker in x and y only, for floors: rounding in z does not change it."""
     return lambda points: select(np.floor(points[:2] / np.float32(size) + 0.25).sum(axis=0) % 2, (even, odd), points)
 
 
@@ -59,7 +58,7 @@ def sectors(parts: Sequence[Texture]) -> Texture:
 
 
 def mosaic(dark: Colour, light: Colour, size: float, rng: np.random.Generator) -> Texture:
-    """Cubes of edge `size`, each in its own mixture of two colours: no place looks like another."""
+    """Cubes of edge `size`, each in its own mixture of two colours, so that features can be matched."""
     table = rng.permutation(256)
 
     def texture(points: np.ndarray) -> np.ndarray:
@@ -71,7 +70,7 @@ def mosaic(dark: Colour, light: Colour, size: float, rng: np.random.Generator) -
 
 
 def average(*parts: Texture) -> Texture:
-    """The mean of several textures: detail of several sizes at one place."""
+    """The mean of several textures, for detail at several scales."""
     return lambda points: sum(part(points) for part in parts) / np.float32(len(parts))
 
 

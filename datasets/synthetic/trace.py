@@ -1,8 +1,8 @@
 """The ray tracer: one image of a world at one time, with exact depth and optical flow.
 
-Rays have unit length along the viewing axis, so the distance along a ray *is* the depth z. Each pixel has an odd
-number of rays a side, so that its middle ray passes through the pixel's centre: depth and flow are that ray's,
-exact and without anti-aliasing; colour and alpha are the average of all.
+Ray directions have length 1 along the viewing axis, so that the distance along a ray is the depth z. Each pixel has an
+odd number of rays a side. Depth and flow are those of the middle ray, through the pixel's centre; colour and alpha are
+averages over all rays.
 """
 
 from __future__ import annotations
@@ -16,39 +16,39 @@ from datasets.synthetic.shapes import column, norm
 from datasets.synthetic.world import World
 from rasterizer.camera import Camera
 
-NOTHING = -1  # body index of a ray that met none
+NOTHING = -1  # index of the body for a ray that hits none
 
 
 @dataclass(frozen=True)
-class Traced:
-    """One traced image, float32. Colour is premultiplied: Σ over rays that met something, / all rays."""
+class TracedImage:
+    """One traced image, float32. Colour is premultiplied: the sum over the rays that hit a body / all rays."""
 
     color: np.ndarray  # (3, H, W) in [0, alpha]
     alpha: np.ndarray  # (H, W), the covered part of each pixel
-    depth: np.ndarray  # (H, W) z at the pixel's centre, world units; 0 where nothing is
+    depth: np.ndarray  # (H, W) z at the pixel's centre, world units; 0 without a body
     flow: np.ndarray  # (2, H, W) pixels right and down to time + flow_dt; 0 where flow_valid is False
-    flow_valid: np.ndarray  # (H, W) bool: something is there, and still (and before the camera) at time + flow_dt
+    flow_valid: np.ndarray  # (H, W) bool: a body is there, also at time + flow_dt, in front of the camera
 
 
 @dataclass(frozen=True)
-class Cast:
-    """What each ray has met: samples × samples rays a pixel, in the image's order. float32 but for `owner`."""
+class RayHits:
+    """The nearest hit of each ray, samples × samples rays per pixel. float32 except for `owner`."""
 
-    color: np.ndarray  # (3, H·samples, W·samples), 0 where nothing is
-    depth: np.ndarray  # (H·samples, W·samples) z, world units; inf where nothing is
-    owner: np.ndarray  # (H·samples, W·samples) int16: which of the bodies looked for; NOTHING for none
+    color: np.ndarray  # (3, H·samples, W·samples), 0 without a hit
+    depth: np.ndarray  # (H·samples, W·samples) z, world units; inf without a hit
+    owner: np.ndarray  # (H·samples, W·samples) int16: index of the body; NOTHING without a hit
 
 
-def trace(world: World, camera: Camera, time: float, *, flow_dt: float = 0.01, samples: int = 3) -> Traced:
+def trace(world: World, camera: Camera, time: float, *, flow_dt: float = 0.01, samples: int = 3) -> TracedImage:
     """The world at `time` seen by `camera`, with samples × samples rays a pixel (samples odd).
 
-    Flow: the surface point seen moves with its body to time + flow_dt and is projected by the same camera.
+    Flow: the visible surface point moves with its body to time + flow_dt and is projected by the same camera.
     """
     placed = place(world, time)
-    met = cast(placed, camera, samples, placed, world, time)
-    hit = met.owner != NOTHING
+    hits = cast_rays(placed, camera, samples, placed, world, time)
+    hit = hits.owner != NOTHING
     centre = (slice(samples // 2, None, samples),) * 2
-    depth, owner = np.where(hit, met.depth, 0)[centre], met.owner[centre]
+    depth, owner = np.where(hit, hits.depth, 0)[centre], hits.owner[centre]
 
     flow = np.zeros((2, camera.height, camera.width), dtype=np.float32)
     flow_valid = np.zeros((camera.height, camera.width), dtype=bool)
@@ -57,8 +57,8 @@ def trace(world: World, camera: Camera, time: float, *, flow_dt: float = 0.01, s
         y, x = np.nonzero(owner == index)
         local = item.pose.to_body(column(camera.position) + depth[y, x] * directions[:, y, x])
         flow[:, y, x], flow_valid[y, x] = _flow(item, local, x, y, camera, time + flow_dt)
-    return Traced(
-        color=pool(met.color, samples),
+    return TracedImage(
+        color=pool(hits.color, samples),
         alpha=pool(hit.astype(np.float32), samples),
         depth=depth,
         flow=flow,
@@ -66,7 +66,7 @@ def trace(world: World, camera: Camera, time: float, *, flow_dt: float = 0.01, s
     )
 
 
-def cast(
+def cast_rays(
     bodies: list[Placed],
     camera: Camera,
     samples: int,
@@ -74,10 +74,10 @@ def cast(
     world: World,
     time: float,
     before: np.ndarray | None = None,
-) -> Cast:
-    """The nearest of `bodies` for each ray of the camera, and its colour under the shadows of all `placed`.
+) -> RayHits:
+    """The nearest hit of each ray among `bodies`, shaded with the shadows of all `placed`.
 
-    before: (H·samples, W·samples); only what is nearer than this is met. None: whatever the distance.
+    before: (H·samples, W·samples) depths; only nearer hits count. None: no bound.
     """
     check_samples(samples)
     eye = column(camera.position)
@@ -91,18 +91,18 @@ def cast(
         if row.size == 0:
             continue
         row, col = row + block[0].start, col + block[1].start
-        met = row * directions.shape[2] + col
-        ray = directions.reshape(3, -1).take(met, axis=1)
-        points = eye + depth.take(met) * ray
+        ray_index = row * directions.shape[2] + col
+        ray = directions.reshape(3, -1).take(ray_index, axis=1)
+        points = eye + depth.take(ray_index) * ray
         sample = row % samples * samples + col % samples
-        color.reshape(3, -1)[:, met] = shade(
+        color.reshape(3, -1)[:, ray_index] = shade(
             item, points, item.pose.to_body(points), -ray / norm(ray), sample, samples**2, placed, world, time
         )
-    return Cast(color=color, depth=depth, owner=owner)
+    return RayHits(color=color, depth=depth, owner=owner)
 
 
 def check_samples(samples: int) -> None:
-    """An even number has no middle ray, and with it no depth at the pixel's centre."""
+    """ValueError for an even number, which has no ray through the pixel's centre."""
     if samples < 1 or samples % 2 == 0:
         raise ValueError(f"samples: expected an odd number of rays along a pixel's side, found {samples}")
 
@@ -122,7 +122,7 @@ def first_hits(
     blocks: list[tuple[slice, slice]],
     before: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(depth, index of the body met) of each ray, where nearer than `before`; inf and NOTHING for none."""
+    """(depth, index of the body) of each ray's nearest hit in front of `before`; inf and NOTHING without a hit."""
     shape = directions.shape[1:]
     depth = np.full(shape, np.inf, dtype=np.float32) if before is None else before.copy()
     owner = np.full(shape, NOTHING, dtype=np.int16)
@@ -138,7 +138,7 @@ def first_hits(
 
 
 def screen_block(item: Placed, camera: Camera, samples: int) -> tuple[slice, slice]:
-    """Rows and columns of the rays that may meet the body: the image of its bounding sphere, boxed."""
+    """Rows and columns of the rays that may hit the body: the bounding box of its bounding sphere's image."""
     x, y, z = camera.world_to_cam[:3, :3] @ item.pose.position + camera.world_to_cam[:3, 3]
 
     def bounds(across: float, focal: float, middle: float, size: int) -> slice:
@@ -161,7 +161,7 @@ def pool(values: np.ndarray, samples: int) -> np.ndarray:
 def _flow(
     item: Placed, local: np.ndarray, x: np.ndarray, y: np.ndarray, camera: Camera, later: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Movement (2, N) in pixels of body points (3, N) seen at the centres of pixels x, y; where it exists (N,)."""
+    """Flow (2, N) in pixels of body points (3, N) at the centres of pixels x, y, and its validity (N,)."""
     pose = item.body.motion(later)
     moved = camera.world_to_cam[:3, :3] @ pose.to_world(local) + camera.world_to_cam[:3, 3:]
     valid = (moved[2] > 0) & (pose.scale > 0)

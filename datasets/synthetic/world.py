@@ -1,7 +1,7 @@
-"""What a synthetic scene is made of: bodies with a motion and a material, lights, and the sky.
+"""Components of a synthetic world: bodies with shape, material and motion; lights; hemispheric ambient light.
 
-World frame: z up, right-handed. In the scenes in D-NeRF's layout everything lies within [-1.2, 1.2]³ and time runs
-from 0 to 1; in the filmed ones time is in seconds.
+World frame: z up, right-handed. Photographed scenes lie within [-1.2, 1.2]³ and times in [0, 1]; in filmed scenes time
+is in seconds.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from datasets.synthetic.texture import Colour, Texture
 
 @dataclass(frozen=True)
 class Pose:
-    """From a body's frame to the world: x -> scale · rotation · x + position. Scale 0: not there."""
+    """From body to world coordinates: x -> scale · rotation · x + position. Scale 0: the body is absent."""
 
     position: np.ndarray  # (3,) world units
     rotation: np.ndarray  # (3, 3)
     scale: float = 1.0
 
     def to_world(self, points: np.ndarray) -> np.ndarray:
-        """Points (3, N) of the body's frame in the world."""
+        """Points (3, N), body -> world."""
         return (self.scale * self.rotation).astype(np.float32) @ points + column(self.position)
 
     def to_body(self, points: np.ndarray) -> np.ndarray:
-        """World points (3, N) in the body's frame. Needs scale > 0."""
+        """Points (3, N), world -> body. Needs scale > 0."""
         return self.turn_to_body(points - column(self.position))
 
     def turn_to_body(self, directions: np.ndarray) -> np.ndarray:
-        """World directions (3, N) in the body's frame, scaled so that distances along a ray stay the same."""
+        """Directions (3, N), world -> body, scaled so that distances along a ray stay the same."""
         return (self.rotation.T / self.scale).astype(np.float32) @ directions
 
 
@@ -41,13 +41,13 @@ Motion = Callable[[float], Pose]
 
 @dataclass(frozen=True)
 class Material:
-    """How a surface answers light: diffuse texture, white Blinn-Phong highlight, own glow."""
+    """Diffuse texture, white Blinn-Phong highlight, emission."""
 
     texture: Texture
     specular: float = 0.0  # strength of the highlight
     shininess: float = 40.0  # its exponent: larger is smaller and sharper
-    glow: Callable[[float], np.ndarray] | None = None  # RGB at a time, added without light; None: none
-    is_lit: bool = True  # False: the texture is the colour, whatever the light (a sky)
+    glow: Callable[[float], np.ndarray] | None = None  # emitted RGB at a time; None: no emission
+    is_lit: bool = True  # False: the colour is the texture alone (a sky)
 
 
 @dataclass(frozen=True)
@@ -56,36 +56,36 @@ class Body:
     material: Material
     motion: Motion
     casts_shadow: bool = True
-    changes: bool = False  # it moves or glows by time: film.py traces it anew for each frame, and all others once
+    changes: bool = False  # with time, in pose or emission: film.py traces it in each frame, other bodies only once
 
 
 @dataclass(frozen=True)
 class Light:
-    """A round area light that faces the origin."""
+    """A disc-shaped area light that faces the origin."""
 
     position: tuple[float, float, float]
-    radius: float  # of its disc, world units; the softness of its shadows
+    radius: float  # of its disc, world units; sets the width of penumbras
     colour: Callable[[float], np.ndarray]  # RGB at a time
-    casts_shadow: bool = True  # False: a fill light, which reaches everywhere it faces
+    casts_shadow: bool = True  # False: a fill light without shadows
 
 
 @dataclass(frozen=True)
 class World:
     bodies: tuple[Body, ...]
     lights: tuple[Light, ...]
-    sky: Colour = (0.32, 0.34, 0.38)  # light from straight above, and …
-    ground: Colour = (0.14, 0.13, 0.12)  # … from straight below (hemispheric light, unshadowed)
+    sky: Colour = (0.32, 0.34, 0.38)  # ambient light from above
+    ground: Colour = (0.14, 0.13, 0.12)  # ambient light from below
     is_static: bool = False
 
 
 def rest(position: tuple[float, float, float], rotation: np.ndarray | None = None) -> Motion:
-    """No motion at all."""
+    """A constant pose."""
     pose = Pose(np.asarray(position, dtype=float), np.eye(3) if rotation is None else rotation)
     return lambda time: pose
 
 
 def steady(*colour: float) -> Callable[[float], np.ndarray]:
-    """A light's colour that does not change."""
+    """A constant colour of a light."""
     rgb = np.asarray(colour, dtype=float)
     return lambda time: rgb
 

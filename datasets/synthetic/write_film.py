@@ -1,9 +1,9 @@
-"""Films a scene with a rig of cameras and writes it in the Plenoptic Video layout, whole or not at all.
+"""Renders a scene with a camera rig and writes it in the Plenoptic Video layout, atomically.
 
 camNN.mp4              H.264, video.FRAME_RATE frames a second; frame i is the world at time i / FRAME_RATE
 poses_bounds.npy       (N, 17) float64, LLFF's convention, see llff_row
 truth/camNN_depth.npy  (H, W) float32 depth z at the pixels' centres of frame 0, world units
-meta.json              how the scene was made
+meta.json              the arguments that made the scene
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets.files.atomic_folder import atomic_folder, write_json
-from datasets.scene import SceneError
+from datasets.files.atomic_write import atomic_folder, write_json
+from datasets.files.errors import SceneError
 from datasets.synthetic.film import depth_of, film
 from datasets.synthetic.rig import rig
 from datasets.synthetic.video import FRAME_RATE, write_video
 from datasets.synthetic.world import World
 from rasterizer.camera import Camera
 
-SMALLEST = 16  # width of an image, pixels: one of H.264's blocks
-# Depth from which on things are background and not counted in the depth bounds: 20 × the rig's distance to its focus.
+SMALLEST = 16  # image width in pixels: one macroblock of H.264
+# Depths beyond this are background and excluded from the far bounds: 20 × the rig's distance to its focus.
 BACKDROP = 60.0
 
 
 @dataclass(frozen=True)
-class Shooting:
-    """All a film follows from: a process rebuilds world and cameras from it, which cannot be sent to it."""
+class FilmSettings:
+    """The arguments of a film. World and cameras cannot be pickled: worker processes rebuild them from these."""
 
     scene: str  # module in datasets/synthetic/scenes
     seed: int
@@ -44,7 +44,7 @@ class Shooting:
     samples: int  # rays along a pixel's side, odd
 
     def __post_init__(self) -> None:
-        if self.size < SMALLEST or self.size % 2:  # H.264 halves the resolution of colour
+        if self.size < SMALLEST or self.size % 2:  # chroma subsampling needs even sizes
             raise SceneError("scene.size", f"an even number, at least {SMALLEST}", str(self.size))
         if self.frames < 1:
             raise SceneError("scene.frames", "at least 1", str(self.frames))
@@ -62,35 +62,37 @@ class Shooting:
         return np.arange(self.frames) / FRAME_RATE
 
     def set_up(self) -> tuple[World, list[Camera]]:
-        # One generator a purpose: the cameras of a seed stay where they are when a scene draws more numbers.
+        # Separate generators: the cameras of a seed do not change when a scene draws more random numbers.
         world_rng, rig_rng = np.random.default_rng(self.seed).spawn(2)
         world = importlib.import_module(f"datasets.synthetic.scenes.{self.scene}").build(world_rng)
         return world, rig(self.cameras, self.size, self.height, rig_rng)
 
 
 def write_film(
-    shooting: Shooting, folder: Path, *, processes: int = 1, progress: Callable[[int, int], None] | None = None
+    settings: FilmSettings, folder: Path, *, processes: int = 1, progress: Callable[[int, int], None] | None = None
 ) -> Path:
-    """Films with all cameras into `folder`, `processes` of them side by side; the bytes do not depend on how many."""
+    """Renders all cameras into `folder`, `processes` of them in parallel; the bytes do not depend on `processes`."""
     if processes < 1:
         raise SceneError("processes", "at least 1", str(processes))
-    _, cameras = shooting.set_up()
-    with atomic_folder(folder) as draft:
-        (draft / "truth").mkdir()
-        with _mapper(processes) as in_any_order:
-            for done, _ in enumerate(in_any_order(partial(_shoot, shooting, draft), range(shooting.cameras)), 1):
+    _, cameras = settings.set_up()
+    with atomic_folder(folder, marker="meta.json") as temporary:
+        (temporary / "truth").mkdir()
+        with _mapper(processes) as unordered_map:
+            for done, _ in enumerate(
+                unordered_map(partial(_film_camera, settings, temporary), range(settings.cameras)), 1
+            ):
                 if progress is not None:
-                    progress(done, shooting.cameras)
-        depths = [np.load(_depth_path(draft, number)) for number in range(shooting.cameras)]
+                    progress(done, settings.cameras)
+        depths = [np.load(_depth_path(temporary, number)) for number in range(settings.cameras)]
         near_far = [(depth.min(), depth[depth < BACKDROP].max()) for depth in depths]
         np.save(
-            draft / "poses_bounds.npy",
+            temporary / "poses_bounds.npy",
             np.stack([llff_row(camera, *bounds) for camera, bounds in zip(cameras, near_far)]),
         )
         write_json(
-            draft / "meta.json",
+            temporary / "meta.json",
             {
-                **asdict(shooting),
+                **asdict(settings),
                 "frame_rate": FRAME_RATE,
                 "backdrop": BACKDROP,
                 "depth": "z along the viewing axis, frame 0",
@@ -109,14 +111,14 @@ def llff_row(camera: Camera, near: float, far: float) -> np.ndarray:
     return np.concatenate([matrix.ravel(), [near, far]])
 
 
-def _shoot(shooting: Shooting, folder: Path, number: int) -> int:
-    """One camera's video and truth; its number."""
-    world, cameras = shooting.set_up()
+def _film_camera(settings: FilmSettings, folder: Path, number: int) -> int:
+    """Writes one camera's video and ground-truth depth; returns its number."""
+    world, cameras = settings.set_up()
     camera = cameras[number]
-    np.save(_depth_path(folder, number), depth_of(world, camera, shooting.times[0]))
+    np.save(_depth_path(folder, number), depth_of(world, camera, settings.times[0]))
     write_video(
         folder / f"cam{number:02d}.mp4",
-        film(world, camera, shooting.times, samples=shooting.samples),
+        film(world, camera, settings.times, samples=settings.samples),
         camera.width,
         camera.height,
     )
@@ -129,19 +131,19 @@ def _depth_path(folder: Path, number: int) -> Path:
 
 @contextmanager
 def _mapper(processes: int) -> Iterator[Callable]:
-    """A map() that runs here, or in so many processes and gives results as they come."""
+    """A map() in this process, or in `processes` processes with results in order of completion."""
     if processes == 1:
         yield map
         return
-    # Spawned: a fork after a parallel region of torch or numpy hangs.
+    # Spawned: a fork hangs after a parallel region of torch or numpy.
     with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn")) as pool:
 
-        def in_any_order(task: Callable, items: range) -> Iterator:
+        def unordered_map(task: Callable, items: range) -> Iterator:
             futures = [pool.submit(task, item) for item in items]
             try:
                 for future in as_completed(futures):
                     yield future.result()
             finally:
-                pool.shutdown(wait=True, cancel_futures=True)  # after a failure the rest need not run
+                pool.shutdown(wait=True, cancel_futures=True)  # after a failure the rest is cancelled
 
-        yield in_any_order
+        yield unordered_map

@@ -1,1 +1,1 @@
-"""What a run reads: the scene in canonical coordinates, points from structure from motion, views as training takes them."""
+"""Input of a run: the scene in canonical coordinates, points from structure from motion, training images as tensors."""

@@ -1,9 +1,11 @@
-"""What a run works on: the scene, and where structure from motion is called for, its cameras and points.
+"""Prepares the input of a run: reads the scene, runs structure from motion where needed, and normalises both.
 
-Three kinds of footage come together here. Photographs of one moving camera bring their poses and start from random
-points. Several posed cameras (Plenoptic Video) have points triangulated on their first frames. Videos without poses
-have both found for them. All of this is in the units of the files; what comes out is in canonical coordinates
-(datasets/canonical.py), and so is everything that a run makes of it.
+    photographs of one moving camera         poses from the files, random initial points
+    posed multi-camera videos (plenoptic)    poses from the files, points triangulated from the first frames
+    multi-camera videos without poses        poses and points from structure from motion
+
+Data are read in the units of their files. The result is in canonical coordinates (datasets/canonical.py), as is
+everything computed from it.
 """
 
 from __future__ import annotations
@@ -21,62 +23,63 @@ from pipeline.config.schema import Config
 from pipeline.data.sfm.photograph import Photograph, Reconstruction
 from rasterizer.camera import Camera
 
-if TYPE_CHECKING:  # it brings a video decoder, which other scenes do without
-    from datasets.plenoptic import Footage, Posed
+if TYPE_CHECKING:  # imports a video decoder, which other scenes do not need
+    from datasets.plenoptic import Footage, PosedFootage
 
-# Without bounds a scene's unit is so much of the depth that all but a twentieth of its points lie beyond, as
-# Plenoptic Video's is of its near bound (datasets/plenoptic).
+# Without depth bounds the 5 % quantile of the points' depths replaces the near bound. One normalised unit is 0.75 of
+# it, as in LLFF (datasets/plenoptic/poses.py).
 UNIT_OF_NEAR, NEAR_QUANTILE = 0.75, 0.05
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """A scene ready to be trained on; it and its points are in canonical coordinates."""
+    """A scene and its initial points, in canonical coordinates."""
 
     scene: Scene
     cloud: Reconstruction | None  # None: random points
-    sfm_folder: Path | None  # where the cloud is kept, with its summary and its picture
-    canonical: Canonical = Canonical()  # how the files' units became canonical ones
+    sfm_folder: Path | None  # cache folder of the cloud, with its summary and plot
+    canonical: Canonical = Canonical()  # transform from the files' units
 
 
 def prepare(cfg: Config, log: Callable[[str], None]) -> Prepared:
-    """Read the scene, run structure from motion where needed (or take its kept result), normalise both.
+    """The scene of a config and its initial points. Structure from motion runs if its result is not in the cache.
 
-    Normalised last, because only structure from motion finds or refines some poses. Raises ValueError.
+    Normalisation comes last, because it depends on poses that structure from motion may estimate or refine. Raises
+    ValueError for invalid data or settings.
     """
-    data = _in_own_units(cfg, log)
-    frame = canonical_of(data.scene)
-    if frame.is_identity:
+    data = _in_file_units(cfg, log)
+    transform = canonical_of(data.scene)
+    if transform.is_identity:
         return data
-    log(f"normalised: {frame}")
-    cloud = None if data.cloud is None else _moved(data.cloud, frame)
-    return replace(data, scene=canonicalise(data.scene, frame), cloud=cloud, canonical=frame)
+    log(f"normalised: {transform}")
+    cloud = None if data.cloud is None else _transformed(data.cloud, transform)
+    return replace(data, scene=canonicalise(data.scene, transform), cloud=cloud, canonical=transform)
 
 
-def _in_own_units(cfg: Config, log: Callable[[str], None]) -> Prepared:
-    """What the files hold and structure from motion finds, not normalised yet."""
+def _in_file_units(cfg: Config, log: Callable[[str], None]) -> Prepared:
+    """Scene and points before normalisation."""
     if cfg.scene.reader == "video":
         return _from_videos(cfg, load_footage(cfg.scene, threads=cfg.threads, log=log), log)
     if is_filmed(cfg.scene) and cfg.init.source != "random":
         return _from_posed(cfg, load_posed(cfg.scene, threads=cfg.threads, log=log), log)
     if cfg.init.source == "sfm":
         raise ValueError(
-            f"init.source: expected auto or random for {cfg.scene.name}, which one camera saw at a time, found sfm"
+            f"init.source: expected auto or random for {cfg.scene.name}, which has one camera per time, found sfm"
         )
     return Prepared(load_scene(cfg.scene, threads=cfg.threads, log=log), None, None)
 
 
-def _from_posed(cfg: Config, posed: Posed, log: Callable[[str], None]) -> Prepared:
-    """Points seen by the training cameras: from whole frames, before the scene's own, smaller ones are decoded."""
+def _from_posed(cfg: Config, posed: PosedFootage, log: Callable[[str], None]) -> Prepared:
+    """Points from the full-size first frames of the training cameras; then the scene, whose frames may be smaller."""
     cloud, folder = _reconstruct(cfg, training_photographs(posed), posed.unit, posed.footage.source, log)
     if cloud.poses == "refined":
-        found = {name: lens.camera for name, lens in cloud.lenses.items()}
-        posed = replace(posed, cameras={**posed.cameras, **found})
+        refined = {name: found.camera for name, found in cloud.cameras.items()}
+        posed = replace(posed, cameras={**posed.cameras, **refined})
     return Prepared(posed.to_scene(), cloud, folder)
 
 
-def training_photographs(posed: Posed) -> list[Photograph]:
-    """The first frames of the cameras that are not held out, whole."""
+def training_photographs(posed: PosedFootage) -> list[Photograph]:
+    """The first frames of the training cameras, full size."""
     return [
         Photograph(name, image, posed.cameras[name])
         for name, image in posed.first_images().items()
@@ -85,25 +88,25 @@ def training_photographs(posed: Posed) -> list[Photograph]:
 
 
 def _from_videos(cfg: Config, footage: Footage, log: Callable[[str], None]) -> Prepared:
-    """Poses and points of a folder of videos. Points are as photographed: the rest of a lens is taken out of the
-    frames when they are decoded."""
+    """Poses and points from the distorted first frames; decoding then undistorts all frames."""
     from datasets.plenoptic import Undistortion
 
     photographs = [
         Photograph(name, image, held_out=name in footage.held_out) for name, image in footage.first_images().items()
     ]
     cloud, folder = _reconstruct(cfg, photographs, 1.0, footage.source, log)
-    trained = [lens.camera for name, lens in cloud.lenses.items() if name not in footage.held_out]
+    cameras = {name: found.camera for name, found in cloud.cameras.items()}
+    train_cameras = [camera for name, camera in cameras.items() if name not in footage.held_out]
     scene = footage.to_scene(
-        {name: lens.camera for name, lens in cloud.lenses.items()},
-        {name: Undistortion.of(lens.camera, lens.radial) for name, lens in cloud.lenses.items()},
-        unit=UNIT_OF_NEAR * near_depth(cloud.points, trained),
+        cameras,
+        {name: Undistortion.of(found.camera, found.radial) for name, found in cloud.cameras.items()},
+        unit=UNIT_OF_NEAR * near_depth(cloud.points, train_cameras),
     )
     return Prepared(scene, cloud if cfg.init.source != "random" else None, folder)
 
 
 def near_depth(points: np.ndarray, cameras: list[Camera]) -> float:
-    """The depth that all but NEAR_QUANTILE of the points (N, 3) lie beyond, over all cameras, world units."""
+    """The NEAR_QUANTILE of the depths of points (N, 3) in front of all cameras, world units."""
     depths = np.concatenate([points @ c.world_to_cam[2, :3] + c.world_to_cam[2, 3] for c in cameras])
     return float(np.quantile(depths[depths > 0], NEAR_QUANTILE))
 
@@ -111,27 +114,29 @@ def near_depth(points: np.ndarray, cameras: list[Camera]) -> float:
 def _reconstruct(
     cfg: Config, photographs: list[Photograph], unit: float, source: Path, log: Callable[[str], None]
 ) -> tuple[Reconstruction, Path]:
-    """Structure from motion, in the photographs' own world. COLMAP itself gets canonical coordinates: its solvers stop
-    at absolute differences, in a world of thousands of units sooner."""
-    from pipeline.data.sfm.store import reconstruct_once  # what scenes with random points do without
+    """Structure from motion; the result is in the units of the photographs' cameras.
+
+    COLMAP works in canonical coordinates, because the tolerances of its solvers are absolute.
+    """
+    from pipeline.data.sfm.cache import reconstruct_cached  # not needed by scenes with random points
 
     log(f"sfm: {len(photographs)} cameras, first frames of {source}")
     known = [photograph.camera for photograph in photographs if photograph.camera is not None]
-    frame = canonical_space(known, unit) if known else Canonical()
-    if not frame.is_identity:
-        photographs = [replace(photograph, camera=frame.camera(photograph.camera)) for photograph in photographs]
-    cloud, folder = reconstruct_once(photographs, cfg.init, unit * frame.scale, source, Path(cfg.scene.cache))
-    found = cloud.summary()
+    transform = canonical_space(known, unit) if known else Canonical()
+    if not transform.is_identity:
+        photographs = [replace(photograph, camera=transform.camera(photograph.camera)) for photograph in photographs]
+    cloud, folder = reconstruct_cached(photographs, cfg.init, unit * transform.scale, source, Path(cfg.scene.cache))
+    summary = cloud.summary()
     log(
-        f"sfm: {found['points']} points, mean error {found['mean_error_px']:.2f} px, in "
-        f"{found['mean_track_length']:.1f} images each; kept in {folder}"
+        f"sfm: {summary['points']} points, mean error {summary['mean_error_px']:.2f} px, mean track length "
+        f"{summary['mean_track_length']:.1f}; cached in {folder}"
     )
-    return _moved(cloud, frame.inverse), folder
+    return _transformed(cloud, transform.inverse), folder
 
 
-def _moved(cloud: Reconstruction, frame: Canonical) -> Reconstruction:
-    """Points and cameras in the coordinates that `frame` leads to."""
-    if frame.is_identity:
+def _transformed(cloud: Reconstruction, transform: Canonical) -> Reconstruction:
+    """The reconstruction with points and cameras transformed."""
+    if transform.is_identity:
         return cloud
-    lenses = {name: replace(lens, camera=frame.camera(lens.camera)) for name, lens in cloud.lenses.items()}
-    return replace(cloud, points=frame.points(cloud.points), lenses=lenses)
+    cameras = {name: replace(found, camera=transform.camera(found.camera)) for name, found in cloud.cameras.items()}
+    return replace(cloud, points=transform.points(cloud.points), cameras=cameras)

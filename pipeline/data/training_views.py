@@ -1,4 +1,4 @@
-"""Training images as the loss takes them: float (3, H, W) tensors at the resolution of the current phase."""
+"""Images for the loss: views as float (3, H, W) tensors at the resolution of the current training phase."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from torch import Tensor
 from datasets.scene import View
 from rasterizer import Camera
 
-# Above this the images of a scene stay uint8 and are converted at each use: a float copy is four times as large.
+# Above this size float images are not cached but converted from uint8 at each use.
 CACHE_LIMIT_BYTES = 2 * 1024**3
 
 
 @dataclass(frozen=True)
 class Target:
-    """One view to train on."""
+    """One view to compare a render with."""
 
     name: str
     time: float
     camera: Camera
     image: Tensor  # (3, H, W) float32 in [0, 1]
-    alpha: Tensor | None = None  # (1, H, W) float32 in [0, 1], 0 where only background shows; None: 1 everywhere
+    alpha: Tensor | None = None  # (1, H, W) float32 in [0, 1]; None: 1 everywhere
 
 
 def target_of(view: View, scale: float) -> Target:
-    """The view at `scale` of its size, each side rounded to whole pixels (at least 1); averaged over areas."""
+    """The view at `scale` of its size (see camera_at), reduced by area average."""
     camera = camera_at(view.camera, scale)
     planes = np.asarray(view.image).transpose(2, 0, 1)
     if view.coverage is not None:
@@ -42,20 +42,20 @@ def target_of(view: View, scale: float) -> Target:
 
 
 def camera_at(camera: Camera, scale: float) -> Camera:
-    """The camera at `scale` of its size, each side rounded to whole pixels (at least 1); itself at its own size."""
+    """The camera at `scale` of its size, each side rounded to whole pixels, at least 1; unchanged at its own size."""
     size = max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
     return camera if size == (camera.width, camera.height) else camera.resized(*size)
 
 
-def spread(count: int, wanted: int) -> list[int]:
-    """`wanted` of `count` indices, evenly from first to last; -1 or too many: all."""
-    if wanted < 0 or wanted >= count:
+def evenly_spaced(count: int, chosen: int) -> list[int]:
+    """`chosen` of the indices 0 … count - 1, evenly spaced from first to last; all for -1 or chosen >= count."""
+    if chosen < 0 or chosen >= count:
         return list(range(count))
-    return np.unique(np.linspace(0, count - 1, wanted).round().astype(int)).tolist()
+    return np.unique(np.linspace(0, count - 1, chosen).round().astype(int)).tolist()
 
 
 def area_weights(pixels: int, fewer: int) -> np.ndarray:
-    """(fewer, pixels) float32: what part of each new pixel each old one covers. Rows sum to 1."""
+    """Weights (fewer, pixels) float32 of an area average: the share of old pixels in each new one. Rows sum to 1."""
     edges = np.arange(fewer + 1) * (pixels / fewer)  # of the new pixels, in units of old ones
     old = np.arange(pixels)
     overlap = np.minimum(edges[1:, None], old + 1) - np.maximum(edges[:-1, None], old)
@@ -63,7 +63,7 @@ def area_weights(pixels: int, fewer: int) -> np.ndarray:
 
 
 class TrainingViews:
-    """`target_of` for a fixed list of views, remembered for the scale last asked for while memory allows."""
+    """`target_of` for a fixed list of views; caches the images of the last scale if they fit cache_limit_bytes."""
 
     def __init__(self, views: Sequence[View], cache_limit_bytes: int = CACHE_LIMIT_BYTES) -> None:
         self._views = views

@@ -1,1 +1,1 @@
-"""One file a scene: `build(rng)` returns its World."""
+"""The synthetic scenes, one module each: `build(rng)` returns the World."""

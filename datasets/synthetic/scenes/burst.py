@@ -1,7 +1,7 @@
-"""Balls, cubes and rings thrown up from a basin one after the other; each is there for a moment only.
+"""Scene `burst`: balls, cubes and rings thrown from a basin one after the other, each visible for a short time.
 
-What it is for: most of what is seen at one time is gone a little later, at places and times no other view shows. The
-random first Gaussians are too long-lived for it: densification must split them in time as well as in space.
+Purpose: tests densification in time. The initial Gaussians live longer than the objects and must be split in time as
+well as in space.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from datasets.synthetic.texture import Texture, checker, marble, mottled, plain,
 from datasets.synthetic.world import Body, Light, Material, Motion, Pose, World, rest, steady, turn
 
 COUNT = 16
-LIFETIME = (0.16, 0.26)  # of the duration; three or four things are in the air at any time
+LIFETIME = (0.16, 0.26)  # of the duration; three or four objects are in the air at any time
 SWELL = 0.02  # time to grow to full size, and to shrink to nothing
 FLOOR = -0.80
-MOUTH = np.array([0.0, 0.0, FLOOR + 0.30])  # where everything starts
+MOUTH = np.array([0.0, 0.0, FLOOR + 0.30])  # start of all trajectories
 
 
 def build(rng: np.random.Generator) -> World:
@@ -31,7 +31,7 @@ def build(rng: np.random.Generator) -> World:
         Body(Ring(0.24, 0.34, 0.13), Material(basin, specular=0.3), rest((0, 0, FLOOR + 0.13))),
     ]
     for index in range(COUNT):
-        # Starts spread evenly from just before the beginning to just before the end.
+        # Start times evenly spaced from just before the beginning to just before the end.
         birth = -0.08 + (index + 0.3 * rng.random()) * 1.0 / COUNT
         bodies.append(Body(*_thing(index, rng), _flight(birth, rng, 2.4 * index)))
     return World(
@@ -57,7 +57,7 @@ def _thing(index: int, rng: np.random.Generator) -> tuple[Shape, Material]:
 
 
 def _flight(birth: float, rng: np.random.Generator, heading: float) -> Motion:
-    """Up from the mouth along a parabola in the direction `heading`, tumbling; absent before birth and after death."""
+    """Up from the mouth along a parabola in the direction `heading`, tumbling; absent outside its lifetime."""
     lifetime = rng.uniform(*LIFETIME)
     reach = rng.uniform(0.50, 0.90)  # horizontal way over the lifetime, world units
     peak = rng.uniform(0.75, 1.10)  # above the mouth
@@ -66,8 +66,8 @@ def _flight(birth: float, rng: np.random.Generator, heading: float) -> Motion:
 
     def motion(time: float) -> Pose:
         age = (time - birth) / lifetime
-        left = min(time - birth, birth + lifetime - time)  # to the nearer end of its life
-        height = 4 * peak * 0.85 * age * (1 - 0.85 * age)  # it vanishes on its way down
+        left = min(time - birth, birth + lifetime - time)  # to the nearer end of its lifetime
+        height = 4 * peak * 0.85 * age * (1 - 0.85 * age)  # it vanishes while falling
         rotation = turn("z", heading) @ turn("y", spin * age)
         return Pose(MOUTH + age * away + [0.0, 0.0, height], rotation, scale=float(np.clip(left / SWELL, 0, 1)))
 

@@ -1,8 +1,8 @@
-"""A kitchen counter before a window, filmed by a rig of cameras: the stand-in for the Plenoptic Video data set.
+"""Scene `counter`: a kitchen counter in front of a window, filmed by a camera rig.
 
-What it is for: everything that data set asks for. What stands still is richly textured, so that structure from
-motion finds points on it; a box tumbles, a ball swings and a roll slides to and fro; a flame, a bulb and a screen
-flicker faster than Gaussians live; behind the window lies a landscape so far off that all cameras see it alike.
+Purpose: a substitute for the Plenoptic Video data set. Static objects are richly textured for structure from motion; a
+box tumbles, a ball swings, a roll slides; a flame, a bulb and a screen flicker; behind the window is a distant
+landscape with almost no parallax.
 
 World frame: z up, the cameras near (0, -3, 0.6) look at the origin, the counter's top is at TOP. Times in seconds.
 """
@@ -31,18 +31,18 @@ from datasets.synthetic.world import Body, Light, Material, Motion, Pose, World,
 TOP = -0.42  # height of the counter
 FLOOR = -1.7
 WALL = 2.0  # y of the wall behind the counter
-WINDOW = (-1.95, 0.12, 1.35, 1.75)  # its lowest x and z, highest x and z
-CANDLE, LAMP, SCREEN = (-0.95, -0.32), (1.50, -0.02), (0.66, 0.28)  # x and y of what carries the flickering things
-FAR = 300.0  # of the landscape, from the origin: it moves by a pixel over the rig at 320 pixels' width
+WINDOW = (-1.95, 0.12, 1.35, 1.75)  # min x, min z, max x, max z
+CANDLE, LAMP, SCREEN = (-0.95, -0.32), (1.50, -0.02), (0.66, 0.28)  # x and y of the flickering objects' stands
+FAR = 300.0  # radius of the landscape: its parallax over the rig is one pixel at 320 pixels' width
 
 WHITE, INK, SAND = (0.95, 0.93, 0.88), (0.08, 0.08, 0.10), (0.86, 0.74, 0.55)
 RED, BLUE, GREEN, BROWN = (0.62, 0.16, 0.12), (0.14, 0.28, 0.52), (0.16, 0.36, 0.18), (0.34, 0.20, 0.12)
 
 
 def build(rng: np.random.Generator) -> World:
-    still_rng, lively_rng = rng.spawn(2)
+    still_rng, changing_rng = rng.spawn(2)
     return World(
-        bodies=(*_room(still_rng), *_things(still_rng), *_moving(lively_rng), *_flickering(lively_rng)),
+        bodies=(*_room(still_rng), *_things(still_rng), *_moving(changing_rng), *_flickering(changing_rng)),
         lights=(
             Light((-1.3, -2.2, 2.8), 0.25, steady(0.70, 0.67, 0.60)),
             Light((2.5, -2.5, 1.5), 0.4, steady(0.20, 0.22, 0.26), casts_shadow=False),
@@ -52,11 +52,11 @@ def build(rng: np.random.Generator) -> World:
     )
 
 
-# --- what stands still ----------------------------------------------------------------------------------------------
+# --- static bodies ----------------------------------------------------------------------------------------------
 
 
 def _room(rng: np.random.Generator) -> list[Body]:
-    """Landscape, wall with window and pictures, floor, counter. Of these only the window's bars cast shadows."""
+    """Landscape, wall with window and pictures, floor, counter. Only the window's bars cast shadows."""
     tiling = average(
         mosaic((0.45, 0.43, 0.40), (0.92, 0.88, 0.80), 0.30, rng),
         mottled((0.45, 0.42, 0.38), (0.98, 0.94, 0.88), 0.09, rng),
@@ -99,7 +99,7 @@ def _room(rng: np.random.Generator) -> list[Body]:
 
 
 def _things(rng: np.random.Generator) -> list[Body]:
-    """What stands on the counter."""
+    """Objects on the counter."""
 
     def paper(dark: Colour, light: Colour, size: float) -> Material:
         return Material(average(mosaic(dark, light, size, rng), mosaic(INK, WHITE, 0.4 * size, rng)))
@@ -116,7 +116,7 @@ def _things(rng: np.random.Generator) -> list[Body]:
         angle: float = 0.0,
         above: float = 0.0,
     ) -> Body:
-        """height: of the shape's centre above what it stands on, which is `above` the counter."""
+        """height: of the shape's centre over its support, which is `above` over the counter."""
         return Body(shape, material, rest((x, y, TOP + above + height), turn("z", angle)))
 
     lean = turn("z", 0.2) @ turn("x", -0.25)
@@ -149,7 +149,7 @@ def _things(rng: np.random.Generator) -> list[Body]:
 
 
 def _landscape(rng: np.random.Generator) -> Texture:
-    """Clouds above hills with fields: one colour a direction, in world units on a sphere of radius FAR."""
+    """Clouds above hills: a colour for each direction, on a sphere of radius FAR."""
     skyline = _skyline(rng)
     sky = average(
         mottled((0.25, 0.45, 0.72), (0.98, 0.98, 0.98), 26.0, rng),
@@ -180,7 +180,7 @@ def _skyline(rng: np.random.Generator) -> Callable[[np.ndarray], np.ndarray]:
     return height
 
 
-# --- what changes: it casts no shadow, see film.py ------------------------------------------------------------------
+# --- changing bodies, which cast no shadow (film.py) ------------------------------------------------------------------
 
 
 def _moving(rng: np.random.Generator) -> list[Body]:
@@ -188,24 +188,25 @@ def _moving(rng: np.random.Generator) -> list[Body]:
     ball = sectors([mosaic(BLUE, WHITE, 0.05, rng), mottled(SAND, WHITE, 0.06, rng)] * 3)
     roll = stripes(mosaic(GREEN, WHITE, 0.04, rng), mosaic(INK, SAND, 0.03, rng), 0.07, (0, 0.5, 1))
     swinging = _swinging(rng)
-    # The thread in pieces: each is looked for in the square about it, and one long piece would have a big one.
+    # The thread in pieces: each is traced in its own screen block, and one long piece would have a large one.
     thread = [
-        _lively(Box((0.012, 0.012, 0.1)), Material(plain(BROWN)), swinging(0.1 + 0.2 * piece)) for piece in range(5)
+        _changing_body(Box((0.012, 0.012, 0.1)), Material(plain(BROWN)), swinging(0.1 + 0.2 * piece))
+        for piece in range(5)
     ]
     return [
-        _lively(Box((0.17, 0.17, 0.17)), Material(box), _tumbling(rng)),
-        _lively(Sphere(0.19), Material(ball, specular=0.3), swinging(1.15)),
-        _lively(Ring(0.0, 0.11, 0.16), Material(roll), _sliding(rng)),
+        _changing_body(Box((0.17, 0.17, 0.17)), Material(box), _tumbling(rng)),
+        _changing_body(Sphere(0.19), Material(ball, specular=0.3), swinging(1.15)),
+        _changing_body(Ring(0.0, 0.11, 0.16), Material(roll), _sliding(rng)),
         *thread,
     ]
 
 
-def _lively(shape: Box | Ring | Sphere, material: Material, motion: Motion) -> Body:
+def _changing_body(shape: Box | Ring | Sphere, material: Material, motion: Motion) -> Body:
     return Body(shape, material, motion, casts_shadow=False, changes=True)
 
 
 def _tumbling(rng: np.random.Generator) -> Motion:
-    """In the air above the counter, turning about two axes while it circles."""
+    """Circles above the counter while it rotates about two axes."""
     phase, spin = rng.uniform(0, 2 * np.pi, 2), rng.uniform(2.5, 3.5, 2)  # radians; radians a second
 
     def motion(time: float) -> Pose:
@@ -217,7 +218,7 @@ def _tumbling(rng: np.random.Generator) -> Motion:
 
 
 def _swinging(rng: np.random.Generator) -> Callable[[float], Motion]:
-    """A pendulum before the window: how what hangs at a distance below its pivot moves."""
+    """A pendulum in front of the window: the motion of a body at a distance below its pivot."""
     pivot, phase = np.array([0.45, 0.05, 1.25]), rng.uniform(0, 2 * np.pi)
 
     def at(distance: float) -> Motion:
@@ -231,7 +232,7 @@ def _swinging(rng: np.random.Generator) -> Callable[[float], Motion]:
 
 
 def _sliding(rng: np.random.Generator) -> Motion:
-    """To and fro along the counter's front, upright, turning a little."""
+    """Oscillates along the counter's front edge, upright, with a small rotation."""
     phase = rng.uniform(0, 2 * np.pi)
 
     def motion(time: float) -> Pose:
@@ -254,14 +255,14 @@ def _flickering(rng: np.random.Generator) -> list[Body]:
 
     shown = Material(screen, glow=lambda time: 0.6 * np.array([red(time), green(time), blue(time)]))
     return [
-        _lively(Sphere(0.10), glow((1.0, 0.40, 0.05), flame), burning),
-        _lively(Sphere(0.14), glow((1.0, 0.90, 0.60), bulb), rest((*LAMP, TOP + 0.68))),
-        _lively(Box((0.24, 0.01, 0.16)), shown, rest((SCREEN[0], SCREEN[1] - 0.025, TOP + 0.21))),
+        _changing_body(Sphere(0.10), glow((1.0, 0.40, 0.05), flame), burning),
+        _changing_body(Sphere(0.14), glow((1.0, 0.90, 0.60), bulb), rest((*LAMP, TOP + 0.68))),
+        _changing_body(Box((0.24, 0.01, 0.16)), shown, rest((SCREEN[0], SCREEN[1] - 0.025, TOP + 0.21))),
     ]
 
 
 def _flicker(rng: np.random.Generator) -> Callable[[float], float]:
-    """An uneven brightness in [0, 1]: waves of unlike frequencies, one of them above 10 Hz."""
+    """An irregular brightness in [0, 1]: waves of different frequencies, one of them above 10 Hz."""
     cycles = np.array([0.6, 1.7, 4.3, 11.0]) * rng.uniform(1.0, 1.2, 4)  # a second; 30 frames show up to 15
     phases = rng.uniform(0, 2 * np.pi, 4)
     weights = np.array([0.25, 0.25, 0.2, 0.3])

@@ -1,8 +1,8 @@
-"""A still life under coloured lamps that swell and fade, with glossy things on it.
+"""Scene `lamp`: a still life with glossy objects under coloured lamps of varying power.
 
-What it is for: nothing moves, but every surface changes colour with time (once or twice over the duration, each lamp
-in its own phase), and highlights wander with the viewpoint. That is what 4D spherindrical harmonics describe in one
-Gaussian; without them a colour that changes needs a Gaussian for each span of time.
+Purpose: tests 4D spherindrical harmonics. Nothing moves, but colours change with time (one or two cycles over the
+duration, each lamp in its own phase) and highlights with the direction. Without 4DSH a changing colour needs several
+Gaussians, one after the other.
 """
 
 from __future__ import annotations
@@ -70,6 +70,6 @@ def build(rng: np.random.Generator) -> World:
 
 
 def _pulse(colour: tuple[float, float, float], cycles: int, phase: float) -> Callable[[float], np.ndarray]:
-    """A lamp whose power goes between 6 % and full, `cycles` times over the duration."""
+    """A lamp's colour, whose power varies between 6 % and 100 % in `cycles` cycles over the duration."""
     full = np.asarray(colour)
     return lambda time: full * (0.53 + 0.47 * np.cos(2 * np.pi * (cycles * time - phase)))

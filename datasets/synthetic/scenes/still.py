@@ -1,7 +1,6 @@
-"""A still life under steady light: no frame has a time.
+"""Scene `still`: a still life under constant light; no view has a time.
 
-What it is for: the control. Nothing of 4D is of use here, the reader finds no time, and the model is ordinary 3D
-Gaussian Splatting.
+Purpose: the control. The scene is static and the model is ordinary 3D Gaussian Splatting.
 """
 
 from __future__ import annotations

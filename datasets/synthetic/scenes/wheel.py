@@ -1,7 +1,7 @@
-"""A spoked wheel that turns one and a half times while it travels over a tiled disc.
+"""Scene `wheel`: a spoked wheel that turns one and a half times while it rolls over a tiled disc.
 
-What it is for: every point of the rim moves on a fast curved path. A Gaussian that lives a few frames must move in
-a line and turn while it lives: Σ with space-time terms, that is 4D rotation. Standing Gaussians need one set a frame.
+Purpose: tests 4D rotation. Points of the rim move on fast curved paths; a Gaussian needs the space-time terms of its
+covariance to follow them. Gaussians without motion need one set per frame.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def build(rng: np.random.Generator) -> World:
 
 
 def _rolling(angle: float = 0.0, distance: float = 0.0) -> Motion:
-    """Fixed to the wheel, `distance` from its axle (along y) in the direction `angle` at time 0."""
+    """The motion of a part of the wheel at `distance` from its axle (along y), in the direction `angle` at time 0."""
     upright = turn("x", np.pi / 2)  # a shape's z axis becomes the axle
 
     def motion(time: float) -> Pose:

@@ -1,10 +1,16 @@
-"""Structure from motion: where points of a scene lie, and where cameras stand, from photographs of one moment.
+"""Structure from motion with COLMAP: points, and camera poses if unknown, from photographs of one moment.
 
-    photograph.py   what goes in and comes out
-    run.py          reconstruct(): writes the photographs, runs COLMAP in a process of its own, reads what it found
-    colmap.py       that process: features, matches, triangulation or mapping, filtering;  register.py  held-out cameras
-    job.py          the files between the two
-    store.py        keeps a result until its inputs change;  picture.py  cameras and points, drawn
+In the process of the run:
+    photograph.py     input and output types: Photograph, Reconstruction
+    run.py            reconstruct(): starts the COLMAP process and reads its result
+    cache.py          keeps a result until its inputs change
+    plot.py           plots cameras and points
+In the COLMAP process:
+    colmap.py         features, matches, triangulation or incremental mapping, filtering
+    features.py       settings of pycolmap that mapping and registration share
+    registration.py   poses of held-out cameras
+Between both:
+    job.py            the files of a request and its result
 
 `python -m pipeline.data.sfm FOLDER` runs it on a folder of photographs.
 """

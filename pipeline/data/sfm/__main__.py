@@ -1,4 +1,4 @@
-"""`python -m pipeline.data.sfm FOLDER [--out DIR]`: cameras and points of a folder of photographs, poses unknown."""
+"""`python -m pipeline.data.sfm FOLDER [--out DIR]`: structure from motion on a folder of photographs without poses."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from PIL import Image
 
 from datasets.files.errors import DataError
 from pipeline.config.schema import InitConfig
+from pipeline.data.sfm.cache import save
 from pipeline.data.sfm.photograph import Photograph
 from pipeline.data.sfm.run import reconstruct
-from pipeline.data.sfm.store import save
 from pipeline.terminal.closed_pipe import quiet_on_closed_pipe
 
 SUFFIXES = (".png", ".jpg", ".jpeg")
@@ -25,8 +25,7 @@ def main(arguments: list[str] | None = None) -> int:
     """The command; returns the exit status."""
     parser = argparse.ArgumentParser(
         prog="python -m pipeline.data.sfm",
-        description="Structure from motion of the "
-        "photographs in a folder: prints what it found, writes points, cameras, picture.",
+        description="Structure from motion on a folder of photographs: prints a summary, writes points, cameras, plot.",
     )
     parser.add_argument("folder", type=Path)
     parser.add_argument("--out", type=Path, help="folder to make")
@@ -51,8 +50,8 @@ def main(arguments: list[str] | None = None) -> int:
         return 1
     summary = result.summary()
     print(
-        f"{summary['registered']} of {len(photographs)} photographs, {summary['points']} points in "
-        f"{summary['mean_track_length']:.2f} photographs each, mean error {summary['mean_error_px']:.3f} px; "
+        f"{summary['registered']} of {len(photographs)} photographs, {summary['points']} points, mean track length "
+        f"{summary['mean_track_length']:.2f}, mean reprojection error {summary['mean_error_px']:.3f} px; "
         f"{summary['seconds']:.0f} s"
     )
     if out is not None:
@@ -62,7 +61,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def read_photographs(folder: Path, downscale: int = 1) -> list[Photograph]:
-    """Every image in `folder`, by name. ValueError, one line, if there is none or one can't be read."""
+    """Every image in `folder`, sorted by name. ValueError of one line if there is none or one cannot be read."""
     paths = sorted(path for path in folder.glob("*") if path.suffix.lower() in SUFFIXES)
     if not paths:
         raise ValueError(f"{folder}: expected photographs ({', '.join(SUFFIXES)}), found none")

@@ -1,11 +1,11 @@
-"""COLMAP on a folder of photographs: `python -m pipeline.data.sfm.colmap FOLDER`, a process of its own.
+"""The COLMAP process, `python -m pipeline.data.sfm.colmap FOLDER`: reconstructs the request in a job folder (job.py).
 
-Apart, because pycolmap brings its own copies of common C libraries, which replace those of packages loaded after it: in
-one process with Pillow, the first PNG written after `import pycolmap` ended in a "double free". A crash in there, too,
-then costs one line and not the run. See job.py for the files that go in and come out.
+It is a separate process because pycolmap bundles copies of common C libraries, which replace those of packages loaded
+later: with Pillow in the same process, the first PNG written after `import pycolmap` ended in a "double free". A crash
+of COLMAP then also ends in an error message, not in a crash of the run.
 
-All of COLMAP's random choices are seeded, and all of it runs on one thread: with several, images and matches are
-numbered in the order they happen to be done, and what follows from them differs from run to run.
+All random numbers are seeded and everything runs on one thread: with several, the numbering of images and matches, and
+with it the result, differs from run to run.
 """
 
 from __future__ import annotations
@@ -16,66 +16,69 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
-from pipeline.data.sfm.features import find_features, lens_of, verification
-from pipeline.data.sfm.job import Found, Request, fail, read_request, write_found
-from pipeline.data.sfm.registration import register
+from pipeline.data.sfm.features import camera_record, extract_features, verification_options
+from pipeline.data.sfm.job import ColmapResult, Request, read_request, write_error, write_result
+from pipeline.data.sfm.registration import register_held_out
 
-MIN_MODEL = 3  # photographs; two have no way to check each other
+MIN_MODEL = 3  # photographs; a third one is needed to verify two
 
 
 class SfmError(ValueError):
-    """The photographs do not give what was asked of them."""
+    """The photographs do not suffice for the reconstruction."""
 
 
 def main(folder: Path) -> None:
-    pycolmap.logging.minloglevel = 3  # what goes wrong is said below, in one line
+    pycolmap.logging.minloglevel = 3  # errors are reported in one line below
     request = read_request(folder)
     pycolmap.set_random_seed(request.seed)
     try:
-        write_found(folder, reconstruct(folder, request))
+        write_result(folder, reconstruct(folder, request))
     except SfmError as error:
-        fail(folder, str(error))
+        write_error(folder, str(error))
 
 
-def reconstruct(folder: Path, request: Request) -> Found:
-    """Features, matches, then points: by triangulation where the poses are known, else with the poses."""
+def reconstruct(folder: Path, request: Request) -> ColmapResult:
+    """Features and matches, then triangulation if the poses are known, else incremental mapping; filtered points."""
     database, images = folder / "database.db", folder / "images"
     used = [p.name for p in request.photographs if not p.held_out]
-    find_features(database, images, [f"{name}.png" for name in used], request)
+    extract_features(database, images, [f"{name}.png" for name in used], request)
     match_features(database, request)
-    model = triangulate(folder, request) if request.poses_known else map_cameras(folder, used, request)
-    drop_doubtful_points(model, request)
-    lenses = {name: _lens(model, name) for name in used}
+    model = triangulate(folder, request) if request.poses_known else estimate_cameras(folder, used, request)
+    filter_points(model, request)
+    cameras = {name: _camera_record(model, name) for name in used}
     if not request.poses_known:
         for photograph in request.photographs:
             if photograph.held_out:
-                lenses[photograph.name] = register(photograph.name, model, folder, request)
-                if lenses[photograph.name] is None:
+                cameras[photograph.name] = register_held_out(photograph.name, model, folder, request)
+                if cameras[photograph.name] is None:
                     raise SfmError(
-                        f"{photograph.name}: expected to find where the held-out camera stands, found too "
+                        f"{photograph.name}: expected to estimate the pose of the held-out camera, found too "
                         "few matches with the others"
                     )
     points = [model.points3D[index] for index in sorted(model.points3D)]
-    return Found(
+    return ColmapResult(
         points=np.array([p.xyz for p in points]).reshape(-1, 3),
         colors=np.array([p.color for p in points], np.uint8),
         errors=np.array([p.error for p in points]),
         track_lengths=np.array([len(p.track.elements) for p in points]),
-        lenses=lenses,
+        cameras=cameras,
     )
 
 
 def match_features(database: Path, request: Request) -> None:
-    """Matches of every pair of photographs, kept where one geometry of the pair explains them."""
+    """Exhaustive matching with geometric verification."""
     options = pycolmap.FeatureMatchingOptions()
     options.use_gpu, options.num_threads = False, 1
     pycolmap.match_exhaustive(
-        database, matching_options=options, verification_options=verification(request), device=pycolmap.Device.cpu
+        database,
+        matching_options=options,
+        verification_options=verification_options(request),
+        device=pycolmap.Device.cpu,
     )
 
 
 def triangulate(folder: Path, request: Request) -> pycolmap.Reconstruction:
-    """Points for the known poses; with `refine_poses`, then both together, the poses' frame kept."""
+    """Points for the known poses. With `refine_poses` bundle adjustment follows, aligned to the given poses."""
     model = pycolmap.Reconstruction()
     with pycolmap.Database.open(folder / "database.db") as db:
         for image in db.read_all_images():
@@ -93,7 +96,7 @@ def triangulate(folder: Path, request: Request) -> pycolmap.Reconstruction:
         options.print_summary, options.ceres.solver_options.num_threads = False, 1
         pycolmap.bundle_adjustment(model, options)
         refined = {image.name: image.cam_from_world().matrix() for image in model.images.values()}
-        model.transform(back_to(np.array(list(given.values())), np.array([refined[name] for name in given])))
+        model.transform(align_cameras(np.array(list(given.values())), np.array([refined[name] for name in given])))
         model = _triangulate(model, folder, request)
     return model
 
@@ -102,28 +105,30 @@ def _triangulate(model: pycolmap.Reconstruction, folder: Path, request: Request)
     output = folder / "model"
     output.mkdir(exist_ok=True)
     return pycolmap.triangulate_points(
-        model, folder / "database.db", folder / "images", output, options=mapping(request)
+        model, folder / "database.db", folder / "images", output, options=pipeline_options(request)
     )
 
 
-def map_cameras(folder: Path, used: list[str], request: Request) -> pycolmap.Reconstruction:
-    """Poses and points together, COLMAP's incremental mapping. SfmError unless every photograph found its place."""
+def estimate_cameras(folder: Path, used: list[str], request: Request) -> pycolmap.Reconstruction:
+    """COLMAP's incremental mapping: poses and points. SfmError unless all photographs are registered."""
     output = folder / "model"
     output.mkdir(exist_ok=True)
-    models = pycolmap.incremental_mapping(folder / "database.db", folder / "images", output, options=mapping(request))
+    models = pycolmap.incremental_mapping(
+        folder / "database.db", folder / "images", output, options=pipeline_options(request)
+    )
     if not models:
-        raise SfmError(f"expected {len(used)} photographs that show the same things, found no pair to start from")
+        raise SfmError(f"expected {len(used)} photographs of the same objects, found no initial pair")
     model = max(models.values(), key=lambda m: (m.num_reg_images(), m.num_points3D()))
-    placed = {Path(image.name).stem for image in model.images.values() if image.has_pose}
-    if missing := [name for name in used if name not in placed]:
+    registered = {Path(image.name).stem for image in model.images.values() if image.has_pose}
+    if missing := [name for name in used if name not in registered]:
         raise SfmError(
-            f"expected to place all {len(used)} photographs, found no place for {', '.join(missing)}; "
+            f"expected to register all {len(used)} photographs, found no pose for {', '.join(missing)}; "
             "scene.drop_cameras leaves cameras out"
         )
     return model
 
 
-def mapping(request: Request) -> pycolmap.IncrementalPipelineOptions:
+def pipeline_options(request: Request) -> pycolmap.IncrementalPipelineOptions:
     options = pycolmap.IncrementalPipelineOptions()
     options.random_seed = options.mapper.random_seed = options.triangulation.random_seed = request.seed
     options.num_threads = options.mapper.num_threads = 1
@@ -133,14 +138,14 @@ def mapping(request: Request) -> pycolmap.IncrementalPipelineOptions:
     return options
 
 
-def drop_doubtful_points(model: pycolmap.Reconstruction, request: Request) -> None:
-    """By reprojection error, track length, angle between rays and distance from the cameras."""
+def filter_points(model: pycolmap.Reconstruction, request: Request) -> None:
+    """Deletes points by reprojection error, track length, triangulation angle and distance from the cameras."""
     model.update_point_3d_errors()
-    places = {i: image.projection_center() for i, image in model.images.items() if image.has_pose}
-    centre = np.mean(list(places.values()), axis=0)
+    positions = {i: image.projection_center() for i, image in model.images.items() if image.has_pose}
+    centre = np.mean(list(positions.values()), axis=0)
     farthest = request.max_distance * request.unit if request.poses_known else np.inf
     for index, point in list(model.points3D.items()):
-        rays = [places[element.image_id] - point.xyz for element in point.track.elements]
+        rays = [positions[element.image_id] - point.xyz for element in point.track.elements]
         if (
             point.error > request.max_error_px
             or len({e.image_id for e in point.track.elements}) < request.min_track
@@ -151,30 +156,30 @@ def drop_doubtful_points(model: pycolmap.Reconstruction, request: Request) -> No
 
 
 def widest_angle(rays: list[np.ndarray]) -> float:
-    """Degrees between the two of `rays` (from a point to its cameras) that lie farthest apart."""
+    """The largest angle in degrees between two of `rays`, from a point to its cameras."""
     unit = np.array(rays) / np.linalg.norm(rays, axis=1, keepdims=True)
     return float(np.degrees(np.arccos(np.clip(unit @ unit.T, -1, 1).min())))
 
 
-def back_to(given: np.ndarray, refined: np.ndarray) -> pycolmap.Sim3d:
-    """The similarity that takes the frame of the `refined` cameras to that of the `given` ones; (C, 3, 4) world_to_cam.
+def align_cameras(given: np.ndarray, refined: np.ndarray) -> pycolmap.Sim3d:
+    """The similarity that aligns the `refined` cameras with the `given` ones; both (C, 3, 4) world_to_cam.
 
-    Adjusting all cameras leaves the world's place, orientation and scale open. The orientation is taken from how the
-    cameras are turned: their places alone leave it open too where they stand in a row.
+    Bundle adjustment leaves position, orientation and scale of the world undetermined. The rotation follows from the
+    cameras' rotations, because collinear positions do not determine it; scale and shift from the positions.
     """
-    turns = np.einsum("cij,cik->jk", given[:, :, :3], refined[:, :, :3])  # Σ R_givenᵀ R_refined
-    u, _, vt = np.linalg.svd(turns)
+    correlation = np.einsum("cij,cik->jk", given[:, :, :3], refined[:, :, :3])  # Σ R_givenᵀ R_refined
+    u, _, vt = np.linalg.svd(correlation)
     rotation = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
-    places = [-np.einsum("cij,ci->cj", poses[:, :, :3], poses[:, :, 3]) for poses in (given, refined)]
-    means = [x.mean(axis=0) for x in places]
-    from_mean, turned = places[0] - means[0], (places[1] - means[1]) @ rotation.T
-    scale = (from_mean * turned).sum() / (turned**2).sum()
+    positions = [-np.einsum("cij,ci->cj", poses[:, :, :3], poses[:, :, 3]) for poses in (given, refined)]
+    means = [x.mean(axis=0) for x in positions]
+    target, source = positions[0] - means[0], (positions[1] - means[1]) @ rotation.T
+    scale = (target * source).sum() / (source**2).sum()
     return pycolmap.Sim3d(scale, pycolmap.Rotation3d(rotation), means[0] - scale * rotation @ means[1])
 
 
-def _lens(model: pycolmap.Reconstruction, name: str) -> dict:
+def _camera_record(model: pycolmap.Reconstruction, name: str) -> dict:
     image = model.find_image_with_name(f"{name}.png")
-    return lens_of(model.cameras[image.camera_id], image.cam_from_world())
+    return camera_record(model.cameras[image.camera_id], image.cam_from_world())
 
 
 if __name__ == "__main__":

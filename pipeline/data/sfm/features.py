@@ -1,4 +1,4 @@
-"""What mapping and the registration of held-out cameras share: features, the verification of matches, lenses."""
+"""pycolmap calls that mapping and registration share: SIFT features, seeded verification, camera records."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ import pycolmap
 from pipeline.data.sfm.job import Request
 
 
-def find_features(database: Path, images: Path, files: list[str], request: Request) -> None:
-    """SIFT features of `files` (in `images`) into the database, with a camera each, or one for all."""
+def extract_features(database: Path, images: Path, files: list[str], request: Request) -> None:
+    """Writes SIFT features of `files` (in `images`) to the database, with one camera per image or one for all."""
     reader = pycolmap.ImageReaderOptions()
     reader.camera_model = "PINHOLE" if request.poses_known else "SIMPLE_RADIAL"
     options = pycolmap.FeatureExtractionOptions()
     options.use_gpu, options.num_threads = False, 1
     options.sift.max_num_features = request.max_features
-    alone = request.poses_known or not request.shared_intrinsics
+    camera_per_image = request.poses_known or not request.shared_intrinsics
     pycolmap.extract_features(
         database,
         images,
         image_names=files,
         reader_options=reader,
         extraction_options=options,
-        camera_mode=pycolmap.CameraMode.PER_IMAGE if alone else pycolmap.CameraMode.SINGLE,
+        camera_mode=pycolmap.CameraMode.PER_IMAGE if camera_per_image else pycolmap.CameraMode.SINGLE,
         device=pycolmap.Device.cpu,
     )
     if request.poses_known:
@@ -36,14 +36,15 @@ def find_features(database: Path, images: Path, files: list[str], request: Reque
                 db.update_camera(camera)
 
 
-def verification(request: Request) -> pycolmap.TwoViewGeometryOptions:
+def verification_options(request: Request) -> pycolmap.TwoViewGeometryOptions:
+    """Geometric verification of matches, seeded."""
     options = pycolmap.TwoViewGeometryOptions()
     options.ransac.random_seed = request.seed
     return options
 
 
-def lens_of(camera: pycolmap.Camera, cam_from_world: pycolmap.Rigid3d) -> dict:
-    """As job.py writes it: intrinsics (fx, fy, cx, cy) in pixels, radial k, world_to_cam."""
+def camera_record(camera: pycolmap.Camera, cam_from_world: pycolmap.Rigid3d) -> dict:
+    """A camera as JSON: intrinsics [fx, fy, cx, cy] in pixels, radial distortion k, world_to_cam (4, 4)."""
     pose = np.vstack([cam_from_world.matrix(), [0, 0, 0, 1]])
     if camera.model_name == "PINHOLE":
         intrinsics, radial = list(camera.params), 0.0

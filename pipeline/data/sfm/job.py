@@ -1,10 +1,10 @@
-"""The files by which a run and its COLMAP process talk, in a folder of their own.
+"""Files of a COLMAP job, by which the run (run.py) and the COLMAP process (colmap.py) communicate.
 
-    images/<name>.png, request.json     in
-    found.npz, found.json               out, or
+    images/<name>.png, request.json     input
+    result.npz, result.json             output, or
     error.txt                           one line
 
-Both sides read this page, so it imports neither pycolmap nor Pillow.
+Both processes import this module, so it imports neither pycolmap nor Pillow (see colmap.py).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class Shot:
+class PhotographRecord:
     """A photograph without its pixels."""
 
     name: str
@@ -27,10 +27,10 @@ class Shot:
 
 @dataclass(frozen=True)
 class Request:
-    """What to reconstruct and how; the settings are those of config.InitConfig."""
+    """The photographs and the settings, which are those of InitConfig."""
 
-    photographs: list[Shot]
-    unit: float  # world units, for distances
+    photographs: list[PhotographRecord]
+    unit: float  # world units per normalised unit
     seed: int
     max_features: int
     max_error_px: float
@@ -49,14 +49,14 @@ class Request:
 
 
 @dataclass(frozen=True)
-class Found:
-    """What COLMAP found; arrays as in photograph.Reconstruction, lenses as colmap.lens_of makes them."""
+class ColmapResult:
+    """COLMAP's result: arrays as in photograph.Reconstruction, cameras as of features.camera_record, by name."""
 
     points: np.ndarray
     colors: np.ndarray
     errors: np.ndarray
     track_lengths: np.ndarray
-    lenses: dict[str, dict]
+    cameras: dict[str, dict]
 
 
 def write_request(folder: Path, request: Request) -> None:
@@ -65,29 +65,29 @@ def write_request(folder: Path, request: Request) -> None:
 
 def read_request(folder: Path) -> Request:
     content = json.loads((folder / "request.json").read_text())
-    return Request(**{**content, "photographs": [Shot(**shot) for shot in content["photographs"]]})
+    return Request(**{**content, "photographs": [PhotographRecord(**record) for record in content["photographs"]]})
 
 
-def write_found(folder: Path, found: Found) -> None:
+def write_result(folder: Path, result: ColmapResult) -> None:
     np.savez(
-        folder / "found.npz",
-        points=found.points,
-        colors=found.colors,
-        errors=found.errors,
-        track_lengths=found.track_lengths,
+        folder / "result.npz",
+        points=result.points,
+        colors=result.colors,
+        errors=result.errors,
+        track_lengths=result.track_lengths,
     )
-    (folder / "found.json").write_text(json.dumps(found.lenses))
+    (folder / "result.json").write_text(json.dumps(result.cameras))
 
 
-def read_found(folder: Path) -> Found:
-    with np.load(folder / "found.npz") as arrays:
-        return Found(**arrays, lenses=json.loads((folder / "found.json").read_text()))
+def read_result(folder: Path) -> ColmapResult:
+    with np.load(folder / "result.npz") as arrays:
+        return ColmapResult(**arrays, cameras=json.loads((folder / "result.json").read_text()))
 
 
-def fail(folder: Path, line: str) -> None:
+def write_error(folder: Path, line: str) -> None:
     (folder / "error.txt").write_text(line)
 
 
-def failure(folder: Path) -> str | None:
+def read_error(folder: Path) -> str | None:
     path = folder / "error.txt"
     return path.read_text() if path.exists() else None

@@ -1,4 +1,4 @@
-"""What goes into structure from motion and what comes out of it."""
+"""Input and output types of structure from motion: Photograph and Reconstruction."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from rasterizer.camera import Camera
 
 @dataclass(frozen=True)
 class Photograph:
-    """One image of the moment to reconstruct."""
+    """One image; all photographs of a reconstruction show the same moment."""
 
     name: str  # of the camera, unique
     image: np.ndarray  # (H, W, 3) uint8
-    camera: Camera | None = None  # None: where it stood and through what lens is to be found out
-    held_out: bool = False  # its pose is wanted, but no point and no other pose may depend on it
+    camera: Camera | None = None  # None: pose and intrinsics are to be estimated
+    held_out: bool = False  # only its pose is estimated; points and other poses must not depend on it
 
 
 @dataclass(frozen=True)
-class Lens:
-    """A camera found by structure from motion: a pinhole, and how far the real lens departs from it."""
+class CalibratedCamera:
+    """A camera of a reconstruction: a pinhole camera and the radial distortion of its lens."""
 
     camera: Camera
     radial: float = 0.0  # k of COLMAP's SIMPLE_RADIAL, OpenCV's k1: x' = x (1 + k r²), coordinates at z = 1
@@ -29,19 +29,19 @@ class Lens:
 
 @dataclass(frozen=True)
 class Reconstruction:
-    """Points on the surfaces at one moment, and the cameras that saw them. World units as the poses', if known."""
+    """Surface points at one moment and the cameras. World units are those of the given poses, or arbitrary."""
 
     points: np.ndarray  # (N, 3) float64
     colors: np.ndarray  # (N, 3) uint8
-    errors: np.ndarray  # (N,) pixels, mean distance between a point's projections and its features
-    track_lengths: np.ndarray  # (N,) images each is seen in
-    lenses: dict[str, Lens]  # by name of the photograph
+    errors: np.ndarray  # (N,) mean reprojection error, pixels
+    track_lengths: np.ndarray  # (N,) number of images that show the point
+    cameras: dict[str, CalibratedCamera]  # by name of the photograph
     poses: str  # known | refined | estimated
-    photographs: int  # that points were made from: the held-out ones are not among them
+    photographs: int  # number used for the points, without held-out ones
     seconds: float
 
     def summary(self) -> dict[str, float | int | str]:
-        """What sfm.json says and the report shows."""
+        """The content of sfm.json."""
         return {
             "points": len(self.points),
             "mean_error_px": float(self.errors.mean()),

@@ -1,4 +1,4 @@
-"""Runs COLMAP on photographs, in a process of its own (see colmap.py), and says in one line what they do not give."""
+"""reconstruct(): runs COLMAP on photographs in a separate process (colmap.py) and checks its result."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from pathlib import Path
 from PIL import Image
 
 from pipeline.config.schema import InitConfig
-from pipeline.data.sfm.job import Found, Request, Shot, failure, read_found, write_request
-from pipeline.data.sfm.photograph import Lens, Photograph, Reconstruction
+from pipeline.data.sfm.job import ColmapResult, PhotographRecord, Request, read_error, read_result, write_request
+from pipeline.data.sfm.photograph import CalibratedCamera, Photograph, Reconstruction
 from pipeline.runs.provenance import PROJECT_ROOT
 from rasterizer.camera import Camera
 
 
 def reconstruct(photographs: Sequence[Photograph], cfg: InitConfig, unit: float, source: Path) -> Reconstruction:
-    """Points, and poses where the photographs have none. The result is the same for the same `cfg.seed`.
+    """Points, and poses if the photographs have none; deterministic for a `cfg.seed`.
 
-    unit: of distance, world units (ignored without poses: such a world has no unit). source: where the photographs are
-    from, for messages. Raises ValueError, one line, for photographs that do not suffice.
+    unit: world units per normalised unit, for cfg.max_distance; ignored without poses. source: the photographs' folder,
+    for messages. Raises ValueError of one line if the photographs do not suffice.
     """
     used = [p for p in photographs if not p.held_out]
     if len(used) < 2:
@@ -32,13 +32,13 @@ def reconstruct(photographs: Sequence[Photograph], cfg: InitConfig, unit: float,
         folder = Path(temporary)
         (folder / "images").mkdir()
         known = all(p.camera is not None for p in photographs)
-        needed = used if known else photographs  # with a known pose a held-out photograph has no part in this at all
+        needed = used if known else photographs  # a held-out photograph with known pose is not used
         for photograph in needed:
             Image.fromarray(photograph.image).save(folder / "images" / f"{photograph.name}.png", compress_level=1)
         write_request(
             folder,
             Request(
-                photographs=[_shot(p) for p in needed],
+                photographs=[_record(p) for p in needed],
                 unit=unit,
                 seed=cfg.seed,
                 max_features=cfg.max_features,
@@ -54,28 +54,27 @@ def reconstruct(photographs: Sequence[Photograph], cfg: InitConfig, unit: float,
     if len(found.points) < cfg.min_points:
         raise ValueError(
             f"{source}: expected at least {cfg.min_points} points from structure from motion (init.min_points), found "
-            f"{len(found.points)}; photographs with more texture or overlap give more, as do a smaller scene.downscale, "
-            "init.max_error_px above, init.min_track or init.min_angle_deg below what they are; init.source=random does "
-            "without"
+            f"{len(found.points)}; more texture or overlap gives more, as do a smaller scene.downscale, a larger "
+            "init.max_error_px, and a smaller init.min_track or init.min_angle_deg; init.source=random needs none"
         )
     poses = "estimated" if not known else "refined" if cfg.refine_poses else "known"
     sizes = {p.name: p.image.shape for p in needed}
-    lenses = {name: _lens(found.lenses[name], sizes[name]) for name in found.lenses}
-    if poses == "known":  # as they were given, not as they came back
-        lenses = {p.name: Lens(p.camera) for p in used}
+    cameras = {name: _calibrated(record, sizes[name]) for name, record in found.cameras.items()}
+    if poses == "known":  # exactly as given, without rounding by COLMAP
+        cameras = {p.name: CalibratedCamera(p.camera) for p in used}
     return Reconstruction(
         found.points,
         found.colors,
         found.errors,
         found.track_lengths,
-        lenses,
+        cameras,
         poses,
         len(used),
         time.perf_counter() - started,
     )
 
 
-def _run(folder: Path, source: Path) -> Found:
+def _run(folder: Path, source: Path) -> ColmapResult:
     done = subprocess.run(
         [sys.executable, "-m", "pipeline.data.sfm.colmap", str(folder)],
         cwd=PROJECT_ROOT,
@@ -83,26 +82,26 @@ def _run(folder: Path, source: Path) -> Found:
         stderr=subprocess.PIPE,
         text=True,
     )
-    if line := failure(folder):
+    if line := read_error(folder):
         raise ValueError(f"{source}: {line}")
     if done.returncode != 0:
         last = (done.stderr.strip().splitlines() or ["no message"])[-1]
         raise ValueError(
-            f"{source}: expected structure from motion to end well, found COLMAP ended with status "
+            f"{source}: expected structure from motion to succeed, found COLMAP ended with status "
             f"{done.returncode}: {last}"
         )
-    return read_found(folder)
+    return read_result(folder)
 
 
-def _shot(photograph: Photograph) -> Shot:
+def _record(photograph: Photograph) -> PhotographRecord:
     camera = photograph.camera
     described = (
         None
         if camera is None
         else {"intrinsics": [camera.fx, camera.fy, camera.cx, camera.cy], "world_to_cam": camera.world_to_cam.tolist()}
     )
-    return Shot(photograph.name, described, photograph.held_out)
+    return PhotographRecord(photograph.name, described, photograph.held_out)
 
 
-def _lens(found: dict, shape: tuple[int, ...]) -> Lens:
-    return Lens(Camera(shape[1], shape[0], *found["intrinsics"], found["world_to_cam"]), found["radial"])
+def _calibrated(record: dict, shape: tuple[int, ...]) -> CalibratedCamera:
+    return CalibratedCamera(Camera(shape[1], shape[0], *record["intrinsics"], record["world_to_cam"]), record["radial"])

@@ -1,4 +1,4 @@
-"""Points and cameras of a reconstruction, from above and from the front, as one picture."""
+"""Plots points and cameras of a reconstruction from above and from the front (sfm.png)."""
 
 from __future__ import annotations
 
@@ -6,22 +6,23 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.data.sfm.photograph import Lens, Reconstruction
+from pipeline.data.sfm.photograph import Reconstruction
+from rasterizer.camera import Camera
 
-SHOWN = 98.0  # per cent of the points that the axes reach to; the rest lies far off
+AXIS_PERCENTILE = 98.0  # of the points; outliers lie outside the axes
 MAX_DRAWN = 20_000
 
 
-def draw(result: Reconstruction, path: Path) -> None:
-    """Write `path` (PNG). Axes are those of the mean camera: x right, y up, z away from the cameras, world units."""
+def plot_reconstruction(result: Reconstruction, path: Path) -> None:
+    """Writes `path` (PNG). Axes are those of the mean camera: x right, y up, z away from the cameras, world units."""
     from matplotlib.figure import Figure  # without pyplot: nothing global, no display
 
-    world_to_view, centre = mean_view(list(result.lenses.values()))
-    cameras = np.stack([lens.camera.position for lens in result.lenses.values()])
-    points, cameras = ((x - centre) @ world_to_view.T for x in (result.points, cameras))
+    world_to_view, centre = mean_view([found.camera for found in result.cameras.values()])
+    positions = np.stack([found.camera.position for found in result.cameras.values()])
+    points, cameras = ((x - centre) @ world_to_view.T for x in (result.points, positions))
     every = max(1, len(points) // MAX_DRAWN)
     points, colors = points[::every], result.colors[::every] / 255
-    reach = np.maximum(np.percentile(np.abs(points), SHOWN, axis=0), np.abs(cameras).max(axis=0))
+    reach = np.maximum(np.percentile(np.abs(points), AXIS_PERCENTILE, axis=0), np.abs(cameras).max(axis=0))
 
     figure = Figure(figsize=(11, 5), layout="constrained")
     for axes, up, title in zip(figure.subplots(1, 2), (2, 1), ("from above", "from the cameras")):
@@ -42,8 +43,8 @@ def draw(result: Reconstruction, path: Path) -> None:
     figure.savefig(path, format="png", dpi=110)
 
 
-def mean_view(lenses: list[Lens]) -> tuple[np.ndarray, np.ndarray]:
-    """(world_to_view (3, 3), centre (3,)): the axes halfway between those of all cameras, and their mean place."""
-    rotations = np.mean([lens.camera.world_to_cam[:3, :3] for lens in lenses], axis=0)
+def mean_view(cameras: list[Camera]) -> tuple[np.ndarray, np.ndarray]:
+    """(world_to_view (3, 3), centre (3,)): the mean rotation and the mean position of all cameras."""
+    rotations = np.mean([camera.world_to_cam[:3, :3] for camera in cameras], axis=0)
     u, _, vt = np.linalg.svd(rotations)  # the rotation nearest to the mean
-    return u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt, np.mean([x.camera.position for x in lenses], axis=0)
+    return u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt, np.mean([camera.position for camera in cameras], axis=0)
