@@ -23,7 +23,7 @@ from pipeline.config.compose import CONFIG_DIR, one_line, options, quote_paths, 
 from pipeline.config.schema import Config
 from pipeline.terminal.closed_pipe import quiet_on_closed_pipe
 from pipeline.terminal.help_page import help_page
-from rasterizer.memory import keep_freed_memory
+from rasterizer.allocator import keep_freed_memory
 
 # What a user can cause, by a wrong key, bad data, a full disk or a training that diverges. Anything else is a bug of
 # the program and shows its traceback.

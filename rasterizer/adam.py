@@ -1,4 +1,4 @@
-"""Adam fused in C++: one pass over parameter, gradient and both moments, with torch.optim.Adam's arithmetic."""
+"""Fused Adam in C++: one pass over parameter, gradient and both moments, with torch.optim.Adam's arithmetic."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from collections.abc import Sequence
 from torch import Tensor
 
 from rasterizer.cores import thread_count
-from rasterizer.forward_backward import Gradients, split_coefficients
-from rasterizer.kernel import kernel
+from rasterizer.gaussians import SH_LAYOUTS
+from rasterizer.gradients import Gradients
+from rasterizer.kernel_loader import kernel
 
 
 def adam_step(
@@ -26,8 +27,8 @@ def adam_step(
 ) -> None:
     """Update `param` (N,) or (N, C) and its moments m, v in place; all contiguous float32.
 
-    lr: one rate, or one a column. step: 1 for the first. sparse_rows (N,) uint8: rows with 0 are left alone, moments
-    included (dense Adam goes on moving them by their momentum).
+    lr: one learning rate, or one per column. step: counts from 1. sparse_rows (N,) uint8: rows with 0 are skipped,
+    moments included (dense Adam would still move them by their momentum). ValueError for a wrong number of rates.
     """
     columns = param.shape[1] if param.ndim == 2 else 1
     rates = [float(lr)] * columns if isinstance(lr, (int, float)) else [float(rate) for rate in lr]
@@ -61,13 +62,13 @@ def sh_adam_step(
     sparse_rows: Tensor | None = None,
     threads: int = 0,
 ) -> None:
-    """Update SH coefficients (N, K, 3) and moments in place from the batch's compact colour gradients.
+    """Update SH coefficients (N, K, 3) and their moments in place from the compact gradients of a batch.
 
-    Degrees and Fourier orders that no view of the batch used are left alone: exact as long as they have had no gradient
-    before. lr: of coefficients that are of neither view nor time (the first), of view, of time, of both.
-    sparse_rows: as `adam_step`.
+    Degrees and Fourier orders that no view of the batch used are skipped, which is exact as long as they never had a
+    gradient. lr: four learning rates: of the constant coefficient; of those that depend on the viewing direction; on
+    time; on both. sparse_rows: as in `adam_step`.
     """
-    coefficients, orders = split_coefficients(sh.shape[1])
+    coefficients, orders = SH_LAYOUTS[sh.shape[1]]
     used_orders = 1 + max((view.fourier_order for view in gradients.views), default=0)
     used_coefficients = (1 + max((view.sh_degree for view in gradients.views), default=0)) ** 2
     kernel.adam_sh(

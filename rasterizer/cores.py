@@ -1,4 +1,4 @@
-"""How many processors this process may use: the one place that says so."""
+"""How many processor cores this process may use; the default number of threads everywhere."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import os
 
 
 def usable_cores() -> int:
-    """Cores this process may run on."""
+    """Cores this process may run on (its CPU affinity)."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def thread_count(threads: int) -> int:
-    """threads: 0 for as many as this process may use."""
+    """`threads`, or all usable cores for 0."""
     return threads or usable_cores()

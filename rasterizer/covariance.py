@@ -1,4 +1,4 @@
-"""Rotations of 4D Gaussians and the factor M of their covariance Σ = M Mᵀ, differentiable, in any floating-point type."""
+"""4D rotations and the factor M of the covariance Σ = M Mᵀ, in PyTorch: any floating-point type, differentiable."""
 
 from __future__ import annotations
 
@@ -8,27 +8,27 @@ from torch import Tensor
 
 from rasterizer.gaussians import Gaussians
 
-LARGEST_INVERSE = 1e30  # of a quaternion's length, in gradients
+MAX_INVERSE_NORM = 1e30  # of a quaternion, in gradients
 
 
 def normalise_quaternion(quat: Tensor) -> Tensor:
-    """Unit quaternions (N, 4); a zero quaternion is read as the identity (1, 0, 0, 0) and gets no gradient.
+    """Unit quaternions (N, 4); a zero quaternion becomes the identity (1, 0, 0, 0) and gets no gradient.
 
-    Dividing by the largest component first keeps the squares from under- or overflowing. The result does not
-    depend on that divisor, so it is treated as a constant. The gradient is as large as 1/|q|, which is cut off at
-    1e30: for a denormal quaternion float32 could not hold it.
+    Dividing by the largest component first keeps the squares from under- or overflowing. The result does not depend on
+    that divisor, so it is treated as a constant. The gradient is proportional to 1/|q|, which is limited to 1e30:
+    for a denormal quaternion it would overflow float32.
     """
     largest = quat.detach().abs().amax(dim=-1, keepdim=True)
     identity = torch.tensor([1, 0, 0, 0], dtype=quat.dtype, device=quat.device)
     quat = torch.where(largest > 0, quat / torch.where(largest > 0, largest, 1), identity)
     norm = quat.norm(dim=-1, keepdim=True)
     unit = quat / norm
-    passed = (largest * norm.detach() * LARGEST_INVERSE).clamp(max=1)
-    return torch.where(passed < 1, unit.detach() + passed * (unit - unit.detach()), unit)
+    gradient_scale = (largest * norm.detach() * MAX_INVERSE_NORM).clamp(max=1)
+    return torch.where(gradient_scale < 1, unit.detach() + gradient_scale * (unit - unit.detach()), unit)
 
 
 def rotation_4d(quat_left: Tensor, quat_right: Tensor) -> Tensor:
-    """R = L(ql) R(qr) (N, 4, 4), docs/method.md 1: v -> ql v qr, for v = (x, y, z, t) = x + yi + zj + tk."""
+    """R = L(ql) R(qr), (N, 4, 4): the map v -> ql v qr of v = (x, y, z, t) = x + yi + zj + tk (docs/method.md 1)."""
     a, b, c, d = normalise_quaternion(quat_left).unbind(-1)
     p, q, r, s = normalise_quaternion(quat_right).unbind(-1)
     left = torch.stack([a, -b, -c, -d, b, a, -d, c, c, d, a, -b, d, -c, b, a], dim=-1).reshape(-1, 4, 4)
@@ -37,7 +37,7 @@ def rotation_4d(quat_left: Tensor, quat_right: Tensor) -> Tensor:
 
 
 def rotation_3d(quat: Tensor) -> Tensor:
-    """The rotation matrices (N, 3, 3) of quaternions (w, x, y, z), as in 3D Gaussian Splatting."""
+    """Rotation matrices (N, 3, 3) of quaternions (N, 4) in the order w, x, y, z, as in 3D Gaussian Splatting."""
     w, x, y, z = normalise_quaternion(quat).unbind(-1)
     return torch.stack([
         1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
@@ -47,9 +47,9 @@ def rotation_3d(quat: Tensor) -> Tensor:
 
 
 def scaled_axes(gaussians: Gaussians) -> Tensor:
-    """M = R diag(s), so that Σ = M Mᵀ (docs/method.md 1): (N, 4, 4), or (N, 3, 3) for a static model.
+    """M = R diag(s) with Σ = M Mᵀ (docs/method.md 1): (N, 4, 4), or (N, 3, 3) for a static model.
 
-    Without 4D rotation, R turns space alone and leaves time: Σ is block diagonal and nothing moves.
+    Without 4D rotation, R rotates space only: Σ is block diagonal and the Gaussians do not move.
     """
     if gaussians.motion == "full":
         rotation = rotation_4d(gaussians.quat_left, gaussians.quat_right)

@@ -1,4 +1,4 @@
-"""The set of Gaussians a rasterizer takes: plain tensors, and which kind of model they form."""
+"""The parameters of N 4D Gaussians: plain tensors, checked for shape and type."""
 
 from __future__ import annotations
 
@@ -10,16 +10,17 @@ from torch import Tensor
 
 Motion = Literal["static", "separable", "full"]
 
-# (l+1)² spherical harmonics of degree l = 0..3, times Fourier orders n = 0..2.
-SH_DEGREES = {1: 0, 4: 1, 9: 2, 16: 3}
+SH_DEGREES = {1: 0, 4: 1, 9: 2, 16: 3}  # degree l by number of spherical harmonics (l+1)²
 MAX_FOURIER_ORDER = 2
+# ((l+1)², n+1) by number of stored coefficients (n+1)(l+1)², n the Fourier order; all twelve products differ.
+SH_LAYOUTS = {count * orders: (count, orders) for count in SH_DEGREES for orders in range(1, MAX_FOURIER_ORDER + 2)}
 
 
 @dataclass(frozen=True)
 class Gaussians:
-    """N Gaussians, before activation (docs/method.md 1): what is stored is what is trained.
+    """N Gaussians before activation: the trained parameters (docs/method.md 1). Raises ValueError for wrong shapes.
 
-    Which model it is follows from the shapes, so that nothing is stored that a scene does not need:
+    The shapes say which model it is:
 
     - full 4D: `mean` (N, 4), `log_scale` (N, 4), `quat_left` and `quat_right` (N, 4), R = L(ql) R(qr);
     - separable (no 4D rotation): `mean`, `log_scale` (N, 4), `quat_left` a 3D rotation (w, x, y, z), `quat_right` None;
@@ -51,7 +52,7 @@ class Gaussians:
             found = list(getattr(self, name).shape)
             if found != shape:
                 raise ValueError(f"{name} must be {shape}, got {found}")
-        if self.sh.ndim != 3 or self.sh.shape[0] != n or self.sh.shape[2] != 3 or self._sh_layout() is None:
+        if self.sh.ndim != 3 or (self.sh.shape[0], self.sh.shape[2]) != (n, 3) or self.sh.shape[1] not in SH_LAYOUTS:
             raise ValueError(f"sh must be [{n}, (n+1)(l+1)², 3] with n <= 2, l <= 3, got {list(self.sh.shape)}")
         if dims == 3 and self.fourier_order > 0:
             raise ValueError(f"a static model has Fourier order 0 only, got sh {list(self.sh.shape)}")
@@ -59,24 +60,24 @@ class Gaussians:
             if tensor.dtype != self.mean.dtype:
                 raise ValueError(f"{name} must be {self.mean.dtype} as mean is, got {tensor.dtype}")
 
-    def _sh_layout(self) -> tuple[int, int] | None:
-        """(degree l, Fourier order n) of the coefficient count; where several fit, the one with the highest degree."""
-        count = self.sh.shape[1]
-        for per_order in (16, 9, 4, 1):
-            if count % per_order == 0 and 1 <= count // per_order <= MAX_FOURIER_ORDER + 1:
-                return SH_DEGREES[per_order], count // per_order - 1
-        return None
+    @classmethod
+    def from_tensors(cls, tensors: dict[str, Tensor]) -> Gaussians:
+        """From tensors by field name; `quat_right` may be missing."""
+        return cls(**{"quat_right": None, **tensors})
 
     @property
     def sh_degree(self) -> int:
-        return self._sh_layout()[0]
+        """Degree l of the spherical harmonics."""
+        return SH_DEGREES[SH_LAYOUTS[self.sh.shape[1]][0]]
 
     @property
     def fourier_order(self) -> int:
-        return self._sh_layout()[1]
+        """Order n of the Fourier series in time; 0 for constant colours."""
+        return SH_LAYOUTS[self.sh.shape[1]][1] - 1
 
     @property
     def motion(self) -> Motion:
+        """Which of the three models it is."""
         if self.mean.shape[1] == 3:
             return "static"
         return "separable" if self.quat_right is None else "full"
@@ -85,15 +86,14 @@ class Gaussians:
         return self.mean.shape[0]
 
     def tensors(self) -> dict[str, Tensor]:
-        """The stored tensors by name; absent ones left out."""
+        """The parameters by field name, without `quat_right` where it is None."""
         named = {name: getattr(self, name) for name in self.__dataclass_fields__}
         return {name: tensor for name, tensor in named.items() if tensor is not None}
 
     def to(self, dtype: torch.dtype) -> Gaussians:
         """The same Gaussians in another floating-point type."""
-        return Gaussians(
-            **{
-                name: None if getattr(self, name) is None else getattr(self, name).to(dtype)
-                for name in self.__dataclass_fields__
-            }
-        )
+        return Gaussians.from_tensors({name: tensor.to(dtype) for name, tensor in self.tensors().items()})
+
+    def rows(self, index: Tensor) -> Gaussians:
+        """The Gaussians of these rows: `index` (M,) integers, or (N,) bool."""
+        return Gaussians.from_tensors({name: tensor[index] for name, tensor in self.tensors().items()})

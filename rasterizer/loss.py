@@ -1,4 +1,4 @@
-"""The photometric loss of 3D Gaussian Splatting, with its gradient, fused in C++."""
+"""The photometric loss of 3D Gaussian Splatting, L1 + D-SSIM, and its gradient, fused in C++."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 
 from rasterizer.cores import thread_count
-from rasterizer.kernel import kernel
+from rasterizer.kernel_loader import kernel
+from rasterizer.validation import dtype_name
 
 
 @dataclass(frozen=True)
@@ -18,26 +19,27 @@ class LossValue:
     loss: float
     l1: float
     ssim: float
-    d_image: Tensor  # (3, H, W) share · ∂loss/∂image
+    d_image: Tensor  # (3, H, W) share × ∂loss/∂image
 
 
 class L1Ssim:
-    """The loss of one weight and number of threads, to be called on pair after pair."""
+    """The loss as a callable, with a fixed λ (`ssim_weight`) and number of threads (0: all cores)."""
 
     def __init__(self, ssim_weight: float = 0.2, threads: int = 0) -> None:
         self.ssim_weight = ssim_weight
         self.threads = thread_count(threads)
 
     def __call__(self, image: Tensor, target: Tensor, share: float = 1.0) -> LossValue:
-        """image, target: (3, H, W) float32 in [0, 1]. Raises ValueError when shapes or types differ from it.
+        """image, target: (3, H, W) float32 in [0, 1]; ValueError for other shapes or types.
 
-        share: of this pair in the mean over a batch; the gradient is multiplied with it.
+        share: weight of this pair in the mean over a batch; scales the gradient only.
         """
         for name, tensor in (("image", image), ("target", target)):
             expected = [3, *image.shape[1:]]
             if tensor.dtype != torch.float32 or tensor.ndim != 3 or list(tensor.shape) != expected:
-                kind = str(tensor.dtype).removeprefix("torch.")
-                raise ValueError(f"{name} must be float32 {expected}, got {kind} {list(tensor.shape)}")
+                raise ValueError(
+                    f"{name} must be float32 {expected}, got {dtype_name(tensor.dtype)} {list(tensor.shape)}"
+                )
         d_image = torch.empty_like(image)
         l1, ssim = kernel.l1_ssim(
             image=image.contiguous(),
@@ -53,6 +55,6 @@ class L1Ssim:
 def l1_ssim(
     image: Tensor, target: Tensor, ssim_weight: float = 0.2, threads: int = 0
 ) -> tuple[float, float, float, Tensor]:
-    """(loss, l1, ssim, d_image) of one pair; see `L1Ssim`."""
+    """(loss, l1, ssim, ∂loss/∂image) of one pair; see `L1Ssim`."""
     value = L1Ssim(ssim_weight, threads)(image, target)
     return value.loss, value.l1, value.ssim, value.d_image

@@ -10,10 +10,10 @@ import torch
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from rasterizer.arguments import Request
 from rasterizer.camera import Camera
 from rasterizer.gaussians import Gaussians, Motion
-from rasterizer.output import RenderOutput
+from rasterizer.render_output import RenderOutput
+from rasterizer.request import Request
 
 ALL_OUTPUTS = ("color", "alpha", "depth", "flow", "stats")
 

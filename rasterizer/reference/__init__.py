@@ -1,4 +1,4 @@
-"""The reference implementation of the rasterizer: plain PyTorch, any floating-point type, the same call as the kernel's."""
+"""The reference implementation of the rasterizer: PyTorch, any floating-point type, same arguments as the kernel."""
 
 from rasterizer.reference.render import rasterize
 

@@ -1,11 +1,9 @@
-"""The reference implementation: 4D Gaussian Splatting's rasterizer in plain PyTorch.
+"""Reference implementation of the 4D Gaussian rasterizer in plain PyTorch: slice in time, project, colour, blend.
 
-One function per equation of the method, in any floating-point type and differentiable by autograd. Every
-pixel meets every Gaussian in view, so it is slow and for small scenes only: it is the truth the kernel is
-tested against. Read it from top to bottom: slice the 4D Gaussians at a time, project the slices, then
-colour (`sh.py`) and blend (`blend.py`) them.
+One function per equation of the method, in any floating-point type, differentiable by autograd. The kernel is tested
+against it. Every pixel evaluates every Gaussian in view, so it is for small scenes only.
 
-Letters: N Gaussians, V of them in view. μ mean, s scale, R rotation, M = R diag(s), Σ = M Mᵀ, t time.
+Notation: N Gaussians, V of them in view; μ mean, s scale, R rotation, M = R diag(s), Σ = M Mᵀ, t time.
 """
 
 from __future__ import annotations
@@ -17,41 +15,41 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from rasterizer.arguments import Request, check_finite
 from rasterizer.camera import Camera
 from rasterizer.covariance import scaled_axes
 from rasterizer.gaussians import Gaussians
-from rasterizer.output import RenderOutput
 from rasterizer.reference.blend import MIN_MARGINAL, Splats, blend
 from rasterizer.reference.sh import sh_color
+from rasterizer.render_output import OUTPUT_CHANNELS, RenderOutput
+from rasterizer.request import Request
+from rasterizer.validation import check_finite
 
-FRUSTUM_MARGIN = 1.3  # the perspective's linearisation degenerates far outside the image (3DGS)
-DILATION = 0.3  # px²: no splat thinner than about a pixel, so that none falls between pixel centres (3DGS)
-LARGEST_EXPONENT = 80.0  # e^80 is 5e34: float32 holds it and its inverse
-FEATURE_CHANNELS = {"color": 3, "depth": 1, "flow": 2, "stats": 2}  # what Σ w · is taken of
+FRUSTUM_MARGIN = 1.3  # the linearised perspective degenerates far outside the image (3DGS)
+DILATION = 0.3  # px², added to Σ2d: no splat is so thin that it falls between pixel centres (3DGS)
+MAX_LOGIT = 80.0  # float32 represents e^80 = 5e34 and its inverse
+FEATURES = ("color", "depth", "flow", "stats")  # outputs that are sums Σ w · feature
 
 
-# ---- The 4D Gaussian and its slice at a time ---------------------------------------------------------------
+# ---- Slicing in time ---------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Slice:
-    """The Gaussians at one time: 3D Gaussians with covariance A Aᵀ, each present to the degree p(t)."""
+    """The 4D Gaussians conditioned on a time: 3D Gaussians with covariance A Aᵀ, and their temporal marginal p(t)."""
 
     mean: Tensor  # (N, 3) μ(t), world
     factor: Tensor  # (N, 3, 4) A, or (N, 3, 3) for a static model
-    marginal: Tensor  # (N,) p(t) in [0, 1]
-    velocity: Tensor  # (N, 3) dμ(t)/dt, world units a second
+    marginal: Tensor  # (N,) temporal marginal p(t) in [0, 1]
+    velocity: Tensor  # (N, 3) dμ(t)/dt, world units per unit of time
     variance_t: Tensor | None  # (N,) Σtt; None for a static model
 
 
 def slice_in_time(gaussians: Gaussians, time: float) -> Slice:
     """Condition the 4D Gaussians on the time (docs/method.md 1.1).
 
-    p(t) = exp(-½ (t-μt)²/Σtt) and μ(t) = μ_xyz + Σ_xyz,t Σtt⁻¹ (t-μt), a straight line. The textbook's
-    conditional covariance Σ_xyz - Σ_xyz,t Σtt⁻¹ Σ_t,xyz cancels catastrophically where the motion is fast.
-    With m_t the time row of M and v = m_t/|m_t| it is A Aᵀ, A = M_xyz (I - v vᵀ), positive semi-definite by
-    construction.
+    p(t) = exp(-½ (t-μt)²/Σtt) and μ(t) = μ_xyz + Σ_xyz,t Σtt⁻¹ (t-μt). The textbook form of the conditional
+    covariance, Σ_xyz - Σ_xyz,t Σtt⁻¹ Σ_t,xyz, cancels catastrophically for fast motion. With m_t the time row of M and
+    v = m_t/|m_t| it equals A Aᵀ with A = M_xyz (I - v vᵀ), which is positive semi-definite by construction.
     """
     axes = scaled_axes(gaussians)
     if gaussians.motion == "static":
@@ -76,22 +74,22 @@ def slice_in_time(gaussians: Gaussians, time: float) -> Slice:
 
 
 def world_to_camera(points: Tensor, camera: Camera) -> Tensor:
-    """World points (N, 3) in the camera's frame: x right, y down, z forward."""
+    """World points (N, 3) in camera coordinates: x right, y down, z forward."""
     pose = torch.tensor(camera.world_to_cam, dtype=points.dtype, device=points.device)
     return points @ pose[:3, :3].T + pose[:3, 3]
 
 
 def project_point(point_cam: Tensor, camera: Camera) -> Tensor:
-    """Pixel positions (N, 2) of camera-frame points (N, 3): (fx x/z + cx, fy y/z + cy)."""
+    """Pixel positions (N, 2) of points in camera coordinates (N, 3): (fx x/z + cx, fy y/z + cy)."""
     x, y, z = point_cam.unbind(-1)
     return torch.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], dim=-1)
 
 
 def project_factor(factor: Tensor, mean_cam: Tensor, camera: Camera) -> Tensor:
-    """B = J W A (N, 2, 3 or 4), so that B Bᵀ is the slice's covariance on the image in px² (EWA splatting).
+    """B = J W A (N, 2, 3 or 4), so that B Bᵀ is the projected covariance in px² (EWA splatting, docs/method.md 1.2).
 
-    W is the camera's rotation and J the Jacobian of the perspective at the mean. Inside J alone, x/z and y/z
-    are clamped to 1.3 × the half field of view on each side of the principal point (docs/method.md 1.2).
+    W is the camera's rotation and J the Jacobian of the perspective at the mean. In J only, x/z and y/z are clamped
+    to 1.3 × the half field of view on each side of the principal point.
     """
     x, y, z = mean_cam.unbind(-1)
     u = (x / z).clamp(-FRUSTUM_MARGIN * camera.cx / camera.fx, FRUSTUM_MARGIN * (camera.width - camera.cx) / camera.fx)
@@ -105,39 +103,39 @@ def project_factor(factor: Tensor, mean_cam: Tensor, camera: Camera) -> Tensor:
 
 
 def ellipse(projected_factor: Tensor) -> Tensor:
-    """The covariance Σ2d = B Bᵀ + 0.3 I of B (N, 2, K) as what blending needs of it: (k, V, C) (N, 3), with
+    """(k, V, C) (N, 3) of the dilated 2D covariance Σ2d = B Bᵀ + 0.3 I, from B (N, 2, K), such that
 
-        dᵀ Σ2d⁻¹ d = (dx + k dy)²/V + dy²/C,   C = cyy,   k = -cxy/C,   V = det/C.
+        dᵀ Σ2d⁻¹ d = (dx + k dy)²/V + dy²/C,   C = cyy,   k = -cxy/C,   V = det Σ2d / C.
 
-    Nothing in it cancels, where dᵀ Σ2d⁻¹ d of a needle as long as the scene is wide loses all digits, its gradient
-    even in float64. The determinant is taken by Cauchy and Binet, det(B Bᵀ) = Σ_i<j (B_0i B_1j - B_0j B_1i)²: a
-    sum of squares, where the familiar cxx cyy - cxy² cancels for long streaks.
+    In this form no digits cancel. With Σ2d⁻¹ itself a needle as long as the scene loses all of them, its gradient even
+    in float64. det(B Bᵀ) is a sum of squares (Cauchy-Binet), Σ_i<j (B_0i B_1j - B_0j B_1i)², since cxx cyy - cxy²
+    cancels for long streaks.
     """
     row0, row1 = projected_factor.unbind(1)
     first, second = torch.combinations(torch.arange(row0.shape[1])).unbind(1)  # column pairs i < j
     minors = row0[:, first] * row1[:, second] - row0[:, second] * row1[:, first]
     norm_x, norm_y = (row0 * row0).sum(1), (row1 * row1).sum(1)
-    along = norm_y + DILATION
-    lean = -(row0 * row1).sum(1) / along
-    # det/C, each term divided before it is added: det itself may overflow
-    across = ((minors / along.sqrt()[:, None]) ** 2).sum(1) + DILATION * (norm_x + along) / along
-    return torch.stack([lean, across, along], dim=-1)
+    variance_y = norm_y + DILATION  # C
+    shear = -(row0 * row1).sum(1) / variance_y  # k
+    # V = det/C, each term divided before the sum: det itself may overflow
+    variance_x = ((minors / variance_y.sqrt()[:, None]) ** 2).sum(1) + DILATION * (norm_x + variance_y) / variance_y
+    return torch.stack([shear, variance_x, variance_y], dim=-1)
 
 
-# ---- All of it ---------------------------------------------------------------------------------------------
+# ---- Rendering ---------------------------------------------------------------------------------------------
 
 
 @torch.no_grad()
 def blending_order(gaussians: Gaussians, request: Request, min_marginal: float = MIN_MARGINAL) -> Tensor:
-    """Rows (V,) of the Gaussians with p(t) >= 0.05 and depth z > near, nearest first; equal depths by row."""
+    """Rows (V,) of the Gaussians with p(t) >= min_marginal and depth z > near, nearest first; equal depths by row."""
     sliced = slice_in_time(gaussians, request.time)
     depth = world_to_camera(sliced.mean, request.camera)[:, 2]
-    taking_part = torch.nonzero((sliced.marginal >= min_marginal) & (depth > request.near)).squeeze(1)
-    return taking_part[torch.argsort(depth[taking_part], stable=True)]
+    in_view = torch.nonzero((sliced.marginal >= min_marginal) & (depth > request.near)).squeeze(1)
+    return in_view[torch.argsort(depth[in_view], stable=True)]
 
 
 def colors(gaussians: Gaussians, sliced: Slice, request: Request) -> Tensor:
-    """RGB (N, 3) of the slices as the camera sees them, from the coefficients up to the orders asked for."""
+    """RGB (N, 3) of the slices from the camera's position, with coefficients up to the requested degree and order."""
     order = gaussians.fourier_order if request.fourier_order is None else request.fourier_order
     degree = gaussians.sh_degree if request.sh_degree is None else request.sh_degree
     stored = gaussians.sh.unflatten(1, (gaussians.fourier_order + 1, (gaussians.sh_degree + 1) ** 2))
@@ -148,7 +146,7 @@ def colors(gaussians: Gaussians, sliced: Slice, request: Request) -> Tensor:
 
 
 def displacement(sliced: Slice, request: Request) -> Tensor:
-    """proj(μ(t+δ)) - proj(μ(t)) (N, 2), pixels; zero where the near plane is passed meanwhile."""
+    """Optical flow proj(μ(t+δ)) - proj(μ(t)), (N, 2) pixels; zero where μ(t+δ) lies before the near plane."""
     camera = request.camera
     now = world_to_camera(sliced.mean, camera)
     later = world_to_camera(sliced.mean + sliced.velocity * request.flow_dt, camera)
@@ -157,21 +155,20 @@ def displacement(sliced: Slice, request: Request) -> Tensor:
 
 
 def opacity(logit: Tensor) -> Tensor:
-    """sigmoid(logit) (N,); beyond ±80 it changes no more, as its gradient is too small for float32.
+    """sigmoid(logit), (N,); constant beyond ±80, where its gradient is too small for float32.
 
-    torch.sigmoid's own gradient, σ (1 - σ), is zero from 37 on, where 1 - σ is no longer seen in float64.
+    The gradient of torch.sigmoid, σ (1 - σ), is zero from 37 on, where 1 - σ rounds to zero in float64.
     """
-    return F.logsigmoid(logit.clamp(-LARGEST_EXPONENT, LARGEST_EXPONENT)).exp()
+    return F.logsigmoid(logit.clamp(-MAX_LOGIT, MAX_LOGIT)).exp()
 
 
 def make_splats(gaussians: Gaussians, request: Request, min_marginal: float = MIN_MARGINAL) -> Splats:
-    """Slice, project and colour the Gaussians in view; features as asked, in FEATURE_CHANNELS order."""
+    """Slice, project and colour the Gaussians in view; features: the requested ones, in the order of FEATURES."""
     index = blending_order(gaussians, request, min_marginal)
-    rows = {name: tensor[index] for name, tensor in gaussians.tensors().items()}
-    gaussians = Gaussians(**{"quat_right": None, **rows})
+    gaussians = gaussians.rows(index)
     sliced = slice_in_time(gaussians, request.time)
     mean_cam = world_to_camera(sliced.mean, request.camera)
-    features = [mean_cam[:, :0]]  # none, so that there is something to join
+    features = [mean_cam[:, :0]]  # no channels: torch.cat needs a tensor even if only alpha is requested
     if "color" in request.outputs:
         features.append(colors(gaussians, sliced, request))
     if "depth" in request.outputs:
@@ -201,17 +198,16 @@ def rasterize(
     sh_degree: int | None = None,
     fourier_order: int | None = None,
 ) -> RenderOutput:
-    """The Gaussians seen by the camera at the time; `RenderOutput` says what each of `outputs` is.
+    """Render the Gaussians; arguments as `rasterizer.Request`, result as `rasterizer.RenderOutput`.
 
-    `arguments.Request` says what the arguments are. Raises ValueError, in one line, for a parameter or
-    argument that is not finite, out of range or missing.
+    Raises ValueError for a parameter or argument that is not finite, out of range or missing.
     """
     request = Request(camera, time, duration, background, outputs, flow_dt, near, sh_degree, fourier_order)
     request.check_against(gaussians)
     check_finite(gaussians)
     sums, transmittance = blend(make_splats(gaussians, request), camera)
-    named = [name for name in FEATURE_CHANNELS if name in request.outputs]
-    images = dict(zip(named, sums.split([FEATURE_CHANNELS[name] for name in named])))
+    named = [name for name in FEATURES if name in request.outputs]
+    images = dict(zip(named, sums.split([OUTPUT_CHANNELS[name] for name in named])))
     if "color" in request.outputs:
         behind = torch.tensor(request.background, dtype=sums.dtype, device=sums.device)
         images["color"] = images["color"] + transmittance * behind[:, None, None]

@@ -1,6 +1,6 @@
-"""4D spherical harmonics (docs/method.md 1.4): the colour of a Gaussian seen from a direction at a time.
+"""Reference implementation of 4D spherical harmonics: colour by viewing direction and time (docs/method.md 1.4).
 
-Part of the readable twin (`reference.py`), in any floating-point type, differentiable.
+Any floating-point type, differentiable.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _C3 = (
 def sh_basis(direction: Tensor, degree: int) -> Tensor:
     """Real spherical harmonics Y_lm of unit vectors (N, 3) for l <= degree, m = -l..l: (N, (degree+1)²).
 
-    The signs are those of 3D Gaussian Splatting, which keeps the Condon-Shortley phase: Y_1 = C1 (-y, z, -x).
+    Signs follow 3D Gaussian Splatting, which keeps the Condon-Shortley phase: Y_1 = C1 (-y, z, -x).
     """
     x, y, z = direction.unbind(-1)
     xx, yy, zz = x * x, y * y, z * z
@@ -49,7 +49,7 @@ def sh_basis(direction: Tensor, degree: int) -> Tensor:
 
 
 def fourier_basis(elapsed: Tensor, duration: float, order: int) -> Tensor:
-    """cos(2πn Δ / T) for n = 0..order, Δ = t - μt (N,) and T the duration in the same unit: (N, order+1)."""
+    """cos(2πn (t-μt)/T), (N, order+1), for n = 0..order; elapsed: t - μt (N,); duration: T in the same unit."""
     return torch.stack([torch.cos(2 * math.pi * n / duration * elapsed) for n in range(order + 1)], dim=-1)
 
 
@@ -59,10 +59,7 @@ def sh_color(
     elapsed: Tensor | None,  # (N,) t - μt; None for a static model
     duration: float,
 ) -> Tensor:
-    """RGB (N, 3) = max(0, ½ + Σ_n Σ_lm k_nlm cos(2πn (t-μt)/T) Y_lm(d)).
-
-    Where the sum is negative the colour and its gradient are zero.
-    """
+    """RGB (N, 3) = max(0, ½ + Σ_n Σ_lm k_nlm cos(2πn (t-μt)/T) Y_lm(d)); no gradient where the sum is negative."""
     order, degree = coefficients.shape[1] - 1, math.isqrt(coefficients.shape[2]) - 1
     space = sh_basis(direction, degree)
     time = torch.ones_like(space[:, :1]) if elapsed is None else fourier_basis(elapsed, duration, order)

@@ -1,1 +1,1 @@
-"""How long the rasterizer takes: seeded workloads, and stopwatches for a frame and a training iteration."""
+"""Timing of the rasterizer: fixed workloads, and the time of a frame and of a training iteration."""

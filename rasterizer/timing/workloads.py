@@ -1,6 +1,6 @@
-"""The workloads, the same numbers for everybody: splitmix64 with fixed seeds.
+"""Synthetic benchmark scenes, identical on every machine: drawn from splitmix64 with fixed seeds.
 
-W1 is like a D-NeRF scene, W2 like a Plenoptic Video scene, W2h is W2 at half its resolution.
+W1 resembles a D-NeRF scene, W2 a Plenoptic Video scene; W2h is W2 at half its resolution.
 """
 
 from __future__ import annotations
@@ -11,13 +11,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from rasterizer import Camera, Gaussians, Request
+from rasterizer.camera import Camera
+from rasterizer.gaussians import Gaussians
+from rasterizer.request import Request
 
 WORKLOADS = ("W1", "W2h", "W2")
 
 
 class SplitMix64:
-    """The generator of the workloads: draw k is a hash of seed + k · golden ratio, so rows are drawn at once."""
+    """The splitmix64 generator: draw k hashes seed + k · golden ratio, so that draws are vectorized."""
 
     def __init__(self, seed: int) -> None:
         self.state = np.uint64(seed)
@@ -35,7 +37,7 @@ class SplitMix64:
 
 
 class Columns:
-    """Hands out a Gaussian's draws in order: a uniform takes one column of the row, a normal two (Box–Muller)."""
+    """Random variables from columns of uniform draws, in order: one column per uniform, two per normal (Box-Muller)."""
 
     def __init__(self, uniforms: np.ndarray) -> None:
         self._u, self._at = uniforms, 0
@@ -54,9 +56,11 @@ class Columns:
 
 @dataclass(frozen=True)
 class Workload:
+    """A scene and one view of it."""
+
     gaussians: Gaussians
     camera: Camera
-    time: float
+    time: float  # in the unit of duration
     duration: float
 
     def request(self, **options) -> Request:
@@ -64,19 +68,19 @@ class Workload:
         return Request(self.camera, self.time, self.duration, **options)
 
     def image_gradient(self) -> torch.Tensor:
-        """(3, H, W) a ∂L/∂image without structure, of a mean over pixels."""
+        """A random ∂L/∂image (3, H, W), scaled as that of a mean over pixels."""
         size = self.camera.height, self.camera.width
         return (torch.rand(3, *size, generator=torch.Generator().manual_seed(99)) - 0.5) / (size[0] * size[1])
 
     def cropped(self, pixels: int) -> Workload:
-        """The same scene through the middle `pixels` × `pixels` of the image."""
+        """The same view cropped to the middle `pixels` × `pixels`."""
         c = self.camera
         left, top = (c.width - pixels) // 2, (c.height - pixels) // 2
         return replace(self, camera=replace(c, width=pixels, height=pixels, cx=c.cx - left, cy=c.cy - top))
 
 
 def make_workload(name: str) -> Workload:
-    """One of WORKLOADS."""
+    """The workload of this name, one of WORKLOADS."""
     small = name == "W1"
     count = 100_000 if small else 300_000
     blocks, rng = [], SplitMix64(1234567 if small else 7654321)
@@ -96,6 +100,7 @@ def make_workload(name: str) -> Workload:
 
 
 def _rows(draw: Columns, small: bool) -> dict[str, np.ndarray]:
+    """Parameters of as many Gaussians as `draw` has rows. small: W1, a shell about the origin; else a frustum."""
     left = draw.normal(4)
     left /= np.linalg.norm(left, axis=1, keepdims=True)
     right = left * np.array([1, 1, 1, -1], np.float32) + (0.03 if small else 0.02) * draw.normal(4)

@@ -49,8 +49,8 @@ def test_views_add_to_running_statistics():
     for threads in (1, 3):
         found, marked = [torch.zeros(count) for _ in range(4)], torch.zeros(count, dtype=torch.uint8)
         for view in views:
-            view.add_to(*found, camera, duration, threads)
-            view.mark(marked, threads)
+            view.accumulate(*found, camera, duration, threads)
+            view.mark_visible(marked, threads)
         for name, a, b in zip(("space", "time", "views", "radius"), found, expected, strict=True):
             # a few roundings of float32 each
             torch.testing.assert_close(

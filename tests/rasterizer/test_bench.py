@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from rasterizer.kernel import available_isas
+from rasterizer.kernel_loader import available_isas
 from rasterizer.loss import L1Ssim
 from rasterizer.reference import render as reference
 from rasterizer.reference.blend import blending_weights, pixel_centers, splat_alpha

@@ -28,12 +28,12 @@ from builders import (
     uniform,
 )
 
-from rasterizer.arguments import Request
 from rasterizer.camera import Camera
 from rasterizer.gaussians import Gaussians
 from rasterizer.reference import render as reference
 from rasterizer.reference.discontinuities import away_from_discontinuities, smooth_pixels
 from rasterizer.reference.sh import sh_basis
+from rasterizer.request import Request
 
 MOTIONS = ("full", "separable", "static")
 

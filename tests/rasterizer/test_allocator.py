@@ -4,13 +4,13 @@ import ctypes
 import subprocess
 import sys
 
-from rasterizer.memory import keep_freed_memory
+from rasterizer.allocator import keep_freed_memory
 
 # What a training iteration takes and frees, in floats: four views' images and gradients, and what each says of as many
 # Gaussians as it happens to see. Prints the page faults of an iteration, once things have settled.
 ITERATIONS = """
 import random, resource, torch
-from rasterizer.memory import keep_freed_memory
+from rasterizer.allocator import keep_freed_memory
 assert keep_freed_memory()
 draw = random.Random(1)
 def faults():

@@ -1,4 +1,4 @@
-"""The roofline plot: how near each stage comes to what arithmetic or memory allow."""
+"""The roofline plot: each stage's throughput against the machine's arithmetic and memory limits."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from rasterizer.bench.bound import Rates, Work
+from rasterizer.bench.roofline_model import Rates, Work
 
 MARKERS = "osD^v"
 
 
 def write_roofline(path: Path, rates: Rates, measured: dict[str, tuple[dict[str, Work], dict[str, float]]]) -> None:
-    """measured: by workload, the work of each stage and the milliseconds it took on one thread."""
+    """measured: by workload, the work of each stage and its milliseconds on one thread."""
     figure, axes = plt.subplots(figsize=(7.5, 5))
     intensity = np.logspace(-1.5, 2.5, 200)
     axes.plot(
@@ -43,9 +43,9 @@ def write_roofline(path: Path, rates: Rates, measured: dict[str, tuple[dict[str,
     axes.set(
         xscale="log",
         yscale="log",
-        xlabel="operations a byte moved",
-        ylabel="10⁹ operations a second",
-        title="One thread against the roof",
+        xlabel="operations per byte",
+        ylabel="10⁹ operations per second",
+        title="Roofline, one thread",
     )
     axes.legend(fontsize=8, loc="lower right")
     axes.grid(alpha=0.3, which="both")

@@ -1,6 +1,6 @@
-"""Picks the compiled kernel: the best instruction set this processor has, or the one RASTERIZER_ISA names.
+"""Loads the compiled kernel: the best instruction set of this processor, or the one that RASTERIZER_ISA names.
 
-RASTERIZER_KERNELS names a folder of kernels built another way, which come first (tools/sanitize.py).
+RASTERIZER_KERNELS names a folder of other builds, which is searched first (tools/sanitize.py).
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ FOLDER_VARIABLE = "RASTERIZER_KERNELS"
 
 
 def available_isas() -> list[str]:
-    """The instruction sets this processor has a kernel for, best first: v4, v3, v2 (x86-64 levels) or plain."""
+    """Instruction sets that this processor supports, best first: v4, v3, v2 (x86-64 levels), or plain."""
     return _cpu.supported_levels()
 
 
 def load_kernel(isa: str | None = None) -> ModuleType:
-    """The kernel compiled for `isa`; None: the best there is. Raises ValueError when the processor lacks it."""
+    """The kernel compiled for `isa`; None: the best one. Raises ValueError when the processor lacks it."""
     isas = available_isas()
     if isa is None:
         isa = isas[0]
@@ -43,4 +43,4 @@ def load_kernel_at(path: Path) -> ModuleType:
 
 if FOLDER_VARIABLE in os.environ:
     _PACKAGE.__path__.insert(0, os.environ[FOLDER_VARIABLE])
-kernel = load_kernel(os.environ.get(ISA_VARIABLE) or None)
+kernel = load_kernel(os.environ.get(ISA_VARIABLE) or None)  # what the package renders with

@@ -26,7 +26,7 @@ from builders import (
 
 from pipeline.studies.kernel_stability.instruction_sets import images_and_gradients, same_bits
 from rasterizer import Camera, Gaussians, Request, rasterize
-from rasterizer.kernel import ISA_VARIABLE, available_isas
+from rasterizer.kernel_loader import ISA_VARIABLE, available_isas
 from rasterizer.reference import render as reference
 from rasterizer.reference.discontinuities import FAR_NEAR_PLANES, smooth_pixels
 

@@ -1,0 +1,68 @@
+"""The kernel's time against plain PyTorch: the L1 + SSIM loss, and rendering by the reference implementation."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from rasterizer import Gaussians
+from rasterizer.loss import L1Ssim
+from rasterizer.reference import rasterize as reference_rasterize
+from rasterizer.timing.frame_time import Time, time_frame
+from rasterizer.timing.workloads import Workload
+
+
+def time_loss(pixels: int, repeats: int) -> tuple[Time, Time]:
+    """(kernel, torch): loss and gradient of an image of `pixels` × `pixels` on one thread, CPU time."""
+    generator = torch.Generator().manual_seed(2)
+    image, target = (torch.rand(3, pixels, pixels, generator=generator) for _ in range(2))
+    criterion = L1Ssim(threads=1)
+    leaf = image.clone().requires_grad_()
+
+    def repeat(run: Callable[[], object], times: int) -> Time:
+        seconds = []
+        for _ in range(times):
+            start = time.process_time()
+            run()
+            seconds.append(time.process_time() - start)
+        return Time.of(seconds)
+
+    return repeat(lambda: criterion(image, target), 10 * repeats), repeat(
+        lambda: torch.autograd.grad(torch_loss(leaf, target), leaf), repeats
+    )
+
+
+def torch_loss(image: Tensor, target: Tensor, ssim_weight: float = 0.2) -> Tensor:
+    """(1-λ) L1 + λ (1-SSIM) as in 3DGS: an 11×11 window (σ = 1.5) by grouped conv2d. (3, H, W) each."""
+    line = torch.exp(-(torch.arange(-5, 6) ** 2) / 4.5)
+    line = line / line.sum()
+    window = (line[:, None] * line[None]).expand(3, 1, 11, 11).contiguous()
+
+    def mean(x: Tensor) -> Tensor:
+        return F.conv2d(x[None], window, padding=5, groups=3)[0]
+
+    m, n = mean(image), mean(target)
+    variance_x, variance_y = mean(image * image) - m * m, mean(target * target) - n * n
+    covariance = mean(image * target) - m * n
+    ssim = ((2 * m * n + 1e-4) * (2 * covariance + 9e-4)) / ((m * m + n * n + 1e-4) * (variance_x + variance_y + 9e-4))
+    return (1 - ssim_weight) * (image - target).abs().mean() + ssim_weight * (1 - ssim.mean())
+
+
+def time_reference(workload: Workload, pixels: int) -> tuple[Time, Time]:
+    """(kernel, reference): forward and backward of the middle `pixels` × `pixels` of a workload on one thread.
+
+    A crop, since the reference implementation keeps every (pixel, Gaussian) pair for autograd.
+    """
+    crop = workload.cropped(pixels)
+    d_color = crop.image_gradient()
+    leaves = Gaussians(**{name: p.clone().requires_grad_() for name, p in crop.gaussians.tensors().items()})
+    start = time.process_time()
+    image = reference_rasterize(leaves, crop.camera, crop.time, duration=crop.duration).color
+    image.backward(d_color)
+    reference = time.process_time() - start
+    kernel = time_frame(crop, 1, 5)
+    return kernel.total, Time.of([reference])

@@ -1,0 +1,120 @@
+"""Gradients of the Gaussians' parameters: the sum over a batch (`Gradients`), and one view's part (`ViewGradient`)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from types import ModuleType
+
+import torch
+from torch import Tensor
+
+from rasterizer.camera import Camera
+from rasterizer.gaussians import SH_LAYOUTS, Gaussians
+from rasterizer.kernel_loader import kernel
+
+
+@dataclass(frozen=True)
+class ViewColors:
+    """Colour gradients of one view, compact: row v's SH gradient is an outer product of row v's eight numbers."""
+
+    visible: Tensor  # (V,) int32, ascending rows of the Gaussians
+    gradient: Tensor  # (V, 8): ∂L/∂rgb, unit viewing direction, cos(2πn (t-μt)/T) for n = 1, 2
+    sh_degree: int
+    fourier_order: int
+
+    def as_tuple(self) -> tuple[Tensor, Tensor, int, int]:
+        return self.visible, self.gradient, self.sh_degree, self.fourier_order
+
+
+@dataclass(frozen=True)
+class ViewGradient:
+    """Gradients and sizes of the Gaussians visible in one view; densification reads them."""
+
+    visible: Tensor  # (V,) int32, ascending rows of the Gaussians
+    mean2d: Tensor  # (V, 2) ∂L/∂(projected mean), per pixel
+    mean_t: Tensor  # (V,) ∂L/∂μt
+    radius: Tensor  # (V,) 3 standard deviations along the longer axis of the projected ellipse, pixels
+
+    def mark_visible(self, mask: Tensor, threads: int = 1) -> None:
+        """Set `mask` (N,) uint8 to 1 in place for the visible Gaussians; other entries stay."""
+        kernel.mark_seen(id=self.visible, seen=mask, threads=threads)
+
+    def accumulate(
+        self,
+        space: Tensor,
+        time: Tensor,
+        views: Tensor,
+        radius: Tensor,
+        camera: Camera,
+        duration: float,
+        threads: int = 1,
+    ) -> None:
+        """Add this view to running densification statistics, (N,) float32 each, in place.
+
+        space: Σ |∂L/∂(projected mean)| in normalized device coordinates. time: Σ |∂L/∂μt| times the duration.
+        views: number of views. radius: largest radius, pixels.
+        """
+        kernel.add_view(
+            id=self.visible,
+            mean2d=self.mean2d,
+            mean_t=self.mean_t,
+            radius=self.radius,
+            half_width=0.5 * camera.width,
+            half_height=0.5 * camera.height,
+            duration=duration,
+            space=space,
+            time=time,
+            views=views,
+            largest_radius=radius,
+            threads=threads,
+        )
+
+
+@dataclass
+class Gradients:
+    """Gradients of the parameters, summed over the views of a batch; SH gradients stay compact, one entry per view."""
+
+    mean: Tensor  # (N, 4), static (N, 3)
+    log_scale: Tensor  # as mean
+    quat_left: Tensor  # (N, 4)
+    quat_right: Tensor | None  # (N, 4)
+    opacity_logit: Tensor  # (N,)
+    views: list[ViewColors] = field(default_factory=list)
+    sh_shape: torch.Size | None = None
+
+    @classmethod
+    def zeros_like(cls, gaussians: Gaussians) -> Gradients:
+        dense = {name: torch.zeros_like(tensor) for name, tensor in gaussians.tensors().items() if name != "sh"}
+        return cls(**{"quat_right": None, **dense}, sh_shape=gaussians.sh.shape)
+
+    def dense(self) -> dict[str, Tensor]:
+        """All gradients except SH, by parameter name."""
+        names = ("mean", "log_scale", "quat_left", "quat_right", "opacity_logit")
+        named = {name: getattr(self, name) for name in names}
+        return {name: tensor for name, tensor in named.items() if tensor is not None}
+
+    def zero_(self, threads: int = 1, kernel: ModuleType = kernel) -> None:
+        """Reset to zero in place. kernel: a build that computes in the gradients' floating-point type."""
+        kernel.set_to_zero(arrays=list(self.dense().values()), threads=threads)
+        self.views.clear()
+
+    def all_finite(self, threads: int = 1) -> bool:
+        """Whether no gradient, SH included, is NaN or infinite."""
+        tensors = [*self.dense().values(), *(view.gradient for view in self.views)]
+        return all(kernel.all_finite(array=tensor, threads=threads) for tensor in tensors)
+
+    def sh(self, threads: int = 1, out: Tensor | None = None, kernel: ModuleType = kernel) -> Tensor:
+        """The dense SH gradient (N, (n+1)(l+1)², 3), written into `out` if given; training uses the compact one.
+
+        kernel: the build that rendered the views.
+        """
+        coefficients, orders = SH_LAYOUTS[self.sh_shape[1]]
+        out = torch.empty(self.sh_shape, dtype=self.mean.dtype) if out is None else out
+        kernel.expand_sh(
+            views=[view.as_tuple() for view in self.views],
+            dense=out,
+            coefficients=coefficients,
+            orders=orders,
+            threads=threads,
+        )
+        return out

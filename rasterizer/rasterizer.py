@@ -1,0 +1,178 @@
+"""`Rasterizer`: the forward and backward pass of one view by the compiled kernel, without autograd; training uses it.
+
+rasterizer = Rasterizer(threads=2)  # owns buffers that are reused from view to view
+out = rasterizer.render(gaussians, Request(camera, time=0.5))
+view = rasterizer.backward(gradients, d_color=…)  # adds to `gradients`
+"""
+
+from __future__ import annotations
+
+from types import ModuleType
+
+import torch
+from torch import Tensor
+
+from rasterizer.cores import thread_count
+from rasterizer.gaussians import SH_LAYOUTS, Gaussians
+from rasterizer.gradients import Gradients, ViewColors, ViewGradient
+from rasterizer.kernel_loader import kernel
+from rasterizer.render_output import OUTPUT_CHANNELS, RenderOutput
+from rasterizer.request import Request
+from rasterizer.validation import check_layout, dtype_name, is_integer_in, short_repr
+
+# In the order of `enum Stage` in src/view_state.hpp: four of the forward pass, two of the backward pass.
+STAGES = ("preprocess", "sort", "intersect_tiles", "blend", "blend_backward", "preprocess_backward")
+_EXTRAS = ("depth", "flow", "stats")  # outputs that preprocess computes per Gaussian only on request
+MAX_THREADS = 1024
+
+
+class Rasterizer:
+    """Renders a view and keeps its state for the backward pass; the next `render` replaces it."""
+
+    def __init__(self, threads: int = 0, kernel: ModuleType = kernel) -> None:
+        """threads: 0 for all usable cores; results are the same bits for any number.
+
+        kernel: another build, for measurements; one in float64 reads and writes float64 tensors.
+        """
+        if not is_integer_in(threads, 0, MAX_THREADS):
+            raise ValueError(f"threads must be in 0..{MAX_THREADS}, got {short_repr(threads)}")
+        self.threads = thread_count(int(threads))
+        self._kernel, self._state = kernel, kernel.Frame()
+        self.dtype = torch.float64 if kernel.choices["float64"] else torch.float32
+        self._model = self._request = None
+        self._differentiable = False
+
+    def render(self, gaussians: Gaussians, request: Request, differentiable: bool = True) -> RenderOutput:
+        """Render one view. The Gaussians must be contiguous and of the kernel's type, float32; else ValueError.
+
+        differentiable: False skips what only `backward` needs.
+        """
+        check_layout(gaussians, self.dtype)
+        request.check_against(gaussians)
+        self._request, self._differentiable = request, differentiable
+        self.sh_degree = gaussians.sh_degree if request.sh_degree is None else int(request.sh_degree)
+        self.fourier_order = gaussians.fourier_order if request.fourier_order is None else int(request.fourier_order)
+        coefficients, orders = SH_LAYOUTS[gaussians.sh.shape[1]]
+        detached = {name: tensor.detach() for name, tensor in gaussians.tensors().items()}
+        self._model = self._kernel.Model(
+            **{"quat_right": None, **detached}, coefficients=coefficients, stored_order=orders - 1
+        )
+        self._set_view(request)
+        size = request.camera.height, request.camera.width
+        images = {name: self._empty(OUTPUT_CHANNELS[name], *size) for name in request.outputs}
+        # Detached: autograd's graph references this object, which must not reference the graph.
+        self._images = {name: image.detach() for name, image in images.items()}
+        self._versions = {name: image._version for name, image in self._images.items()}
+        self._state.render(self._model, **{name: self._images.get(name) for name in OUTPUT_CHANNELS})
+        return RenderOutput(**{name: images.get(name) for name in OUTPUT_CHANNELS})
+
+    def _set_view(self, request: Request) -> None:
+        camera = request.camera
+        self._state.set_view(
+            camera=self._kernel.Camera.make(
+                camera.width,
+                camera.height,
+                [camera.fx, camera.fy, camera.cx, camera.cy],
+                camera.world_to_cam,
+                list(camera.position),
+            ),
+            time=request.time,
+            duration=request.duration,
+            near=request.near,
+            background=list(request.background),
+            flow_dt=float(request.flow_dt) if "flow" in request.outputs else 0.0,
+            sh_degree=self.sh_degree,
+            fourier_order=self.fourier_order,
+            extras=tuple(name in request.outputs for name in _EXTRAS),
+            differentiable=self._differentiable,
+            threads=self.threads,
+        )
+
+    def backward(
+        self,
+        gradients: Gradients,
+        d_color: Tensor | None = None,  # (3, H, W)
+        d_alpha: Tensor | None = None,  # (1, H, W)
+        d_depth: Tensor | None = None,  # (1, H, W)
+        d_flow: Tensor | None = None,  # (2, H, W)
+        d_stats: Tensor | None = None,  # (2, H, W)
+    ) -> ViewGradient:
+        """Add the parameter gradients to `gradients`, given ∂L/∂image of the rendered outputs (None: zero).
+
+        Follows the last `render`; neither the Gaussians nor the returned images may have changed since. Raises
+        RuntimeError without such a render or when an image was changed in place, ValueError for an output that was not
+        rendered or a gradient of another shape or type.
+        """
+        if self._model is None or not self._differentiable:
+            raise RuntimeError(
+                "Rasterizer.backward must follow Rasterizer.render with differentiable=True, got no such view"
+            )
+        given = {"color": d_color, "alpha": d_alpha, "depth": d_depth, "flow": d_flow, "stats": d_stats}
+        d_images = {f"d_{name}": self._checked(name, d_image) for name, d_image in given.items()}
+        for name, image in self._images.items():
+            if image._version != self._versions[name]:
+                raise RuntimeError(
+                    f"Rasterizer.backward reads the rendered {name}, which was changed in place after "
+                    "Rasterizer.render: clone it first"
+                )
+        visible = self._state.visible
+        out = ViewGradient(
+            torch.empty(visible, dtype=torch.int32), self._empty(visible, 2), self._empty(visible), self._empty(visible)
+        )
+        colors = ViewColors(out.visible, self._empty(visible, 8), self.sh_degree, self.fourier_order)
+        self._state.backward(
+            self._model,
+            **d_images,
+            **{"quat_right": None, **gradients.dense()},
+            id=out.visible,
+            mean2d=out.mean2d,
+            mean_t=out.mean_t,
+            radius=out.radius,
+            color_gradient=colors.gradient,
+        )
+        gradients.views.append(colors)
+        return out
+
+    def _checked(self, name: str, d_image: Tensor | None) -> Tensor | None:
+        """∂L/∂image of output `name`, contiguous; ValueError if it does not fit the rendered image."""
+        if d_image is None:
+            return None
+        if name not in self._images:
+            raise ValueError(f"d_{name}: expected {name!r} among the outputs, found {self._request.outputs}")
+        expected = list(self._images[name].shape)
+        if d_image.dtype != self.dtype or list(d_image.shape) != expected:
+            raise ValueError(
+                f"d_{name} must be {dtype_name(self.dtype)} {expected}, got "
+                f"{dtype_name(d_image.dtype)} {list(d_image.shape)}"
+            )
+        return d_image.detach().contiguous()
+
+    def _empty(self, *shape: int) -> Tensor:
+        return torch.empty(shape, dtype=self.dtype)
+
+    @property
+    def visible(self) -> int:
+        """Number of Gaussians that reach the image of the last view."""
+        return self._state.visible
+
+    @property
+    def alive(self) -> int:
+        """Number of Gaussians whose temporal marginal p(t) is at least 0.05 at the last view's time.
+
+        Runs record it as `n_alive`. A static model has no marginal, so all of its Gaussians count.
+        """
+        return self._state.in_time
+
+    @property
+    def intersections(self) -> int:
+        """Number of (tile, Gaussian) intersections of the last view."""
+        return self._state.entries
+
+    def count_pairs(self) -> tuple[int, int]:
+        """(pixel, Gaussian) pairs that the last view evaluated, and those that contributed; for benchmarks."""
+        return self._state.count_pixel_gaussian_pairs()
+
+    @property
+    def stage_ms(self) -> dict[str, float]:
+        """Wall-clock milliseconds of the last view, by stage."""
+        return dict(zip(STAGES, self._state.stage_ms, strict=True))

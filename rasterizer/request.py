@@ -1,0 +1,85 @@
+"""`Request`: the arguments of one rendered view besides the Gaussians, validated."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+
+from rasterizer.camera import Camera
+from rasterizer.gaussians import Gaussians
+from rasterizer.render_output import OUTPUT_NAMES
+from rasterizer.validation import as_float, is_integer_in, short_repr
+
+MIN_DURATION = 1e-30  # colours change by up to 2π/T per unit of time, which float32 must represent
+MAX_FLOW_DT = 1e30  # float32 must represent the displacement over δ, at any velocity that its scales allow
+MAX_FLOAT32 = torch.finfo(torch.float32).max
+
+
+@dataclass(frozen=True)
+class Request:
+    """One view to render. Raises ValueError for a value that is not finite, out of range or missing."""
+
+    camera: Camera
+    time: float = 0.0  # in the unit of μt, as are duration and flow_dt
+    duration: float = 1.0  # T of the Fourier series in time
+    background: Sequence[float] = (0.0, 0.0, 0.0)  # RGB
+    outputs: Sequence[str] = ("color",)  # names from OUTPUT_NAMES
+    flow_dt: float | None = None  # δ of the optical flow; required for the output "flow"
+    near: float = 0.2  # near plane: world units along the optical axis
+    sh_degree: int | None = None  # use the coefficients up to this degree; None: all stored ones
+    fourier_order: int | None = None  # likewise
+
+    def __post_init__(self) -> None:
+        time, duration, near = (as_float(value) for value in (self.time, self.duration, self.near))
+        if not math.isfinite(time):
+            raise ValueError(f"time must be finite, got {short_repr(self.time)}")
+        if not (math.isfinite(duration) and duration > 0):
+            raise ValueError(f"duration must be finite and > 0, got {short_repr(self.duration)}")
+        if duration < MIN_DURATION:
+            raise ValueError(f"duration must be at least {MIN_DURATION:g}, got {short_repr(self.duration)}")
+        if not (math.isfinite(near) and near >= 0):
+            raise ValueError(f"near must be finite and >= 0, got {short_repr(self.near)}")
+        background = tuple(as_float(value) for value in _as_list(self.background))
+        if len(background) != 3 or not all(abs(value) <= MAX_FLOAT32 for value in background):
+            raise ValueError(f"background must be 3 finite numbers, got {short_repr(self.background)}")
+        outputs = self._checked_outputs()
+        # Scalars of any type are accepted and stored as floats; duplicate outputs are dropped.
+        for name, value in (
+            ("time", time),
+            ("duration", duration),
+            ("near", near),
+            ("background", background),
+            ("outputs", outputs),
+        ):
+            object.__setattr__(self, name, value)
+
+    def _checked_outputs(self) -> tuple[str, ...]:
+        outputs = _as_list(self.outputs)
+        for name in outputs:
+            if not (isinstance(name, str) and name in OUTPUT_NAMES):
+                raise ValueError(f"outputs must be among {', '.join(OUTPUT_NAMES)}, got {short_repr(name)}")
+        if not outputs:
+            raise ValueError(f"outputs must be some of {', '.join(OUTPUT_NAMES)}, got none")
+        if "flow" in outputs and not abs(as_float(self.flow_dt)) <= MAX_FLOW_DT:
+            raise ValueError(f"flow_dt must be finite when outputs has 'flow', got {short_repr(self.flow_dt)}")
+        return tuple(dict.fromkeys(outputs))
+
+    def check_against(self, gaussians: Gaussians) -> None:
+        """Raise ValueError for outputs or SH limits that these Gaussians do not have."""
+        if "stats" in self.outputs and gaussians.motion == "static":
+            raise ValueError("outputs must not have 'stats' for a static model, which has no time")
+        for name in ("sh_degree", "fourier_order"):
+            limit, stored = getattr(self, name), getattr(gaussians, name)
+            if limit is not None and not is_integer_in(limit, 0, stored):
+                raise ValueError(f"{name} must be in 0..{stored}, as stored, got {short_repr(limit)}")
+
+
+def _as_list(value: object) -> list:
+    """The items of a sequence; text and anything that is no sequence as the only item."""
+    try:
+        return [value] if isinstance(value, str) else list(value)
+    except TypeError:
+        return [value]

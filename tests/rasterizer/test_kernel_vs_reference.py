@@ -1,0 +1,227 @@
+"""The compiled kernel against its float64 twin, for every model, output and instruction set.
+
+Tolerances. The kernel is float32: an image may differ from the twin by 3e-5 of its largest value and a
+gradient by 1e-4 of its tensor's largest; over random scenes at most 5e-6 and 1.5e-5 are seen. Gaussians and
+pixels next to a jump are left out: `builders` says which and why; they are about 0.4 % of the pixels, under
+10 % by assertion.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import subprocess
+import sys
+from dataclasses import replace
+
+import pytest
+import torch
+from builders import (
+    ALL_OUTPUTS,
+    camera_looking_at,
+    generator,
+    off_centre_camera,
+    output_weights,
+    outputs_of,
+    random_gaussians,
+    render,
+    render_and_gradients,
+)
+from torch import Tensor
+
+from rasterizer import Gaussians, RenderOutput, Request, rasterize
+from rasterizer.kernel_loader import available_isas, kernel
+from rasterizer.reference import render as reference
+from rasterizer.reference.discontinuities import away_from_discontinuities, smooth_pixels
+
+MOTIONS = ("full", "separable", "static")
+IMAGE_TOLERANCE = 3e-5
+GRADIENT_TOLERANCE = 1e-4
+
+
+def make_request(**changes) -> Request:
+    return replace(Request(off_centre_camera(), time=0.45, duration=0.8, background=(0.3, 0.6, 0.1)), **changes)
+
+
+def assert_images_agree(found: RenderOutput, expected: RenderOutput, smooth: Tensor) -> None:
+    assert smooth.float().mean() > 0.9, "more than a tenth of the pixels are left out: compare a simpler scene"
+    for name in ALL_OUTPUTS:
+        image, truth = getattr(found, name), getattr(expected, name)
+        assert (image is None) == (truth is None)
+        if truth is not None:
+            scale = max(1e-3, truth.abs().max().item())
+            error = ((image - truth).abs() * smooth).max().item()
+            assert image.dtype == torch.float32 and error <= IMAGE_TOLERANCE * scale, f"{name}: {error} of {scale}"
+
+
+def assert_gradients_agree(found: dict[str, Tensor], expected: dict[str, Tensor]) -> None:
+    for name, truth in expected.items():
+        error, largest = (found[name] - truth).abs(), truth.abs().max().item() if truth.numel() else 0.0
+        assert torch.isfinite(found[name]).all(), name
+        if truth.numel():
+            assert error.max().item() <= GRADIENT_TOLERANCE * largest + 1e-12, (
+                f"{name}: off by {error.max().item():.2e}, the largest being {largest:.2e}"
+            )
+
+
+def check_against_twin(gaussians: Gaussians, request: Request) -> None:
+    """Images and all gradients of float64 `gaussians`, rendered in float32, against the twin."""
+    gaussians = away_from_discontinuities(gaussians, request)
+    smooth = smooth_pixels(gaussians, request)
+    weights = output_weights(request, smooth, generator(99))
+    expected, truth = render_and_gradients(reference.rasterize, gaussians, request, weights)
+    found, gradients = render_and_gradients(rasterize, gaussians.to(torch.float32), request, weights)
+    assert_images_agree(found, expected, smooth)
+    assert_gradients_agree(gradients, truth)
+
+
+# ---- Against the twin --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("motion", "output"), [(m, name) for m in MOTIONS for name in outputs_of(m)])
+def test_each_output_alone(motion: str, output: str):
+    check_against_twin(random_gaussians(70, motion, generator(1)), make_request(outputs=(output,), flow_dt=0.2))
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_core_all_outputs_together(motion: str):
+    request = make_request(outputs=outputs_of(motion), flow_dt=0.2)
+    check_against_twin(random_gaussians(70, motion, generator(2)), request)
+
+
+@pytest.mark.parametrize("sh_degree", [0, 1, 2, 3])
+@pytest.mark.parametrize(
+    ("motion", "fourier_order"), [(m, order) for m in MOTIONS for order in range(1 if m == "static" else 3)]
+)
+def test_every_size_of_sh(motion: str, sh_degree: int, fourier_order: int):
+    gaussians = random_gaussians(35, motion, generator(3), sh_degree=sh_degree, fourier_order=fourier_order)
+    check_against_twin(gaussians, make_request())
+
+
+@pytest.mark.parametrize(("sh_degree", "fourier_order"), [(0, 0), (2, 1), (1, 2), (3, 0)])
+def test_limits_on_what_is_stored(sh_degree: int, fourier_order: int):
+    request = make_request(sh_degree=sh_degree, fourier_order=fourier_order)
+    check_against_twin(random_gaussians(35, "full", generator(4)), request)
+
+
+@pytest.mark.parametrize("count", [1, 15, 16, 17, 33])
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_counts_around_the_vector_width(motion: str, count: int):
+    gaussians = random_gaussians(count, motion, generator(5))
+    if motion != "static":
+        gaussians.log_scale[:, 3] = 0.0  # all of them present
+    check_against_twin(gaussians, make_request(outputs=outputs_of(motion), flow_dt=0.2))
+
+
+@pytest.mark.parametrize("size", [(1, 1), (16, 16), (17, 5), (3, 50)])
+def test_sizes_around_the_tile(size: tuple[int, int]):
+    camera = camera_looking_at((0.3, 0.2, -3), *size, focal=max(size) * 1.1)
+    request = make_request(camera=camera)
+    gaussians = away_from_discontinuities(random_gaussians(40, "full", generator(6)), request)
+    # Too few pixels to leave a tenth out: images only where smooth, gradients likewise, by the weights.
+    smooth = smooth_pixels(gaussians, request)
+    weights = output_weights(request, smooth, generator(7))
+    expected, truth = render_and_gradients(reference.rasterize, gaussians, request, weights)
+    found, gradients = render_and_gradients(rasterize, gaussians.to(torch.float32), request, weights)
+    assert ((found.color - expected.color).abs() * smooth).max() <= IMAGE_TOLERANCE * expected.color.max()
+    assert_gradients_agree(gradients, truth)
+
+
+def test_core_many_opaque_gaussians_end_pixels_early():
+    """A crowd in which most pixels end before their last Gaussian: what lies behind must get no gradient."""
+    gaussians = random_gaussians(
+        600, "full", generator(8), log_scale=(-2.5, -1.0), opacity_logit=(3.0, 8.0), sh_degree=1
+    )
+    request = make_request(outputs=("color", "alpha"))
+    gaussians = away_from_discontinuities(gaussians, request)
+    smooth = smooth_pixels(gaussians, request)
+    weights = output_weights(request, smooth, generator(9))
+    expected, truth = render_and_gradients(reference.rasterize, gaussians, request, weights)
+    found, gradients = render_and_gradients(rasterize, gaussians.to(torch.float32), request, weights)
+    assert (expected.alpha > 1 - 1e-3).float().mean() > 0.3
+    assert smooth.float().mean() > 0.5  # a crowd has a jump near many a pixel
+    for name in ("color", "alpha"):
+        assert ((getattr(found, name) - getattr(expected, name)).abs() * smooth).max() < 5e-4
+    assert_gradients_agree(gradients, truth)
+
+
+def test_large_and_distant_and_near():
+    """Wider than the image, thinner than a pixel, outside the frustum's clamp, all round the camera."""
+    gaussians = random_gaussians(80, "full", generator(10), log_scale=(-6.0, 0.3))
+    camera = camera_looking_at((0.2, 0.1, -0.6), focal=30.0)
+    check_against_twin(gaussians, make_request(camera=camera, outputs=("color", "depth")))
+
+
+@pytest.mark.parametrize("ratio", [1e2, 1e4])
+def test_long_fast_streaks(ratio: float):
+    """Axis ratios at which the textbook conditional covariance is indefinite in float32.
+
+    What float32 can hold of such a Gaussian is itself uncertain to about 1e-7 × ratio, hence the image
+    alone, loosely.
+    """
+    gaussians = random_gaussians(40, "full", generator(11), opacity_logit=(-1.0, 0.0))
+    gaussians.log_scale[:, 0] = math.log(0.5)
+    gaussians.log_scale[:, 1:3] = math.log(0.5 / ratio)
+    gaussians = gaussians.to(torch.float32).to(torch.float64)
+    request = make_request()
+    gaussians = away_from_discontinuities(gaussians, request)
+    smooth = smooth_pixels(gaussians, request, margin=1e-2)
+    expected, found = (
+        render(reference.rasterize, gaussians, request),
+        render(rasterize, gaussians.to(torch.float32), request),
+    )
+    assert ((found.color - expected.color).abs() * smooth).max() < max(2e-4, 1e-6 * ratio)
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_core_no_gaussian_is_background(motion: str):
+    weights = {"color": torch.ones(3, 37, 45)}
+    out, gradients = render_and_gradients(
+        rasterize, random_gaussians(0, motion, generator(12)).to(torch.float32), make_request(), weights
+    )
+    assert torch.equal(out.color, torch.tensor([0.3, 0.6, 0.1])[:, None, None].expand(3, 37, 45))
+    assert all(gradient.numel() == 0 for gradient in gradients.values())
+
+
+# ---- Instruction sets --------------------------------------------------------------------------------------
+
+
+OTHERS = [isa for isa in available_isas() if not kernel.__name__.endswith(f"_{isa}")]
+
+
+@pytest.mark.parametrize("isa", OTHERS or available_isas())
+def test_every_other_instruction_set_of_this_machine(isa: str):
+    """The core tests once more, in a process that is told which kernel to load; here they run on the one in use."""
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-k", "core", __file__]
+    done = subprocess.run(command, env={**os.environ, "RASTERIZER_ISA": isa}, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-1000:]
+
+
+def test_a_huge_temporal_scale_with_a_tilted_time_axis():
+    """M_xyz - h m_t cancels here: entries of 1e5 whose difference is 0.1. Away from jumps the factor must not.
+
+    1e-4: the images agree to a few 1e-6; the form that cancels is off by more than 1e-2.
+    """
+    gaussians = random_gaussians(40, "full", generator(12))
+    gaussians.log_scale[:, 3] = math.log(1e6)
+    gaussians = gaussians.to(torch.float32).to(torch.float64)
+    request = make_request()
+    gaussians = away_from_discontinuities(gaussians, request)
+    smooth = smooth_pixels(gaussians, request)
+    expected = render(reference.rasterize, gaussians, request).color
+    found = render(rasterize, gaussians.to(torch.float32), request).color
+    assert len(gaussians) > 0 and smooth.float().mean() > 0.5
+    assert ((found.double() - expected).abs() * smooth).max() < 1e-4
+
+
+def test_a_denormal_quaternion_keeps_its_direction():
+    """Its inverse overflows float32; 1e-3 because a denormal of 1e-40 itself has only some 16 bits."""
+    gaussians = random_gaussians(30, "full", generator(13))
+    request = make_request()
+    gaussians = away_from_discontinuities(gaussians, request)
+    smooth = smooth_pixels(gaussians, request, margin=1e-2)
+    expected = render(reference.rasterize, gaussians, request).color
+    single = gaussians.to(torch.float32)
+    single.quat_left.mul_(1e-40)
+    found = render(rasterize, single, request).color
+    assert ((found.double() - expected).abs() * smooth).max() < 1e-3
