@@ -198,7 +198,7 @@ def now() -> str:
 
 def _append(path: Path, text: str) -> None:
     """Append whole lines, first ending one that a kill left incomplete."""
-    with writing(path), open(path, "ab+") as file:
+    with disk_errors_named(path), open(path, "ab+") as file:
         if file.tell() > 0:
             file.seek(-1, os.SEEK_END)
             if file.read(1) != b"\n":
@@ -207,7 +207,7 @@ def _append(path: Path, text: str) -> None:
 
 
 def _locked(path: Path) -> io.TextIOWrapper:
-    with writing(path / ".lock"):
+    with disk_errors_named(path / ".lock"):
         lock = open(path / ".lock", "w")
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)

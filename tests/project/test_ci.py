@@ -1,4 +1,4 @@
-"""`.ci/run` on a small repository, with a make that only says what it was asked and where."""
+"""`.ci/run` on a small repository, with a make that only prints its target and its folder."""
 
 from __future__ import annotations
 
@@ -56,11 +56,16 @@ def checkout(tmp_path: Path, environment: dict[str, str]) -> Path:
 
 
 @pytest.mark.parametrize(
-    "faulty, status, asked",
-    [("", 0, ["test", "reproduce"]), ("test", 1, ["test"]), ("reproduce", 1, ["test", "reproduce"])],
+    "faulty, status, targets",
+    [
+        ("", 0, ["lint", "test", "reproduce"]),
+        ("lint", 1, ["lint"]),
+        ("test", 1, ["lint", "test"]),
+        ("reproduce", 1, ["lint", "test", "reproduce"]),
+    ],
 )
 def test_what_is_committed_is_tested_alone_and_removed(
-    checkout: Path, environment: dict[str, str], faulty: str, status: int, asked: list[str]
+    checkout: Path, environment: dict[str, str], faulty: str, status: int, targets: list[str]
 ) -> None:
     (checkout / "not_committed").touch()
     done = subprocess.run(
@@ -69,7 +74,7 @@ def test_what_is_committed_is_tested_alone_and_removed(
     assert done.returncode == status, done.stderr
     lines = done.stdout.splitlines()
     made = [line for line in lines if " in /" in line]
-    assert [line.split()[0] for line in made] == asked
+    assert [line.split()[0] for line in made] == targets
     for line in made:  # in another folder, which holds what was committed, with nothing beside it; nothing is set
         assert str(checkout) not in line and line.endswith("with kept old beside checkout; isa ''")
     assert any("working tree differs" in line for line in lines)
