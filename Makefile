@@ -55,15 +55,15 @@ reproduce: $(BUILT) ## train the synthetic suite and its ablations, write tables
 bench: $(BUILT) ## time kernel, loss, optimiser and reference implementation in one run; a roofline plot in results/bench
 	$(RUN) rasterizer.bench W1 W2h W2 --all
 
-work-precision: $(BUILT) ## error against time of the kernel's numerical choices: table and plot in results/work_precision
+work-precision: $(BUILT) ## error against time of the kernel's numerical choices: results/kernel_precision
 	$(RUN) pipeline.studies.kernel_precision
 
-scaling: $(BUILT) ## how cost and Gaussians grow with scene and video: tables and plots in results/scaling
+scaling: $(BUILT) ## cost and number of Gaussians against scene size and video length: results/cost_scaling, video_length
 	$(RUN) pipeline.studies.cost_scaling
 	$(RUN) pipeline experiment=video_length
 	$(RUN) pipeline.studies.video_length
 
-stability: $(BUILT) ## hard cases in float32 against float64: a table in results/stability; fails where a bound is broken
+stability: $(BUILT) ## float32 kernel against float64 in ill-conditioned scenes: results/kernel_stability; fails above a bound
 	$(RUN) pipeline.studies.kernel_stability
 
 report: $(BUILT) ## tables, plots and the HTML page from the run folders under RUNS=results/runs

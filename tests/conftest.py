@@ -23,7 +23,7 @@ from rasterizer.cores import usable_cores  # noqa: E402
 collect_ignore = [] if shutil.which("git") else ["project/test_ci.py"]
 MOST_PROCESSES = 8  # more would wait for the longest file
 # The longest files, longest first: one that began last would leave the other processes idle.
-LONGEST = ("test_work_precision", "test_stability", "test_pipeline", "test_filmed", "test_config", "test_sfm")
+LONGEST = ("test_kernel_precision", "test_kernel_stability", "test_pipeline", "test_filmed", "test_config", "test_sfm")
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -1,48 +1,44 @@
-"""How cost grows: python -m pipeline.studies.cost_scaling
+"""Cost scaling: time of a frame and of a training iteration against the size of the scene.
 
-Milliseconds of a frame (forward and backward) and of a training iteration (frames, loss, dense Adam) against the number
-of Gaussians, the pixels, the batch and the length of the video, one at a time, on one thread's CPU time. Each series
-gets the exponent e of cost = c · size^e, fitted by least squares in the logarithms: 1 is proportional, less is better
-than that. How many Gaussians a longer video needs is another question: pipeline/studies/video_length.py.
+A frame is a forward and a backward pass; an iteration is the frames of a batch, loss and dense Adam. Each is measured
+against the number of Gaussians, the pixels, the batch and the length of the video, one at a time, as CPU time of one
+thread. The exponent e of cost = c · size^e is fitted by least squares of the logarithms. How many Gaussians a longer
+video needs is another study: pipeline/studies/video_length.py. Writes cost_scaling.csv, .md and .svg.
 """
 
 from __future__ import annotations
 
-import argparse
-import csv
-import io
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
-import matplotlib
 import numpy as np
 import torch
-from matplotlib.backends.backend_svg import FigureCanvasSVG
-from matplotlib.figure import Figure
 
 from pipeline.presentation.theme import LIGHT
-from pipeline.runs.provenance import provenance
-from pipeline.terminal.closed_pipe import quiet_on_closed_pipe
+from pipeline.studies.command_line import Provenance, StudyParser, log, study_command
+from pipeline.studies.output import csv_text, svg_figure, svg_style, svg_text, write_results
 from rasterizer import Gaussians
-from rasterizer.memory import keep_freed_memory
-from rasterizer.timing.measure import time_frame, time_iteration
+from rasterizer.allocator import keep_freed_memory
+from rasterizer.timing.frame_time import time_frame
+from rasterizer.timing.iteration_time import time_iteration
 from rasterizer.timing.workloads import WORKLOADS, Workload, make_workload
 
+NAME = "cost_scaling"
 AXES = {
     "gaussians": "Gaussians",
     "pixels": "pixels",
     "batch": "views an iteration",
-    "length": "length, as many Gaussians a second",
-    "length_alone": "length, as many Gaussians in all",
+    "length": "video length at constant Gaussians a second",
+    "length_alone": "video length at a constant number of Gaussians",
 }
 _COLOURS = {"frame": LIGHT.ablations[0], "iteration": LIGHT.ablations[1]}
+_MARGINS = {"left": 0.05, "right": 0.985, "bottom": 0.08, "top": 0.92, "hspace": 0.32}
 
 
 @dataclass(frozen=True)
 class Series:
-    """A cost measured at several sizes of one thing, all else the same."""
+    """The cost at several sizes along one axis, all else equal."""
 
     axis: str  # in AXES
     cost: str  # frame or iteration
@@ -56,19 +52,19 @@ class Series:
 
 
 def with_gaussians(workload: Workload, count: int) -> Workload:
-    """The first `count`: the workloads draw theirs independently, so a part is the same scene, thinner."""
+    """The first `count` Gaussians. Workloads draw them independently: the same scene at a lower density."""
     rows = {name: tensor[:count].clone() for name, tensor in workload.gaussians.tensors().items()}
     return replace(workload, gaussians=Gaussians(**{"quat_right": None, **rows}))
 
 
 def with_width(workload: Workload, width: int) -> Workload:
-    """The same view in more or fewer pixels."""
+    """The same view at another resolution."""
     height = round(workload.camera.height * width / workload.camera.width)
     return replace(workload, camera=workload.camera.resized(width, height))
 
 
 def with_length(workload: Workload, length: int) -> Workload:
-    """A video `length` times as long, seen at its middle: Gaussians spread over it, each alive as long as before."""
+    """A video `length` times as long, rendered at its middle: Gaussians are spread over it, lifetimes stay."""
     mean = workload.gaussians.mean.clone()
     mean[:, 3] *= length
     return replace(
@@ -82,23 +78,23 @@ def with_length(workload: Workload, length: int) -> Workload:
 def measure(
     workload: Workload, repeats: int, steps: int = 4, views: int = 4, log: Callable[[str], None] = lambda line: None
 ) -> list[Series]:
-    """Gaussians halved, width halved and doubled, batch and length doubled, `steps` sizes each; iterations are of
-    `views` views where the batch is not what is varied.
+    """All series, with `steps` sizes each: Gaussians and width are halved, batch and length doubled.
 
-    Length twice: with as many Gaussians a second in each, the longest having the workload's; and with the workload's.
+    Length is varied at constant Gaussians a second (the longest video has the workload's) and at the workload's number
+    of Gaussians. Where the batch is not varied an iteration has `views` views.
     """
     count, width = len(workload.gaussians), workload.camera.width
     smaller = [with_gaussians(workload, count >> k) for k in reversed(range(steps))]
     resized = [with_width(workload, (2 * width) >> k) for k in reversed(range(steps))]
     lengths = batches = [1 << k for k in range(steps)]
     longer = [with_length(w, length) for w, length in zip(smaller, lengths, strict=True)]
-    thinner = [with_length(workload, length) for length in lengths]
+    sparser = [with_length(workload, length) for length in lengths]
     found = []
     for axis, workloads, sizes in (
         ("gaussians", smaller, [len(w.gaussians) for w in smaller]),
         ("pixels", resized, [w.camera.width * w.camera.height for w in resized]),
         ("length", longer, lengths),
-        ("length_alone", thinner, lengths),
+        ("length_alone", sparser, lengths),
     ):
         log(axis)
         frame = tuple(time_frame(w, 1, repeats).total.minimum for w in workloads)
@@ -110,24 +106,25 @@ def measure(
 
 
 def comma_separated(series: Sequence[Series]) -> str:
-    """One measurement a line, the fit of its series beside it."""
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(["axis", "cost", "size", "milliseconds", "exponent"])
-    for s in series:
-        for size, ms in zip(s.sizes, s.milliseconds, strict=True):
-            writer.writerow([s.axis, s.cost, size, ms, f"{s.fit()[1]:.4f}"])
-    return buffer.getvalue()
+    """One line for each measurement, with the exponent of its series."""
+    return csv_text(
+        ["axis", "cost", "size", "milliseconds", "exponent"],
+        (
+            [s.axis, s.cost, size, ms, f"{s.fit()[1]:.4f}"]
+            for s in series
+            for size, ms in zip(s.sizes, s.milliseconds, strict=True)
+        ),
+    )
 
 
 def markdown(series: Sequence[Series], heading: str) -> str:
-    """A row a series: its sizes, its milliseconds, its exponent."""
+    """One row for each series: sizes, milliseconds, exponent."""
     lines = [
-        "### How cost grows",
+        "### Cost against scene size",
         "",
         heading,
         "",
-        "| milliseconds of a | against | sizes | ms | exponent |",
+        "| cost | against | sizes | ms | exponent |",
         "|:---|:---|:---|:---|---:|",
     ]
     for s in series:
@@ -137,72 +134,58 @@ def markdown(series: Sequence[Series], heading: str) -> str:
         )
     note = (
         "- CPU time of one thread, minimum. Exponent e: cost = c · size^e, least squares of the logarithms; 1 is "
-        "proportional. A length of 2 is a video twice as long, in which each Gaussian lives as long as before: "
-        "with as many a second as many are alive in a frame, with as many in all half as many."
+        "proportional. A length of 2 is a video twice as long with the same lifetimes of Gaussians. At constant "
+        "Gaussians a second the number active in a frame stays; at a constant number of Gaussians it halves."
     )
     return "\n".join([*lines, "", note]) + "\n"
 
 
 def draw(series: Sequence[Series], title: str) -> str:
-    """SVG text, a panel for each of AXES, logarithmic both ways; the same numbers give the same bytes."""
-    with matplotlib.rc_context({"svg.hashsalt": "scaling", "font.family": "DejaVu Sans", "font.size": 9.5}):
-        figure = Figure(figsize=(12.6, 7.4), facecolor="white")
-        FigureCanvasSVG(figure)
-        panels = list(
-            figure.subplots(
-                2, 3, gridspec_kw={"left": 0.05, "right": 0.985, "bottom": 0.08, "top": 0.92, "hspace": 0.32}
-            ).flat
-        )
-        panels[-1].axis("off")  # five are drawn
+    """SVG text, one panel for each of AXES, both axes logarithmic; the same numbers give the same bytes."""
+    with svg_style(NAME):
+        figure = svg_figure(12.6, 7.4)
+        panels = list(figure.subplots(2, 3, gridspec_kw=_MARGINS).flat)
+        panels[-1].axis("off")  # there are five
         for axis, (key, label) in zip(panels, AXES.items()):
             for s in (s for s in series if s.axis == key):
                 c, e = s.fit()
                 axis.plot(s.sizes, s.milliseconds, "o", color=_COLOURS[s.cost])
-                axis.plot(
-                    s.sizes,
-                    [c * size**e for size in s.sizes],
-                    color=_COLOURS[s.cost],
-                    label=f"{s.cost}: exponent {e:.2f}",
-                )
+                fitted = [c * size**e for size in s.sizes]
+                axis.plot(s.sizes, fitted, color=_COLOURS[s.cost], label=f"{s.cost}: exponent {e:.2f}")
             axis.set(xscale="log", yscale="log", xlabel=label)
             axis.set_title("ms, CPU time of one thread", loc="left", fontsize=10)
             axis.grid(color=LIGHT.faint, which="both", lw=0.7)
             axis.legend(frameon=False)
         figure.text(0.05, 0.97, title, fontsize=9)
-        buffer = io.StringIO()
-        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
-    return buffer.getvalue()
+        return svg_text(figure)
 
 
-@quiet_on_closed_pipe()
-def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(
-        prog="python -m pipeline.studies.cost_scaling", description=__doc__.splitlines()[0]
+@study_command
+def main(arguments: list[str]) -> int:
+    parser = StudyParser(NAME, __doc__)
+    parser.add_argument(
+        "--workload", choices=WORKLOADS, default="W1", help="the largest scene of each series (default: %(default)s)"
     )
-    parser.add_argument("--workload", choices=WORKLOADS, default="W1", help="the largest scene of the series (W1)")
-    parser.add_argument("--repeats", type=int, default=9, help="fastest of so many (9)")
-    parser.add_argument("--out", type=Path, default=Path("results/scaling"), help="(results/scaling)")
+    parser.add_argument(
+        "--repeats", type=int, default=9, metavar="N", help="repetitions; the minimum counts (default: %(default)s)"
+    )
     options = parser.parse_args(arguments)
-    if options.repeats < 1:
-        parser.error(f"--repeats: expected at least 1, found {options.repeats}")
+    parser.require(options.repeats >= 1, "--repeats", "at least 1", options.repeats)
     keep_freed_memory()
     torch.set_num_threads(1)
-    series = measure(make_workload(options.workload), options.repeats, log=lambda line: print(line, flush=True))
-    typed = sys.argv[1:] if arguments is None else arguments
-    made = provenance(" ".join(["python -m pipeline.studies.cost_scaling", *typed]))
-    heading = (
-        f"{options.workload}. {made['machine']}; {made['date'][:16]}; commit {made['git_commit'][:10]}; "
-        f"`{made['command']}`."
+    series = measure(make_workload(options.workload), options.repeats, log=log)
+    made = Provenance.of(NAME, arguments)
+    table = markdown(series, f"{options.workload}. {made}.")
+    written = write_results(
+        options.out,
+        {
+            f"{NAME}.csv": comma_separated(series),
+            f"{NAME}.md": table,
+            f"{NAME}.svg": draw(series, f"{options.workload}, {made.short()}"),
+        },
     )
-    options.out.mkdir(parents=True, exist_ok=True)
-    for suffix, content in (
-        ("csv", comma_separated(series)),
-        ("md", markdown(series, heading)),
-        ("svg", draw(series, f"{options.workload}, {made['machine']}, {made['date'][:10]}")),
-    ):
-        (options.out / f"scaling.{suffix}").write_text(content, encoding="utf-8")
-    print(markdown(series, heading))
-    print(f"written to {options.out}")
+    print(table)
+    print(written)
     return 0
 
 

@@ -1,4 +1,4 @@
-"""A finished run opened again: its settings, its scene and its last model."""
+"""Reads a finished run again: its configuration, its scene and its final model."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class TrainedRun:
 
 
 def open_run(folder: Path, log: Callable[[str], None]) -> TrainedRun:
-    """Reads the scene the run was trained on too. Raises ValueError, one line, where the folder holds no training."""
+    """Also reads the data set that the run was trained on. ValueError, one line, where `folder` is no trained run."""
     for name in ("config.yaml", FILE_NAME):
         if not (folder / name).exists():
             raise ValueError(f"{folder}: expected a trained run with {name}, found none")

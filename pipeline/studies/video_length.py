@@ -1,40 +1,36 @@
-"""How many Gaussians a longer video takes, from trained models: python -m pipeline.studies.video_length
+"""Video length: Gaussians of trained models against the number of frames.
 
-Reads runs that differ in how many frames were filmed (python -m pipeline experiment=video_length makes them) and sets
-N, and the Gaussians alive in a frame, against the number of frames, as a figure of the paper's appendix does. What a
-frame costs follows the second, what the model weighs the first. Table and plot; exponents e of N = c · frames^e.
+Reads runs that differ in scene.frames and seed only (python -m pipeline experiment=video_length trains them). The size
+of a model grows with its Gaussians, the cost of a frame with those that are active in the frame. Exponents e are of
+N = c · frames^e; the paper's appendix has such a figure. Writes video_length.csv, .md and .svg.
 """
 
 from __future__ import annotations
 
-import argparse
-import csv
-import io
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 import pandas as pd
-from matplotlib.backends.backend_svg import FigureCanvasSVG
-from matplotlib.figure import Figure
 
-from pipeline.presentation.seeds import Estimate, estimate
+from pipeline.presentation.seed_statistics import Estimate, estimate
 from pipeline.presentation.table import measured
 from pipeline.presentation.theme import LIGHT
 from pipeline.runs.read.collect import Collection, collect
 from pipeline.runs.read.variants import schedule_settings
-from pipeline.terminal.closed_pipe import quiet_on_closed_pipe
+from pipeline.studies.command_line import StudyParser, study_command
+from pipeline.studies.output import csv_text, svg_figure, svg_style, svg_text, write_results
 
+NAME = "video_length"
 _KEY = "scene.frames"
-_LINES = (("gaussians", "Gaussians"), ("alive", "alive in a frame"))
+_LINES = (("gaussians", "Gaussians"), ("alive", "active in a frame"))
 
 
 @dataclass(frozen=True)
 class Length:
-    """The seeds of one length. An estimate is None where a run lacks the number."""
+    """All seeds of one video length. An estimate is None where a run lacks the value."""
 
     frames: int
     gaussians: Estimate | None
@@ -44,7 +40,7 @@ class Length:
 
 
 def lengths_of(collection: Collection) -> list[Length]:
-    """Shortest first. ValueError, one line, unless the runs differ in their frames and their seed, and in no more."""
+    """Shortest first. ValueError, one line, where the runs differ in more than frames and seed, or do not in frames."""
     settings = collection.settings
     without = [run for run in collection.runs["run"] if _KEY not in settings[run]]
     if without:
@@ -62,12 +58,12 @@ def lengths_of(collection: Collection) -> list[Length]:
         ]
         if differing:
             raise ValueError(
-                f"{run}: expected the settings of {first} but for {_KEY} and seed, found another {min(differing)}"
+                f"{run}: expected the settings of {first} except {_KEY} and seed, found another {min(differing)}"
             )
     frames = collection.runs["run"].map(lambda run: int(settings[run][_KEY]))
     found = [_length(count, runs) for count, runs in collection.runs.groupby(frames, sort=True)]
     if len(found) < 2:
-        raise ValueError(f"{_KEY}: expected runs of two lengths at least, found {found[0].frames} alone")
+        raise ValueError(f"{_KEY}: expected runs of at least two lengths, found only {found[0].frames}")
     return found
 
 
@@ -82,23 +78,21 @@ def _length(frames: int, runs: pd.DataFrame) -> Length:
 
 
 def exponent(lengths: Sequence[Length], line: str) -> float:
-    """e of `line` = c · frames^e, least squares of the logarithms; NaN where a length lacks the number."""
+    """e of `line` = c · frames^e, by least squares of the logarithms; NaN where a length lacks the value."""
     means = [np.nan if (value := getattr(length, line)) is None else value.mean for length in lengths]
     return float(np.polyfit(np.log([length.frames for length in lengths]), np.log(means), 1)[0])
 
 
 def comma_separated(lengths: Sequence[Length]) -> str:
-    """A line a length: means, and std over seeds where there are several."""
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
+    """One line for each length: means, and the standard deviation over seeds where there are several."""
     columns = ("gaussians", "alive", "psnr", "seconds")
-    writer.writerow(["frames", "seeds", *(name for column in columns for name in (column, f"{column}_std"))])
+    rows = []
     for length in lengths:
         cells = []
         for value in (getattr(length, column) for column in columns):
             cells += ["", ""] if value is None else [value.mean, "" if np.isnan(value.std) else value.std]
-        writer.writerow([length.frames, length.gaussians.n, *cells])
-    return buffer.getvalue()
+        rows.append([length.frames, length.gaussians.n, *cells])
+    return csv_text(["frames", "seeds", *(name for column in columns for name in (column, f"{column}_std"))], rows)
 
 
 def markdown(lengths: Sequence[Length], heading: str) -> str:
@@ -107,25 +101,24 @@ def markdown(lengths: Sequence[Length], heading: str) -> str:
         "",
         heading,
         "",
-        "| frames | Gaussians | alive in a frame | part alive | PSNR, dB | train s |",
+        "| frames | Gaussians | active in a frame | active fraction | PSNR, dB | train s |",
         "|---:|---:|---:|---:|---:|---:|",
     ]
     for length in lengths:
-        part = f"{length.alive.mean / length.gaussians.mean:.2f}" if length.alive else "n/a"
+        fraction = f"{length.alive.mean / length.gaussians.mean:.2f}" if length.alive else "n/a"
         lines.append(
             f"| {length.frames:,} | {measured(length.gaussians, 0).text} | {measured(length.alive, 0).text} | "
-            f"{part} | {measured(length.psnr).text} | {measured(length.seconds, 0).text} |"
+            f"{fraction} | {measured(length.psnr).text} | {measured(length.seconds, 0).text} |"
         )
-    grown = "; ".join(f"{label} {exponent(lengths, line):z.2f}" for line, label in _LINES)
-    note = f"- Exponents e of N = c · frames^e: {grown}. ±: standard deviation over seeds; no ±: one seed."
+    exponents = "; ".join(f"{label} {exponent(lengths, line):z.2f}" for line, label in _LINES)
+    note = f"- Exponents e of N = c · frames^e: {exponents}. ±: standard deviation over seeds; no ±: one seed."
     return "\n".join([*lines, "", note]) + "\n"
 
 
 def draw(lengths: Sequence[Length], title: str) -> str:
     """SVG text, both axes logarithmic; the same numbers give the same bytes."""
-    with matplotlib.rc_context({"svg.hashsalt": "video-length", "font.family": "DejaVu Sans", "font.size": 9.5}):
-        figure = Figure(figsize=(7.2, 4.4), facecolor="white")
-        FigureCanvasSVG(figure)
+    with svg_style(NAME):
+        figure = svg_figure(7.2, 4.4)
         axis = figure.subplots(gridspec_kw={"left": 0.1, "right": 0.97, "bottom": 0.12, "top": 0.86})
         for (line, label), colour in zip(_LINES, LIGHT.ablations):
             shown = [(length.frames, value) for length in lengths if (value := getattr(length, line)) is not None]
@@ -145,46 +138,40 @@ def draw(lengths: Sequence[Length], title: str) -> str:
         axis.grid(color=LIGHT.faint, which="both", lw=0.7)
         axis.legend(frameon=False)
         figure.text(0.1, 0.95, title, fontsize=9)
-        buffer = io.StringIO()
-        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
-    return buffer.getvalue()
+        return svg_text(figure)
 
 
-@quiet_on_closed_pipe()
-def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(
-        prog="python -m pipeline.studies.video_length", description=__doc__.splitlines()[0]
-    )
+@study_command
+def main(arguments: list[str]) -> int:
+    parser = StudyParser(NAME, __doc__)
     parser.add_argument(
         "runs",
         type=Path,
         nargs="?",
         default=Path("results/runs/video_length"),
         metavar="RUNS",
-        help="folder of runs (results/runs/video_length)",
+        help="folder that holds the runs (default: %(default)s)",
     )
-    parser.add_argument("--out", type=Path, default=Path("results/scaling"), help="(results/scaling)")
     options = parser.parse_args(arguments)
-    try:
-        collection = collect(options.runs)
-        lengths = lengths_of(collection)
-    except (FileNotFoundError, ValueError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
+    collection = collect(options.runs)
+    lengths = lengths_of(collection)
     for line in (*collection.left_out, *collection.warnings):
         print(f"warning: {line}", file=sys.stderr)
     run = collection.runs.iloc[0]
     made = f"{run['machine']}; {run['date'][:16]}; commit {run['git_commit'][:10]}; `{run['command']}`"
-    heading = f"{run['scene']}, {run['train']}, {run['ablation']}. {made} and its sisters."
-    options.out.mkdir(parents=True, exist_ok=True)
-    for suffix, content in (
-        ("csv", comma_separated(lengths)),
-        ("md", markdown(lengths, heading)),
-        ("svg", draw(lengths, f"{run['scene']}, {run['machine']}, {run['date'][:10]}")),
-    ):
-        (options.out / f"video_length.{suffix}").write_text(content, encoding="utf-8")
-    print(markdown(lengths, heading))
-    print(f"written to {options.out}")
+    table = markdown(
+        lengths, f"{run['scene']}, {run['train']}, {run['ablation']}. {made} and the other runs of the sweep."
+    )
+    written = write_results(
+        options.out,
+        {
+            f"{NAME}.csv": comma_separated(lengths),
+            f"{NAME}.md": table,
+            f"{NAME}.svg": draw(lengths, f"{run['scene']}, {run['machine']}, {run['date'][:10]}"),
+        },
+    )
+    print(table)
+    print(written)
     return 0
 
 

@@ -213,21 +213,21 @@ def test_a_sweep_side_by_side(shell: Shell) -> None:
     assert "scene=synthetic/wheel" in command and "seed=1" in command
 
 
-def test_a_finished_run_is_made_smaller(shell: Shell, run_argument: str) -> None:
+def test_compression_of_a_finished_run(shell: Shell, run_argument: str) -> None:
     out, err = shell(run_argument, module="pipeline.studies.compression")
-    assert err == "" and "Quality against size and speed" in out
-    assert {path.name for path in (shell.folder / "results/compact").iterdir()} == {
-        "compact.md",
-        "compact.svg",
-        "compact.safetensors",
+    assert err == "" and "PSNR against size and speed" in out
+    assert {path.name for path in (shell.folder / "results/compression").iterdir()} == {
+        "compression.md",
+        "compression.svg",
+        "compression.safetensors",
     }
 
 
-def test_seen_against_unseen_of_a_finished_run(shell: Shell, run_argument: str) -> None:
+def test_overfitting_of_a_finished_run(shell: Shell, run_argument: str) -> None:
     out, err = shell(run_argument, module="pipeline.studies.overfitting")
-    assert err == "" and "held out" in out
-    assert {path.name for path in (shell.folder / "results/generalisation").iterdir()} == {
-        "generalisation.svg",
+    assert err == "" and "held-out dB" in out
+    assert {path.name for path in (shell.folder / "results/overfitting").iterdir()} == {
+        "overfitting.svg",
         "moment.webp",
     }
 
@@ -235,4 +235,4 @@ def test_seen_against_unseen_of_a_finished_run(shell: Shell, run_argument: str) 
 @pytest.mark.parametrize("module", ["pipeline.studies.compression", "pipeline.studies.overfitting"])
 def test_a_folder_without_a_run_is_refused_in_one_line(shell: Shell, module: str) -> None:
     out, err = shell("nowhere", module=module, status=1)
-    assert out == "" and err.startswith("nowhere: expected a ") and err.count("\n") == 1
+    assert out == "" and err.startswith("error: nowhere: expected a ") and err.count("\n") == 1

@@ -1,4 +1,4 @@
-"""Gaussians against the length of a video: what runs say, in numbers that are known."""
+"""Video length: exponents and tables from runs with known numbers, one-line errors."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def write_length(root: Path, frames: int, seed: int = 0, iterations: int = 100, 
     return folder
 
 
-def test_power_laws_are_found_and_seeds_averaged(tmp_path: Path) -> None:
+def test_exponents_and_means_over_seeds(tmp_path: Path) -> None:
     for frames in (10, 20, 80):
         for seed, factor in enumerate((0.9, 1.1)):
             write_length(tmp_path, frames, seed, n_gaussians=factor * 500 * frames**0.8, n_alive_mean=factor * 300.0)
@@ -33,7 +33,7 @@ def test_power_laws_are_found_and_seeds_averaged(tmp_path: Path) -> None:
     assert draw(found, "title") == draw(found, "title")
 
 
-def test_the_command_writes_table_numbers_and_plot(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_command_writes_table_csv_and_plot(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     for frames in (15, 30):
         write_length(tmp_path / "runs", frames, n_gaussians=100 * frames, n_alive_mean=700.0)
     assert main([str(tmp_path / "runs"), "--out", str(tmp_path / "out")]) == 0
@@ -44,30 +44,30 @@ def test_the_command_writes_table_numbers_and_plot(tmp_path: Path, capsys: pytes
         (30, 3000.0, ""),
     ]
     text = (tmp_path / "out/video_length.md").read_text()
-    assert text in capsys.readouterr().out and "Gaussians 1.00; alive in a frame 0.00" in text
+    assert text in capsys.readouterr().out and "Gaussians 1.00; active in a frame 0.00" in text
     assert (tmp_path / "out/video_length.svg").read_text().startswith("<?xml")
 
 
 @pytest.mark.parametrize(
-    "lengths, said",
+    "lengths, error",
     [
-        ([(15, 100)], "scene.frames: expected runs of two lengths at least, found 15 alone"),
+        ([(15, 100)], "scene.frames: expected runs of at least two lengths, found only 15"),
         (
             [(15, 100), (30, 200)],
-            "frames30/seed0: expected the settings of frames15/seed0 but for scene.frames and seed, "
+            "frames30/seed0: expected the settings of frames15/seed0 except scene.frames and seed, "
             "found another train.iterations",
         ),
     ],
 )
-def test_what_cannot_be_compared_is_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture, lengths: list[tuple[int, int]], said: str
+def test_runs_that_cannot_be_compared_are_a_one_line_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture, lengths: list[tuple[int, int]], error: str
 ) -> None:
     for frames, iterations in lengths:
         write_length(tmp_path / "runs", frames, iterations=iterations)
     assert main([str(tmp_path / "runs"), "--out", str(tmp_path / "out")]) == 1
-    assert capsys.readouterr().err == f"error: {said}\n" and not (tmp_path / "out").exists()
+    assert capsys.readouterr().err == f"error: {error}\n" and not (tmp_path / "out").exists()
 
 
-def test_no_runs_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_folder_without_runs_is_a_one_line_error(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     assert main([str(tmp_path / "nothing")]) == 1
     assert capsys.readouterr().err.count("\n") == 1

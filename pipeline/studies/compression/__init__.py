@@ -1,1 +1,1 @@
-"""A trained model made smaller and faster: what each Gaussian is worth, which to leave out, and few bits on disk."""
+"""Compression of a trained model: pruning by image sensitivity, retraining, 16-bit and 8-bit storage."""

@@ -1,36 +1,22 @@
-"""PSNR against megabytes and against frames a second, a line a precision."""
+"""The plot: PSNR against megabytes and against frames a second, one line for each precision."""
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
-from typing import Protocol
-
-import matplotlib
-from matplotlib.backends.backend_svg import FigureCanvasSVG
-from matplotlib.figure import Figure
 
 from pipeline.presentation.theme import LIGHT, Theme
+from pipeline.studies.compression.measure import Point
+from pipeline.studies.output import svg_figure, svg_style, svg_text
 
 _PANELS = (("megabytes", "MB on disk"), ("fps", "frames a second"))
+_MARGINS = {"left": 0.07, "right": 0.985, "bottom": 0.14, "top": 0.86, "wspace": 0.08}
 
 
-class Measured(Protocol):
-    fraction: float
-    precision: str
-    megabytes: float
-    psnr: float
-    fps: float
-
-
-def draw(points: Sequence[Measured], title: str, theme: Theme = LIGHT) -> str:
+def draw(points: Sequence[Point], title: str, theme: Theme = LIGHT) -> str:
     """SVG text; the same numbers give the same bytes."""
-    with matplotlib.rc_context({"svg.hashsalt": "compact", "font.family": "DejaVu Sans", "font.size": 9.5}):
-        figure = Figure(figsize=(9.6, 3.6), facecolor="white")
-        FigureCanvasSVG(figure)
-        panels = figure.subplots(
-            1, 2, sharey=True, gridspec_kw={"left": 0.07, "right": 0.985, "bottom": 0.14, "top": 0.86, "wspace": 0.08}
-        )
+    with svg_style("compression"):
+        figure = svg_figure(9.6, 3.6)
+        panels = figure.subplots(1, 2, sharey=True, gridspec_kw=_MARGINS)
         for axis, (name, label) in zip(panels, _PANELS, strict=True):
             for precision, colour in zip(dict.fromkeys(p.precision for p in points), theme.ablations):
                 line = [p for p in points if p.precision == precision]
@@ -51,6 +37,4 @@ def draw(points: Sequence[Measured], title: str, theme: Theme = LIGHT) -> str:
         panels[0].set_ylabel("PSNR, dB, test views")
         panels[0].legend(frameon=False)
         figure.text(0.07, 0.93, title, fontsize=9, color=theme.ink)
-        buffer = io.StringIO()
-        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
-    return buffer.getvalue()
+        return svg_text(figure)

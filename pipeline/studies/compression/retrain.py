@@ -1,7 +1,7 @@
-"""Training what is left once more: the last part of its own schedule, at the rates it had then.
+"""Retraining of a pruned model: the last part of its schedule, at the learning rates of that part.
 
-What was left out made a little of every image, which the others can learn to make. Going back to the rates of an
-earlier iteration (Renda, Frankle & Carbin 2020, "rewinding") does that better than going on with the last, small ones.
+The other Gaussians can take over the small contributions of the pruned ones. Rewinding to the learning rates of an
+earlier iteration (Renda, Frankle & Carbin 2020) does that better than fine-tuning at the last, small ones.
 """
 
 from __future__ import annotations
@@ -12,18 +12,18 @@ from datasets.scene import Scene
 from pipeline.config.schema import Config
 from pipeline.model.model import Model
 from pipeline.training.loop import EvaluateFn, train
-from pipeline.training.run_log import unrecorded
+from pipeline.training.run_log import temporary_run
 
 
-def retrained(model: Model, scene: Scene, cfg: Config, share: float, evaluate: EvaluateFn) -> Model:
-    """`model`, in place, after the last `share` (0 to 1) of the schedule `cfg.train`; no Gaussian is added or pruned.
+def retrain(model: Model, scene: Scene, cfg: Config, share: float, evaluate_fn: EvaluateFn) -> Model:
+    """`model`, trained in place for the last `share` (0 to 1) of the schedule `cfg.train`, without densify or prune.
 
-    evaluate: called once, at the end. Adam starts anew.
+    evaluate_fn: called once, at the end. Adam starts with zero moments.
     """
-    steady = replace(cfg.train.densify, stop=0, prune_sensitivity=0.0)
+    fixed_count = replace(cfg.train.densify, stop=0, prune_sensitivity=0.0)
     schedule = replace(
         cfg.train,
-        densify=steady,
+        densify=fixed_count,
         time_budget_s=None,
         eval_every=cfg.train.iterations,
         checkpoint_every=cfg.train.iterations,
@@ -31,5 +31,5 @@ def retrained(model: Model, scene: Scene, cfg: Config, share: float, evaluate: E
     first = round(cfg.train.iterations * (1 - share))
     if first == cfg.train.iterations:
         return model
-    with unrecorded() as run:
-        return train(model, scene, replace(cfg, train=schedule, resume=False), run, evaluate, begin=first).model
+    with temporary_run() as run:
+        return train(model, scene, replace(cfg, train=schedule, resume=False), run, evaluate_fn, begin=first).model

@@ -1,11 +1,11 @@
-"""The model alone in fewer bits: everything but the means in 16, and the coefficients but the first in 8 if asked for.
+"""Model files in fewer bits: everything but the means in float16, and optionally the SH coefficients in int8.
 
-Half precision holds 11 binary digits: a relative error of 5e-4 in a coefficient or a quaternion, of 0.2 % in a scale
-between e^-8 and e^-4, stored as its logarithm. A mean of float16 would stand 5e-4 of its distance from the origin
-beside its place, which is not small beside a Gaussian; it stays float32.
+float16 has 11 significant bits: a relative error of 5e-4 in a coefficient or a quaternion, and of 0.2 % in a scale
+between e^-8 and e^-4, stored as its logarithm. A float16 mean would be off by 5e-4 of its distance from the origin,
+more than a small Gaussian's size; means stay float32.
 
-int8: the coefficients of view and time, nine tenths of a Gaussian's numbers, are whole multiples of a 127th of the
-Gaussian's own largest, an error of 0.4 % of that at most.
+int8 stores the SH coefficients other than the first (nine tenths of a Gaussian's numbers) as multiples of 1/127 of
+the largest of the Gaussian: an error of at most 0.4 % of the largest.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from pipeline.model.model import Model, ModelKind
 Precision = Literal["float32", "float16", "int8"]
 PRECISIONS: tuple[Precision, ...] = get_args(Precision)
 FULL_PRECISION = ("mean",)
-STEPS, STEP = "sh_steps", "sh_step"  # int8: (N, K-1, 3) the coefficients but the first, in multiples of (N, 1, 1)
+STEPS, STEP = "sh_steps", "sh_step"  # int8: (N, K-1, 3) all coefficients but the first, in multiples of (N, 1, 1)
 LEVELS = 127
 
 
-def save_compact(path: Path, model: Model, precision: Precision = "float16") -> int:
-    """Write the model, and return the file's bytes."""
-    tensors, steps = dict(normalised(model).state()), {}
+def save_compressed(path: Path, model: Model, precision: Precision = "float16") -> int:
+    """Writes the model; returns the size of the file in bytes."""
+    tensors, steps = dict(with_unit_quaternions(model).state()), {}
     if precision == "int8":
         first, others = tensors["sh"][:, :1].contiguous(), tensors["sh"][:, 1:]
         largest = others.abs().flatten(1).amax(dim=1) if others.shape[1] else torch.zeros(len(others))
@@ -45,22 +45,22 @@ def save_compact(path: Path, model: Model, precision: Precision = "float16") -> 
     return path.stat().st_size
 
 
-def load_compact(path: Path) -> Model:
-    """Read it back, as float32. Raises ValueError, one line, when the file is none of `save_compact`'s."""
+def load_compressed(path: Path) -> Model:
+    """Reads a model back as float32. ValueError, one line, where `save_compressed` did not write the file."""
     try:
         with safe_open(path, framework="pt") as file:
             kind = ModelKind(*json.loads((file.metadata() or {})["kind"]))
-            tensors = {name: file.get_tensor(name) for name in file.keys()}
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  # no mapping
         tensors = {name: t.float() if t.dtype == torch.half else t for name, t in tensors.items()}
         if STEPS in tensors:
             tensors["sh"] = torch.cat([tensors["sh"], tensors.pop(STEPS) * tensors.pop(STEP)], dim=1)
     except (SafetensorError, OSError, KeyError, TypeError, json.JSONDecodeError) as error:
-        raise ValueError(f"{path}: expected a compact model, found {error}") from None
+        raise ValueError(f"{path}: expected a compressed model, found {error}") from None
     return Model.restored(kind, tensors)
 
 
-def normalised(model: Model) -> Model:
-    """The model with quaternions of length 1: any length means the same, and one beyond 65504 is no float16."""
+def with_unit_quaternions(model: Model) -> Model:
+    """The model with normalized quaternions: the same rotations, and no component beyond float16's 65504."""
     state = dict(model.state())
     for name in ("quat_left", "quat_right"):
         if name in state:

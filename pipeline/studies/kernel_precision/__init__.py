@@ -1,1 +1,1 @@
-"""How much accuracy each of the kernel's numerical choices gives up, and how much time it saves."""
+"""Work and precision of the kernel: the error and the time of each of its numerical choices."""

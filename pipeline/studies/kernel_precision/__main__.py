@@ -1,7 +1,7 @@
-"""The kernel's work–precision diagram: python -m pipeline.studies.kernel_precision
+"""Work and precision of the kernel: error against time for each of its numerical choices.
 
-Builds the kernel with other numerical choices, measures each one's errors against the float64 twin and its CPU time,
-and writes a table and a plot in which the Pareto front and the defaults are marked.
+Builds variants of the kernel, measures their errors against the float64 reference implementation and their CPU time,
+and marks the Pareto front and the defaults. Writes kernel_precision.csv, .md and .svg.
 """
 
 from __future__ import annotations
@@ -12,80 +12,85 @@ from pathlib import Path
 
 import torch
 
-from pipeline.runs.provenance import provenance
-from pipeline.studies.kernel_precision.build import BuildError, load_variants
+from pipeline.studies.command_line import Provenance, StudyParser, log, study_command
+from pipeline.studies.kernel_precision.build import load_variants
 from pipeline.studies.kernel_precision.measure import measure
 from pipeline.studies.kernel_precision.plot import draw
-from pipeline.studies.kernel_precision.table import comma_separated, markdown, verdicts
-from pipeline.studies.kernel_precision.trained import workload_of
+from pipeline.studies.kernel_precision.table import comma_separated, markdown
+from pipeline.studies.kernel_precision.trained_workload import trained_workload
 from pipeline.studies.kernel_precision.variants import DEFAULT, all_variants
-from pipeline.terminal.closed_pipe import quiet_on_closed_pipe
-from rasterizer.kernel import kernel
-from rasterizer.memory import keep_freed_memory
+from pipeline.studies.kernel_precision.verdicts import verdicts
+from pipeline.studies.output import write_results
+from rasterizer.allocator import keep_freed_memory
+from rasterizer.kernel_loader import kernel
 from rasterizer.timing.workloads import WORKLOADS, make_workload
 
+NAME = "kernel_precision"
 
-def parse(arguments: list[str] | None = None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        prog="python -m pipeline.studies.kernel_precision", description=__doc__.splitlines()[0]
+
+def parse(arguments: list[str]) -> argparse.Namespace:
+    parser = StudyParser(NAME, __doc__)
+    parser.add_argument(
+        "run",
+        type=Path,
+        nargs="?",
+        metavar="RUN",
+        help="a trained run, timed in place of --workload: its middle test view",
     )
-    parser.add_argument("--workload", choices=WORKLOADS, default="W1", help="times are of all of it (W1)")
-    parser.add_argument("--run", type=Path, metavar="FOLDER", help="instead: a trained run, its middle test view")
-    parser.add_argument("--pixels", type=int, default=64, help="errors are of its middle, so many pixels square (64)")
-    parser.add_argument("--rounds", type=int, default=20, help="how often all kernels are timed in turn (20)")
-    parser.add_argument("--only", nargs="+", metavar="VARIANT", help="these and the default (default: all)")
-    parser.add_argument("--out", type=Path, default=Path("results/work_precision"), help="(results/work_precision)")
+    parser.add_argument(
+        "--workload", choices=WORKLOADS, default="W1", help="scene to time, all of it (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--pixels",
+        type=int,
+        default=64,
+        metavar="N",
+        help="errors are measured on the middle N × N pixels (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--rounds", type=int, default=20, metavar="N", help="timings of all kernels in turn (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--only", nargs="+", metavar="VARIANT", help="these variants and the default one (default: all)"
+    )
     options = parser.parse_args(arguments)
     known = {variant.name for variant in all_variants()}
     for name in options.only or []:
-        if name not in known:
-            parser.error(f"--only: expected some of {', '.join(sorted(known))}, found {name!r}")
-    if options.pixels < 1 or options.rounds < 1:
-        parser.error(f"--pixels and --rounds: expected at least 1, found {options.pixels} and {options.rounds}")
+        parser.require(name in known, "--only", f"some of {', '.join(sorted(known))}", repr(name))
+    parser.require(options.pixels >= 1, "--pixels", "at least 1", options.pixels)
+    parser.require(options.rounds >= 1, "--rounds", "at least 1", options.rounds)
     return options
 
 
-@quiet_on_closed_pipe()
-def main(arguments: list[str] | None = None) -> int:
+@study_command
+def main(arguments: list[str]) -> int:
     options = parse(arguments)
     keep_freed_memory()
     torch.set_num_threads(1)
     variants = [v for v in all_variants() if not options.only or v.name in (*options.only, DEFAULT)]
-    print(f"building {len({v.name for v in variants if v.is_built})} kernels", flush=True)
-    try:
-        kernels = load_variants(variants)
-        workload = workload_of(options.run, print) if options.run else make_workload(options.workload)
-    except (BuildError, ValueError) as error:
-        print(error, file=sys.stderr)
-        return 1
-    what = str(options.run or options.workload)
-    options.pixels = min(options.pixels, workload.camera.width, workload.camera.height)
-    points = measure(
-        variants,
-        kernels,
-        workload,
-        workload.cropped(options.pixels),
-        options.rounds,
-        lambda line: print(line, flush=True),
-    )
-    typed = sys.argv[1:] if arguments is None else arguments
-    made = provenance(" ".join(["python -m pipeline.studies.kernel_precision", *typed]))
+    log(f"building {len({v.name for v in variants if v.is_built})} kernels")
+    kernels = load_variants(variants)
+    workload = trained_workload(options.run, log) if options.run else make_workload(options.workload)
+    pixels = min(options.pixels, workload.camera.width, workload.camera.height)
+    points = measure(variants, kernels, workload, workload.cropped(pixels), options.rounds, log)
+    scene = str(options.run or options.workload)
+    made = Provenance.of(NAME, arguments)
     heading = (
-        f"{what}, {len(workload.gaussians):,} Gaussians, {workload.camera.width}×{workload.camera.height}, "
-        f"instruction set {kernel.__name__.rsplit('_', 1)[1]}; errors of its middle "
-        f"{options.pixels}×{options.pixels} pixels. {made['machine']}; {made['date'][:16]}; "
-        f"commit {made['git_commit'][:10]}; `{made['command']}`."
+        f"{scene}, {len(workload.gaussians):,} Gaussians, {workload.camera.width}×{workload.camera.height}, "
+        f"instruction set {kernel.__name__.rsplit('_', 1)[1]}; errors of its middle {pixels}×{pixels} pixels. {made}."
     )
-    options.out.mkdir(parents=True, exist_ok=True)
-    for suffix, content in (
-        ("csv", comma_separated(points)),
-        ("md", markdown(points, heading)),
-        ("svg", draw(points, f"{what}, {made['machine']}, {made['date'][:10]}")),
-    ):
-        (options.out / f"work_precision.{suffix}").write_text(content, encoding="utf-8")
-    print(markdown(points, heading).split("\n- ")[0])
+    table = markdown(points, heading)
+    written = write_results(
+        options.out,
+        {
+            f"{NAME}.csv": comma_separated(points),
+            f"{NAME}.md": table,
+            f"{NAME}.svg": draw(points, f"{scene}, {made.short()}"),
+        },
+    )
+    print(table.split("\n- ")[0])
     print("\n".join(verdicts(points)))
-    print(f"written to {options.out}")
+    print(written)
     return 0
 
 

@@ -1,6 +1,6 @@
-"""Builds kernels with other numerical choices, by the project's own CMake file, and loads them.
+"""Builds variants of the kernel with the project's CMakeLists.txt, and loads them.
 
-They go to build/variants/, outside the package; what is built already is not built again.
+They are written to build/variants/, outside the package, and built only where they are missing or out of date.
 """
 
 from __future__ import annotations
@@ -15,22 +15,24 @@ from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
 
-from pipeline.studies.kernel_precision.narrowed import SH_TYPES, Narrowed
-from pipeline.studies.kernel_precision.variants import Choices, Variant
-from rasterizer.kernel import kernel, load_kernel_at
+from pipeline.studies.kernel_precision.half_precision_sh import SH_TYPES, HalfPrecisionSH
+from pipeline.studies.kernel_precision.variants import NumericalChoices, Variant
+from rasterizer.kernel_loader import kernel, load_kernel_at
 
 SOURCE = Path(__file__).resolve().parents[3]
-_LONGEST = 300  # characters of what a failed command said, from its first error on
+_MAX_MESSAGE = 300  # characters of a failed command's output that are shown, from its first error on
 
 
-class BuildError(RuntimeError):
-    """One line: what could not be built, and why."""
+class BuildError(OSError):
+    """A kernel could not be built. One line that names the cause."""
 
 
-def load_variants(variants: Sequence[Variant], folder: Path = SOURCE / "build") -> dict[str, ModuleType | Narrowed]:
-    """The kernel of each variant by its name, for the instruction set of this process; built where it is missing.
+def load_variants(
+    variants: Sequence[Variant], folder: Path = SOURCE / "build"
+) -> dict[str, ModuleType | HalfPrecisionSH]:
+    """The kernel of each variant by its name, for the instruction set of this process.
 
-    Raises BuildError when there is no CMake or no compiler, or when either fails.
+    BuildError where CMake or a compiler is missing or fails.
     """
     own = [variant for variant in variants if variant.is_built]
     others = {variant.name: kernel for variant in variants if variant not in own}
@@ -39,11 +41,11 @@ def load_variants(variants: Sequence[Variant], folder: Path = SOURCE / "build") 
     suffix = sysconfig.get_config_var("EXT_SUFFIX")
     loaded = {variant.name: load_kernel_at(folder / "variants" / f"{_module(variant)}{suffix}") for variant in own}
     for variant in own:
-        found = Choices(**loaded[variant.name].choices)
+        found = NumericalChoices(**loaded[variant.name].choices)
         if found != variant.choices:
             raise BuildError(f"variant {variant.name}: expected {variant.choices}, found a kernel with {found}")
-    narrow = {v.name: Narrowed(loaded[v.name]) for v in own if v.choices.sh_type in SH_TYPES}
-    return others | loaded | narrow
+    half = {v.name: HalfPrecisionSH(loaded[v.name]) for v in own if v.choices.sh_type in SH_TYPES}
+    return others | loaded | half
 
 
 def _module(variant: Variant) -> str:
@@ -58,11 +60,11 @@ def _build(variants: Sequence[Variant], folder: Path) -> None:
     tools = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
     cmake = shutil.which("cmake", path=tools)
     if cmake is None:
-        raise BuildError("work-precision: expected cmake on the path to build kernels with, found none: run make first")
-    provenance = os.environ | {"PATH": tools}
+        raise BuildError("kernel_precision: expected cmake on the path to build kernels, found none: run make first")
+    environment = os.environ | {"PATH": tools}
     described = ";".join("|".join([_module(v), _isa(), *v.choices.definitions()]) for v in variants)
     configure = [cmake, "-S", str(SOURCE), "-B", str(folder), f"-DRASTERIZER_VARIANTS={described}"]
-    if not (folder / "CMakeCache.txt").exists():  # not set up by `make`: say what scikit-build-core says there
+    if not (folder / "CMakeCache.txt").exists():  # not configured by `make` yet: the definitions of scikit-build-core
         import nanobind
 
         configure += [
@@ -71,16 +73,16 @@ def _build(variants: Sequence[Variant], folder: Path) -> None:
             f"-Dnanobind_DIR={nanobind.cmake_dir()}",
         ]
         configure += ["-G", "Ninja"] if shutil.which("ninja", path=tools) else []
-    _call(configure, provenance)
-    _call([cmake, "--build", str(folder), "--target", *map(_module, variants)], provenance)
+    _call(configure, environment)
+    _call([cmake, "--build", str(folder), "--target", *map(_module, variants)], environment)
 
 
-def _call(command: list[str], provenance: dict[str, str]) -> None:
-    done = subprocess.run(command, env=provenance, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+def _call(command: list[str], environment: dict[str, str]) -> None:
+    done = subprocess.run(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     if done.returncode:
         found = re.search(r"[^\n]*[Ee]rror[\s\S]*", done.stdout)
-        said = " ".join((found.group() if found else done.stdout).split())
+        message = " ".join((found.group() if found else done.stdout).split())
         raise BuildError(
-            f"work-precision: expected {Path(command[0]).name} and a C++ compiler to build the variants, "
-            f"found: {said[:_LONGEST] or 'no word from it'}"
+            f"kernel_precision: expected {Path(command[0]).name} and a C++ compiler to build the variants, "
+            f"found: {message[:_MAX_MESSAGE] or 'no output'}"
         )

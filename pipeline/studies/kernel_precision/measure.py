@@ -1,4 +1,4 @@
-"""A variant's errors, on a crop that the twin can afford, and its time, on the whole workload."""
+"""Errors of each variant on a crop, against the reference implementation, and its time on the whole workload."""
 
 from __future__ import annotations
 
@@ -12,39 +12,40 @@ from types import ModuleType
 import torch
 from torch import Tensor
 
-from pipeline.studies.kernel_precision.truth import Rendered, render_reference
+from pipeline.studies.kernel_precision.reference_rendering import Rendered, render_reference
 from pipeline.studies.kernel_precision.variants import TRADES, Variant
 from rasterizer import Gaussians, Gradients, Rasterizer
 from rasterizer.reference.blend import Thresholds
 from rasterizer.timing.workloads import Workload
 
-TOGETHER = 4  # frames of one variant in a row: the first after another variant finds strange caches
+FRAMES_IN_A_ROW = 4  # of one variant: the first after another variant has cold caches
 
 
 @dataclass(frozen=True)
 class Errors:
-    """Of an image in [0, 1] and of a loss's gradients.
+    """Errors of an image in [0, 1] and of the gradients of a loss.
 
-    Gradients are relative, for the fields differ in unit: the fields' RMS error over the truth's RMS, and largest error
-    over the truth's largest, of which the root mean square and the largest over the fields are given.
+    Gradient errors are relative, as the fields have different units. gradient_rms: for each field the RMS error over
+    the RMS of the truth, root mean square over the fields. gradient_max: the largest error over the largest value of
+    the truth, maximum over the fields.
     """
 
     image_max: float
     image_rms: float
-    psnr: float  # dB, inf where nothing differs
+    psnr: float  # dB, inf where the images are equal
     gradient_rms: float
     gradient_max: float
 
     @classmethod
-    def of(cls, found: Rendered, truth: Rendered) -> Errors:
-        difference = found.color.double() - truth.color.double()
+    def of(cls, rendered: Rendered, truth: Rendered) -> Errors:
+        difference = rendered.color.double() - truth.color.double()
         mean_square = difference.square().mean().item()
         rms, largest = [], []
         for name, gradient in truth.gradients.items():
-            off, size = found.gradients[name].double() - gradient.double(), gradient.double()
-            if size.any():  # else the loss does not depend on it
-                rms.append((off.norm() / size.norm()).item())
-                largest.append((off.abs().max() / size.abs().max()).item())
+            error, size = rendered.gradients[name].double() - gradient.double(), gradient.double()
+            if size.any():  # otherwise the loss does not depend on the field
+                rms.append((error.norm() / size.norm()).item())
+                largest.append((error.abs().max() / size.abs().max()).item())
         return cls(
             difference.abs().max().item(),
             math.sqrt(mean_square),
@@ -56,7 +57,7 @@ class Errors:
 
 @dataclass(frozen=True)
 class Point:
-    """One line of the table. Times and counts are NaN where they were not measured."""
+    """One variant, measured. Times and counts are NaN where they were not measured. Fields are the CSV's columns."""
 
     name: str
     trade: str
@@ -65,45 +66,45 @@ class Point:
     forward_ms: float
     noise: float  # (minimum of the worse half of the rounds - minimum) / minimum
     alive: float  # Gaussians with p(t) above the cut-off, whole workload
-    pairs: float  # (pixel, Gaussian) evaluated, whole workload
-    errors: Errors  # against the twin without any threshold
-    own: Errors  # against the twin without the thresholds that this trade-off is about
-    rounding: Errors  # against the twin with the same thresholds
+    pairs: float  # (pixel, Gaussian) pairs evaluated, whole workload
+    errors: Errors  # against the reference without any threshold
+    own: Errors  # against the reference without the thresholds that this trade-off varies
+    rounding: Errors  # against the reference with the same thresholds
 
 
-class Twins:
-    """The twin's renderings of one workload, each made once."""
+class ReferenceRenderings:
+    """Renderings of one workload by the float64 reference implementation, each computed once."""
 
     def __init__(self, workload: Workload) -> None:
         self.workload, self.d_color = workload, workload.image_gradient()
-        self._made: dict[Thresholds, Rendered] = {}
+        self._renderings: dict[Thresholds, Rendered] = {}
 
     def __call__(self, thresholds: Thresholds) -> Rendered:
-        if thresholds not in self._made:
-            self._made[thresholds] = render_reference(self.workload, self.d_color, thresholds)
-        return self._made[thresholds]
+        if thresholds not in self._renderings:
+            self._renderings[thresholds] = render_reference(self.workload, self.d_color, thresholds)
+        return self._renderings[thresholds]
 
 
 @dataclass(frozen=True)
-class _Typed:
-    """What a frame reads and what it adds to, in the type that its kernel computes in."""
+class _FrameInput:
+    """Arguments of a frame in the floating-point type of its kernel."""
 
     gaussians: Gaussians
     gradients: Gradients
     d_color: Tensor
 
     @classmethod
-    def of(cls, gaussians: Gaussians, d_color: Tensor, dtype: torch.dtype) -> _Typed:
+    def of(cls, gaussians: Gaussians, d_color: Tensor, dtype: torch.dtype) -> _FrameInput:
         gaussians = gaussians.to(dtype)
         return cls(gaussians, Gradients.zeros_like(gaussians), d_color.to(dtype))
 
 
 def render_kernel(kernel: ModuleType, workload: Workload, d_color: Tensor) -> Rendered:
     frame = Rasterizer(1, kernel)
-    typed = _Typed.of(workload.gaussians, d_color, frame.dtype)
-    color = frame.render(typed.gaussians, workload.request()).color
-    frame.backward(typed.gradients, d_color=typed.d_color)
-    return Rendered(color, typed.gradients.dense() | {"sh": typed.gradients.sh(kernel=kernel)})
+    given = _FrameInput.of(workload.gaussians, d_color, frame.dtype)
+    color = frame.render(given.gaussians, workload.request()).color
+    frame.backward(given.gradients, d_color=given.d_color)
+    return Rendered(color, given.gradients.dense() | {"sh": given.gradients.sh(kernel=kernel)})
 
 
 @dataclass(frozen=True)
@@ -121,21 +122,21 @@ UNTIMED = Timing(*[math.nan] * 5)
 def time_kernels(
     kernels: Mapping[str, ModuleType], workload: Workload, rounds: int, clock: Callable[[], float] = time.process_time
 ) -> dict[str, Timing]:
-    """Minimum over rounds of all kernels in turn, so that each meets the same quiet and busy minutes."""
+    """Minimum over rounds. A round times all kernels in turn, so that load by other programs affects all alike."""
     request, d_color = workload.request(), workload.image_gradient()
-    typed_as = cache(lambda dtype: _Typed.of(workload.gaussians, d_color, dtype))
+    input_of = cache(lambda dtype: _FrameInput.of(workload.gaussians, d_color, dtype))
     spent: dict[str, list[tuple[float, float]]] = {name: [] for name in kernels}
     counts: dict[str, tuple[int, int]] = {}
     for _ in range(rounds):
         for name, kernel in kernels.items():
             frame, best = Rasterizer(1, kernel), (math.inf, math.inf)
-            typed = typed_as(frame.dtype)
-            for _ in range(TOGETHER):
-                typed.gradients.zero_(kernel=kernel)
+            given = input_of(frame.dtype)
+            for _ in range(FRAMES_IN_A_ROW):
+                given.gradients.zero_(kernel=kernel)
                 start = clock()
-                frame.render(typed.gaussians, request)
+                frame.render(given.gaussians, request)
                 middle = clock()
-                frame.backward(typed.gradients, d_color=typed.d_color)
+                frame.backward(given.gradients, d_color=given.d_color)
                 end = clock()
                 best = min(best[0], end - start), min(best[1], middle - start)
             spent[name].append(best)
@@ -162,52 +163,50 @@ def measure(
     rounds: int,
     log: Callable[[str], None] = lambda line: None,
 ) -> list[Point]:
-    """All variants, and the twin itself in float64 and float32 with the kernel's thresholds; its time is not taken."""
-    twins, found = Twins(crop), {}
+    """All variants, and the reference implementation in float64 and float32 with the default thresholds, not timed.
+
+    Errors are measured on `crop`, times on `workload`.
+    """
+    references, found = ReferenceRenderings(crop), {}
     for variant in variants:
         log(f"errors: {variant.name}")
-        found[variant] = render_kernel(kernels[variant.name], crop, twins.d_color)
+        found[variant] = render_kernel(kernels[variant.name], crop, references.d_color)
     log("times")
     times = time_kernels(kernels, workload, rounds)
     points = []
     for variant, rendered in found.items():
         thresholds = variant.choices.thresholds()
-        free = without(thresholds, TRADES[variant.trade])
-        points.append(
-            _point(variant.name, variant.trade, variant.label, times[variant.name], rendered, twins, thresholds, free)
-        )
-    own = Thresholds()
-    single = render_reference(crop, twins.d_color, own, torch.float32)
-    for name, rendered in (("float64", twins(own)), ("float32", single)):
-        points.append(
-            _point(f"twin_{name}", "readable twin", f"readable twin, {name}", UNTIMED, rendered, twins, own, own)
-        )
+        own = without_varied(thresholds, TRADES[variant.trade])
+        points.append(_point(variant, times[variant.name], rendered, references, thresholds, own))
+    default = Thresholds()
+    single = render_reference(crop, references.d_color, default, torch.float32)
+    for name, rendered in (("float64", references(default)), ("float32", single)):
+        variant = Variant(f"reference_{name}", "reference", f"reference implementation, {name}")
+        points.append(_point(variant, UNTIMED, rendered, references, default, default))
     return points
 
 
-def without(thresholds: Thresholds, trade: Thresholds) -> Thresholds:
-    """The variant's thresholds, except those that its trade-off sets to zero."""
+def without_varied(thresholds: Thresholds, trade: Thresholds) -> Thresholds:
+    """The thresholds of a variant, zero where its trade-off varies them."""
     return Thresholds(
         *(0 if getattr(trade, name) == 0 else getattr(thresholds, name) for name in Thresholds.__dataclass_fields__)
     )
 
 
 def _point(
-    name: str,
-    trade: str,
-    label: str,
+    variant: Variant,
     timing: Timing,
     rendered: Rendered,
-    twins: Twins,
+    references: ReferenceRenderings,
     same: Thresholds,
-    free: Thresholds,
+    own: Thresholds,
 ) -> Point:
     return Point(
-        name,
-        trade,
-        label,
+        variant.name,
+        variant.trade,
+        variant.label,
         **vars(timing),
-        errors=Errors.of(rendered, twins(Thresholds(0, 0, 0))),
-        own=Errors.of(rendered, twins(free)),
-        rounding=Errors.of(rendered, twins(same)),
+        errors=Errors.of(rendered, references(Thresholds(0, 0, 0))),
+        own=Errors.of(rendered, references(own)),
+        rounding=Errors.of(rendered, references(same)),
     )

@@ -1,4 +1,4 @@
-"""Which numerical choices are compared: the kernel as it is, and with one of its choices made otherwise."""
+"""The variants of the kernel that are compared: its defaults, and other values of its numerical choices."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from rasterizer.reference.blend import Thresholds
 
 MACROS = {  # of rasterizer/src/numerical_choices.hpp
-    "min_presence": "RASTERIZER_MIN_PRESENCE",
+    "min_marginal": "RASTERIZER_MIN_PRESENCE",
     "min_alpha": "RASTERIZER_MIN_ALPHA",
     "min_transmittance": "RASTERIZER_MIN_TRANSMITTANCE",
     "exp_degree": "RASTERIZER_EXP_DEGREE",
@@ -19,25 +19,25 @@ MACROS = {  # of rasterizer/src/numerical_choices.hpp
 
 
 @dataclass(frozen=True)
-class Choices:
-    """What numerical_choices.hpp names, with its values; `kernel.choices` says what a kernel was built with."""
+class NumericalChoices:
+    """The numerical choices of the C++ source and their defaults; a kernel module holds its own as `kernel.choices`."""
 
-    min_marginal: float = 0.05
-    min_alpha: float = 1 / 255
-    min_transmittance: float = 1e-4
-    exp_degree: int = 4
-    exact_culling: bool = True
-    block_masks: bool = True
+    min_marginal: float = 0.05  # Gaussians with a lower p(t) are culled
+    min_alpha: float = 1 / 255  # contributions with a lower α' are skipped
+    min_transmittance: float = 1e-4  # a pixel ends below it
+    exp_degree: int = 4  # of the polynomial of 2^f in α'
+    exact_culling: bool = True  # False: by the bounding rectangle of the ellipse
+    block_masks: bool = True  # False: a Gaussian is evaluated in all blocks of a tile
     float64: bool = False
-    sh_type: str = "scalar"  # as everything else
+    sh_type: str = "scalar"  # type of stored SH coefficients; scalar: the type of everything else
 
     def definitions(self) -> list[str]:
-        """MACRO=value of what differs from the kernel's own."""
-        own = asdict(Choices())
-        return [f"{MACROS[name]}={_in_cpp(value)}" for name, value in asdict(self).items() if value != own[name]]
+        """MACRO=value of each choice that differs from the default."""
+        default = asdict(NumericalChoices())
+        return [f"{MACROS[name]}={_in_cpp(value)}" for name, value in asdict(self).items() if value != default[name]]
 
     def thresholds(self) -> Thresholds:
-        """The same cut-offs for the readable twin."""
+        """The same thresholds for the reference implementation."""
         return Thresholds(self.min_marginal, self.min_alpha, self.min_transmittance)
 
 
@@ -47,20 +47,20 @@ def _in_cpp(value: float | str) -> str:
 
 @dataclass(frozen=True)
 class Variant:
-    """One point of the diagram."""
+    """One kernel of the comparison."""
 
-    name: str  # also of its extension module: letters, digits, _
-    trade: str  # which trade-off it belongs to, in TRADES
+    name: str  # part of its extension module's name: letters, digits, _
+    trade: str  # its trade-off, in TRADES
     label: str
-    choices: Choices = Choices()
+    choices: NumericalChoices = NumericalChoices()
 
     @property
     def is_built(self) -> bool:
-        """Whether it is a kernel of its own, not the package's."""
+        """Whether the study builds it; the default is the package's kernel."""
         return self.name != DEFAULT
 
 
-# A trade-off, and the twin's thresholds that its own error leaves standing: those that it sets are zero.
+# Trade-off -> thresholds of the reference rendering for its own error: those that it varies are zero.
 TRADES = {
     "temporal cut-off": Thresholds(min_marginal=0),
     "alpha cut-off": Thresholds(min_alpha=0),
@@ -73,25 +73,27 @@ TRADES = {
     "built again": Thresholds(),
 }
 DEFAULT = "default"
-AGAIN = "again"  # the same choices in another module: what its time differs by says nothing of any choice
+AGAIN = "again"  # the default choices in a module of their own: its difference in time is noise
 
 
 def _digits(value: float) -> str:
     return f"{value:g}".replace(".", "_").replace("-", "m")
 
 
-def _row(trade: str, name: str, label: str, **choices: float | str) -> Variant:
-    """The kernel as it is, where that is what the choices say."""
-    made = Choices(**choices)
-    return Variant(DEFAULT if made == Choices() else name, trade, label, made)
+def _variant(trade: str, name: str, label: str, **values: float | str) -> Variant:
+    """Named DEFAULT where `values` are the defaults."""
+    choices = NumericalChoices(**values)
+    return Variant(DEFAULT if choices == NumericalChoices() else name, trade, label, choices)
 
 
 def _steps(trade: str, field: str, label: str, *values: float) -> list[Variant]:
-    return [_row(trade, f"{field}_{_digits(value)}", label.format(f"{value:g}"), **{field: value}) for value in values]
+    return [
+        _variant(trade, f"{field}_{_digits(value)}", label.format(f"{value:g}"), **{field: value}) for value in values
+    ]
 
 
 def all_variants() -> list[Variant]:
-    """Trade-off by trade-off, the kernel as it is among them in each, from coarse to fine."""
+    """By trade-off, from coarse to fine; each contains the default."""
     alphas = (("4/255", 4 / 255), ("2/255", 2 / 255), ("1/255", 1 / 255), ("1/510", 1 / 510), ("1/2550", 1 / 2550))
     masks = (
         ("bounding rectangle, whole tiles", False, False),
@@ -107,24 +109,27 @@ def all_variants() -> list[Variant]:
     )
     precisions = (("bfloat16", "Bfloat16"), ("float16", "Float16"), ("float32", "scalar"))
     return [
-        *_steps("temporal cut-off", "min_presence", "p(t) >= {}", 0.2, 0.1, 0.05, 0.02, 0.01, 1e-3, 1e-4),
+        *_steps("temporal cut-off", "min_marginal", "p(t) >= {}", 0.2, 0.1, 0.05, 0.02, 0.01, 1e-3, 1e-4),
         *(
-            _row("alpha cut-off", f"min_alpha_{label.replace('/', '_')}", f"α' >= {label}", min_alpha=value)
+            _variant("alpha cut-off", f"min_alpha_{label.replace('/', '_')}", f"α' >= {label}", min_alpha=value)
             for label, value in alphas
         ),
         *_steps("transmittance stop", "min_transmittance", "T >= {}", 1e-2, 1e-3, 1e-4, 1e-5, 1e-6),
         *_steps("exp degree", "exp_degree", "degree {}", 3, 4, 5),
         *(
-            _row(
+            _variant(
                 "culling and masks", f"masks_{int(exact)}{int(blocks)}", label, exact_culling=exact, block_masks=blocks
             )
             for label, exact, blocks in masks
         ),
-        *(_row("SH precision", f"sh_{name}", f"coefficients in {name}", sh_type=stored) for name, stored in precisions),
-        _row("floating point", "float32", "float32"),
-        _row("floating point", "float64", "float64", float64=True),
         *(
-            _row(
+            _variant("SH precision", f"sh_{name}", f"coefficients in {name}", sh_type=stored)
+            for name, stored in precisions
+        ),
+        _variant("floating point", "float32", "float32"),
+        _variant("floating point", "float64", "float64", float64=True),
+        *(
+            _variant(
                 "several at once",
                 name,
                 f"p >= {p:g}, α' >= {label}, T >= {stop:g}, degree {degree}",

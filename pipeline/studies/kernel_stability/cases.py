@@ -1,4 +1,4 @@
-"""The named cases: a family, its number, and the bounds that hold there."""
+"""The cases of the study: a family, its parameter, and the error bounds."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 from pipeline.studies.kernel_stability.families import FAMILIES, Scene
 
 BOUND = 1e-3  # of full scale in images, of the largest in gradients
-STEPS_BOUND = 1e-2  # of the loss after the optimiser's steps, relative to the loss before them
+STEPS_BOUND = 1e-2  # of the loss after the optimiser steps, relative to the loss before them
 
 
 @dataclass(frozen=True)
 class Case:
-    """One row of the table. `why` says what makes a bound other than BOUND."""
+    """One row of the table. `why`: the reason for a bound other than the default."""
 
     family: str
     value: float
@@ -21,7 +21,7 @@ class Case:
     gradient_bound: float = BOUND
     steps_bound: float = STEPS_BOUND
     why: str = ""
-    most_steps: int = 100  # less where each takes a second in the twin
+    most_steps: int = 100  # fewer where each takes a second in the reference implementation
     seed: int = 0
 
     @property
@@ -61,36 +61,36 @@ VALUES: dict[str, tuple[float, ...]] = {
 }
 MOST_STEPS = {"stack": 20, "coincident": 20, "wide": 20, "tall": 20}
 
-# Where two correct programs part within a hundred steps: the parameters must stay finite, the losses may differ.
-_JUMP = "steps carry Gaussians over the near plane, whichever program's rounding is ahead: the losses are not compared"
-_STUCK = "float32 holds positions so far out to 0.008 or worse, so a step of 1e-3 does not move one; float64 moves"
-_SWINGS = (
-    "the loss is 5e-6 before the steps, Adam swings past its minimum, and rounding grows with the swings; at "
-    "either program's last parameters both give the same loss to 1e-6 of it"
+# Cases where two correct programs diverge within 100 steps: parameters must stay finite, losses may differ.
+_DISCONTINUITY = "steps move Gaussians across the near plane, at an iteration that depends on rounding"
+_STUCK = "the float32 spacing of positions is 0.008 or more there: a step of 1e-3 moves them in float64 only"
+_OVERSHOOT = (
+    "the loss is 5e-6 before the steps and Adam overshoots its minimum, which amplifies rounding; at the final "
+    "parameters of either program both losses agree to a relative 1e-6"
 )
-STEPS_APART: dict[str, str] = {
-    "quaternion_length 1e-44": "the first step is 1e40 times the quaternion: its direction is then rounding alone",
-    "quaternion_length 1e-40": "the first step is 1e36 times the quaternion: its direction is then rounding alone",
-    "velocity 100": "a step turns the time axis by a tenth of its angle",
-    "epoch 0.001": "float32 holds μt to 64 s, so a step of 1e-3 s does not move it; float64 moves",
+DIVERGING_STEPS: dict[str, str] = {
+    "quaternion_length 1e-44": "the first step is 1e40 times the quaternion, so that its direction is rounding alone",
+    "quaternion_length 1e-40": "the first step is 1e36 times the quaternion, so that its direction is rounding alone",
+    "velocity 100": "a step rotates the time axis by a tenth of its angle",
+    "epoch 0.001": "the float32 spacing of μt is 64 s: a step of 1e-3 s moves it in float64 only",
     "far_from_the_origin 100000": _STUCK,
     "far_from_the_origin 1e+07": _STUCK,
-    **{f"depth_gap {distance:g}": _SWINGS for distance in VALUES["depth_gap"]},
-    "near_plane 0.001": _JUMP,
-    "camera_centre 0": _JUMP,
-    "camera_centre 1e-06": _JUMP,
-    "camera_centre 0.001": _JUMP,
-    "coincident 100": "the first step separates them, and rounding says in which order they lie then",
-    "coincident 10000": "the first step separates them, and rounding says in which order they lie then",
+    **{f"depth_gap {distance:g}": _OVERSHOOT for distance in VALUES["depth_gap"]},
+    "near_plane 0.001": _DISCONTINUITY,
+    "camera_centre 0": _DISCONTINUITY,
+    "camera_centre 1e-06": _DISCONTINUITY,
+    "camera_centre 0.001": _DISCONTINUITY,
+    "coincident 100": "the first step separates them, in a depth order that depends on rounding",
+    "coincident 10000": "the first step separates them, in a depth order that depends on rounding",
 }
 
-# What searching over the families found, and what was wrong.
+# Cases that a random search over the families found, and the defect each showed.
 FOUND = (
-    Case("opacity", 39.83900670808194, seed=932),  # the twin's own gradient was zero: 1 - sigmoid rounded away
-    Case("stack", 42.687399679968195, seed=834, most_steps=20),  # the same, a thousand deep
-    Case("far", 576822.9193282671, seed=257),  # at μt the kernel took float32's word for how fast a Gaussian moves
-    Case("time_scale", 32555.40989181507, seed=145),  # flow of what stands still: no relative error is defined
-    Case("needle", 163208.87897705493, seed=807),  # the largest gradient error of the needles
+    Case("opacity", 39.83900670808194, seed=932),  # the reference's gradient was zero: 1 - sigmoid rounded to 0
+    Case("stack", 42.687399679968195, seed=834, most_steps=20),  # the same in a stack of 1,000
+    Case("far", 576822.9193282671, seed=257),  # the kernel computed the velocity of a Gaussian in float32
+    Case("time_scale", 32555.40989181507, seed=145),  # flow of static Gaussians: no relative error is defined
+    Case("needle", 163208.87897705493, seed=807),  # the largest gradient error of the family needle
     Case(
         "far_from_the_origin", 9030042.746133788, seed=761, steps_bound=math.inf, why=_STUCK
     ),  # the largest gradient error of all
@@ -99,7 +99,7 @@ FOUND = (
 
 def named(family: str, value: float) -> Case:
     case = Case(family, value, most_steps=MOST_STEPS.get(family, 100))
-    why = STEPS_APART.get(case.name, "")
+    why = DIVERGING_STEPS.get(case.name, "")
     return replace(case, steps_bound=math.inf, why=why) if why else case
 
 

@@ -1,7 +1,7 @@
-"""The hard cases' families: functions from one number (and a seed) to Gaussians and a request.
+"""Families of ill-conditioned scenes: functions of one parameter (and a seed) that return Gaussians and a request.
 
-A family is what `cases.py` names values of and what the tests' search draws values for. Gaussians come as float64
-with values that float32 can hold: the error of a case is that of the arithmetic alone.
+`cases.py` names parameter values, and the tests search over them at random. Gaussians are float64 with values that
+float32 represents exactly: the error of a case is that of the arithmetic alone.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from pipeline.studies.kernel_stability.scene import (
+from pipeline.studies.kernel_stability.base_scene import (
     DISTANCE,
+    base_gaussians,
+    base_request,
     camera_at,
     generator,
-    plain_gaussians,
-    plain_request,
-    turned,
+    moving_quaternions,
     uniform,
     with_log_scale,
     with_mean,
@@ -27,31 +27,31 @@ from pipeline.studies.kernel_stability.scene import (
 from rasterizer import Gaussians, Request
 
 Scene = tuple[Gaussians, Request]
-COUNT = 24  # Gaussians of a case, where the case does not say
+COUNT = 24  # Gaussians, where they are not the parameter
 
 
 @dataclass(frozen=True)
 class Family:
-    """What its number is, in words, and the range the search draws it from (by its logarithm where low > 0)."""
+    """A builder with the meaning of its parameter and the range of the search (logarithmic where low > 0)."""
 
     build: Callable[[float, int], Scene]
     low: float
     high: float
-    number: str
+    parameter: str
 
 
 FAMILIES: dict[str, Family] = {}
 
 
-def family(low: float, high: float, number: str) -> Callable[[Callable], Callable]:
-    """Registers a builder under its name, its scene rounded to float32's values."""
+def family(low: float, high: float, parameter: str) -> Callable[[Callable], Callable]:
+    """Registers a builder under its name, with its scene rounded to float32."""
 
     def register(build: Callable[[float, int], Scene]) -> Callable[[float, int], Scene]:
         def rounded(value: float, seed: int = 0) -> Scene:
             gaussians, request = build(value, seed)
             return gaussians.to(torch.float32).to(torch.float64), request
 
-        FAMILIES[build.__name__] = Family(rounded, low, high, number)
+        FAMILIES[build.__name__] = Family(rounded, low, high, parameter)
         return rounded
 
     return register
@@ -62,68 +62,68 @@ def family(low: float, high: float, number: str) -> Callable[[Callable], Callabl
 
 @family(1, 1e8, "axis ratio, the long axis 0.4")
 def needle(ratio: float, seed: int) -> Scene:
-    return with_log_scale(plain_gaussians(COUNT, seed), 0.4, 0.4 / ratio, 0.4 / ratio), plain_request()
+    return with_log_scale(base_gaussians(COUNT, seed), 0.4, 0.4 / ratio, 0.4 / ratio), base_request()
 
 
 @family(1, 1e8, "axis ratio, the long axes 0.4")
 def pancake(ratio: float, seed: int) -> Scene:
-    return with_log_scale(plain_gaussians(COUNT, seed), 0.4, 0.4, 0.4 / ratio), plain_request()
+    return with_log_scale(base_gaussians(COUNT, seed), 0.4, 0.4, 0.4 / ratio), base_request()
 
 
 @family(1, 1e8, "axis ratio, the short axes 1e-3 or less, the long one up to 1e4")
 def long_needle(ratio: float, seed: int) -> Scene:
-    """Beyond a ratio of 400 it is longer than the scene, at last by ten thousand times."""
+    """Longer than the scene above a ratio of 400, up to ten thousand times."""
     long = 0.4 * ratio**0.55
-    return with_log_scale(plain_gaussians(COUNT, seed), long, long / ratio, long / ratio), plain_request()
+    return with_log_scale(base_gaussians(COUNT, seed), long, long / ratio, long / ratio), base_request()
 
 
 @family(1e-3, 1e7, "standard deviation, world units, all three axes")
 def size(scale: float, seed: int) -> Scene:
-    return with_log_scale(plain_gaussians(COUNT, seed), scale, scale, scale), plain_request()
+    return with_log_scale(base_gaussians(COUNT, seed), scale, scale, scale), base_request()
 
 
 @family(1e-40, 1e37, "length of the quaternions")
 def quaternion_length(length: float, seed: int) -> Scene:
-    gaussians = plain_gaussians(COUNT, seed)
+    gaussians = base_gaussians(COUNT, seed)
     unit = lambda q: q / q.norm(dim=-1, keepdim=True)  # noqa: E731
     return replace(
         gaussians, quat_left=unit(gaussians.quat_left) * length, quat_right=unit(gaussians.quat_right) * length
-    ), plain_request()
+    ), base_request()
 
 
-@family(0, 2, "0 both quaternions zero, 1 the left one, 2 the left one antipodal to its neighbour's")
+@family(0, 2, "0: both quaternions zero, 1: the left one, 2: the left one antipodal to its neighbour's")
 def quaternion_sign(which: float, seed: int) -> Scene:
-    gaussians = plain_gaussians(COUNT, seed)
+    gaussians = base_gaussians(COUNT, seed)
     if which < 0.5:
         gaussians = replace(gaussians, quat_right=torch.zeros_like(gaussians.quat_right))
     if which < 1.5:
-        return replace(gaussians, quat_left=torch.zeros_like(gaussians.quat_left)), plain_request()
+        return replace(gaussians, quat_left=torch.zeros_like(gaussians.quat_left)), base_request()
     left, mean = gaussians.quat_left.clone(), gaussians.mean.clone()
     left[1::2] = -left[::2]
     right = gaussians.quat_right.clone()
     right[1::2] = right[::2]
-    return replace(gaussians, quat_left=left, quat_right=right, mean=mean), plain_request()
+    return replace(gaussians, quat_left=left, quat_right=right, mean=mean), base_request()
 
 
 # ---- Time --------------------------------------------------------------------------------------------------
 
 
-@family(1e-3, 1e6, "world units a duration")
+@family(1e-3, 1e6, "speed, world units a duration")
 def velocity(speed: float, seed: int) -> Scene:
-    gaussians, rng = plain_gaussians(COUNT, seed), generator(seed + 1)
+    gaussians, rng = base_gaussians(COUNT, seed), generator(seed + 1)
     speeds = torch.full((COUNT,), max(speed, 1e-9), dtype=torch.float64)
-    left, right = turned(speeds, torch.randn((COUNT, 4), generator=rng, dtype=torch.float64))
+    left, right = moving_quaternions(speeds, torch.randn((COUNT, 4), generator=rng, dtype=torch.float64))
     theta = math.atan2(1, speed)
-    short = 0.1 * math.sin(theta) * 0.4  # st so short that the tilt alone makes the time axis
+    short = 0.1 * math.sin(theta) * 0.4  # short in time, so that the rotation alone gives the temporal extent
     lifetime = math.sin(theta) * 0.4
     gaussians = replace(with_log_scale(gaussians, 0.4, 0.05, 0.05, short), quat_left=left, quat_right=right)
-    return with_mean(gaussians, time=0.5 + lifetime * uniform((COUNT,), -1.5, 1.5, rng)), plain_request()
+    return with_mean(gaussians, time=0.5 + lifetime * uniform((COUNT,), -1.5, 1.5, rng)), base_request()
 
 
 @family(1e-8, 1e6, "standard deviation in time, durations")
 def time_scale(st: float, seed: int) -> Scene:
-    gaussians = with_log_scale(plain_gaussians(COUNT, seed), None, None, None, st)
-    return with_mean(gaussians, time=st * uniform((COUNT,), -1.5, 1.5, generator(seed + 1))), plain_request(time=0.0)
+    gaussians = with_log_scale(base_gaussians(COUNT, seed), None, None, None, st)
+    return with_mean(gaussians, time=st * uniform((COUNT,), -1.5, 1.5, generator(seed + 1))), base_request(time=0.0)
 
 
 @family(1e-8, 1e6, "standard deviation in time, durations; no motion")
@@ -134,33 +134,33 @@ def time_scale_separable(st: float, seed: int) -> Scene:
 
 @family(0.9, 1.1, "(t - μt) in units of where p(t) = 0.05")
 def cut_off(part: float, seed: int) -> Scene:
-    gaussians = plain_gaussians(COUNT, seed)
+    gaussians = base_gaussians(COUNT, seed)
     axes = gaussians.log_scale.exp()
     gaussians = replace(gaussians, quat_right=None)
     reach = math.sqrt(-2 * math.log(0.05)) * axes[:, 3]
     side = torch.where(torch.arange(COUNT) % 2 == 0, 1.0, -1.0)
-    return with_mean(gaussians, time=0.5 - side * part * reach), plain_request()
+    return with_mean(gaussians, time=0.5 - side * part * reach), base_request()
 
 
 @family(1, 1e9, "t, durations after the video")
 def outside_the_video(time: float, seed: int) -> Scene:
-    return plain_gaussians(COUNT, seed), plain_request(time=time)
+    return base_gaussians(COUNT, seed), base_request(time=time)
 
 
 @family(1e-3, 1e5, "duration, seconds, times about 1e9 s")
 def epoch(duration: float, seed: int) -> Scene:
-    """float32 holds times about 1e9 s to 64 s: Gaussians that live shorter than that are where it puts them."""
-    gaussians, start = plain_gaussians(COUNT, seed), 1_000_000_000.3
+    """The float32 spacing of times about 1e9 s is 64 s: shorter-lived Gaussians are at the rounded time."""
+    gaussians, start = base_gaussians(COUNT, seed), 1_000_000_000.3
     gaussians = with_mean(gaussians, time=start + duration * gaussians.mean[:, 3])
     log_scale = gaussians.log_scale.clone()
     log_scale[:, 3] += math.log(max(duration, 100.0))
-    slow = gaussians.quat_left * torch.tensor([1, -1, -1, -1])  # R keeps time: speeds of world units a second are 0
+    slow = gaussians.quat_left * torch.tensor([1, -1, -1, -1])  # R keeps the time axis: the velocity is 0
     gaussians = replace(gaussians, log_scale=log_scale, quat_right=_keeping_time(gaussians.quat_left, slow))
-    return gaussians, plain_request(time=start + 0.5 * duration, duration=duration)
+    return gaussians, base_request(time=start + 0.5 * duration, duration=duration)
 
 
 def _keeping_time(left: torch.Tensor, fallback: torch.Tensor) -> torch.Tensor:
-    _, right = turned(torch.full((len(left),), 1e30, dtype=left.dtype), left)
+    _, right = moving_quaternions(torch.full((len(left),), 1e30, dtype=left.dtype), left)
     return torch.where(torch.isfinite(right), right, fallback)
 
 
@@ -169,63 +169,65 @@ def _keeping_time(left: torch.Tensor, fallback: torch.Tensor) -> torch.Tensor:
 
 @family(-100, 100, "opacity logit")
 def opacity(logit: float, seed: int) -> Scene:
-    gaussians = plain_gaussians(COUNT, seed)
-    return replace(gaussians, opacity_logit=torch.full_like(gaussians.opacity_logit, logit)), plain_request()
+    gaussians = base_gaussians(COUNT, seed)
+    return replace(gaussians, opacity_logit=torch.full_like(gaussians.opacity_logit, logit)), base_request()
 
 
-@family(-100, 100, "opacity logit of 1,000, one behind the other")
+@family(-100, 100, "opacity logit of 1,000 Gaussians in a stack")
 def stack(logit: float, seed: int) -> Scene:
-    gaussians = plain_gaussians(1000, seed, sh_degree=1, fourier_order=1)
+    gaussians = base_gaussians(1000, seed, sh_degree=1, fourier_order=1)
     gaussians = replace(gaussians, opacity_logit=torch.full_like(gaussians.opacity_logit, logit))
-    return gaussians, plain_request(camera=camera_at(DISTANCE, 14, 10, 13.0))
+    return gaussians, base_request(camera=camera_at(DISTANCE, 14, 10, 13.0))
 
 
-# ---- Place -------------------------------------------------------------------------------------------------
+# ---- Position -------------------------------------------------------------------------------------------------
 
 
 @family(-1, 1, "depth less the near plane, world units")
 def near_plane(beyond: float, seed: int) -> Scene:
-    """Half the Gaussians so far behind or before the near plane, the others behind them."""
-    gaussians, request = plain_gaussians(COUNT, seed), plain_request()
+    """Half the Gaussians at this distance from the near plane, the others beyond them."""
+    gaussians, request = base_gaussians(COUNT, seed), base_request()
     pose = request.camera.world_to_cam
     inside = (gaussians.mean[:, :3] * 0.1).clone()
     inside[:, 2] = request.near + beyond * torch.linspace(0.5, 1, COUNT, dtype=torch.float64)
     placed = (inside - torch.from_numpy(pose[:3, 3].copy())) @ torch.from_numpy(pose[:3, :3].copy())
     first = torch.arange(COUNT)[:, None] % 2 == 0
-    now = torch.full((COUNT,), request.time, dtype=torch.float64)  # none has moved
+    now = torch.full((COUNT,), request.time, dtype=torch.float64)  # no displacement by velocity
     return with_mean(gaussians, space=torch.where(first, placed, gaussians.mean[:, :3]), time=now), request
 
 
 @family(0, 0.1, "distance from the camera's centre, the near plane at 0")
 def camera_centre(distance: float, seed: int) -> Scene:
-    gaussians, request = plain_gaussians(COUNT, seed), plain_request(near=0.0)
+    gaussians, request = base_gaussians(COUNT, seed), base_request(near=0.0)
     first = torch.arange(COUNT)[:, None] % 2 == 0
     centre = torch.from_numpy(request.camera.position) + distance * gaussians.mean[:, :3]
     now = torch.full((COUNT,), request.time, dtype=torch.float64)
     return with_mean(gaussians, space=torch.where(first, centre, gaussians.mean[:, :3]), time=now), request
 
 
-@family(1e2, 1e7, "distance from the camera, world units; Gaussians as large as they look")
+@family(1e2, 1e7, "distance from the camera, world units; Gaussians scaled to the same image size")
 def far(distance: float, seed: int) -> Scene:
     gaussians, request = scaled_scene(distance / DISTANCE, seed)
     return gaussians, replace(request, near=0.2)
 
 
-@family(1e4, 1e7, "distance from the camera, world units, of Gaussians 0.005 apart in depth; as large as they look")
+@family(
+    1e4, 1e7, "distance from the camera, world units, of Gaussians 0.005 apart in depth, scaled to the same image size"
+)
 def depth_gap(distance: float, seed: int) -> Scene:
-    """Where float32 steps by 1e-3 to 1 in depth. The means are near the origin, and float32 holds them. None moves."""
+    """The float32 spacing of depth is 1e-3 to 1 here. Means are near the origin, exact in float32, and static."""
     gaussians, request = far(distance, seed)
     forward = torch.from_numpy(request.camera.world_to_cam[2, :3].copy())
     place = torch.randperm(COUNT, generator=generator(seed + 1)) - COUNT / 2
     return with_mean(replace(gaussians, quat_right=None), space=0.005 * place[:, None] * forward), request
 
 
-@family(2e4, 1e8, "focal length, pixels, of a camera so far away that the plain scene fills its image")
+@family(2e4, 1e8, "focal length, pixels, of a camera at the distance where the base scene fills its image")
 def telephoto(focal: float, seed: int) -> Scene:
-    return plain_gaussians(COUNT, seed), plain_request(camera=camera_at(DISTANCE * focal / 30, focal=focal))
+    return base_gaussians(COUNT, seed), base_request(camera=camera_at(DISTANCE * focal / 30, focal=focal))
 
 
-@family(1e2, 1e7, "distance of scene and camera from the world's origin; the scene 1e-4 of it wide")
+@family(1e2, 1e7, "distance of scene and camera from the world's origin; the scene has 1e-4 of its size")
 def far_from_the_origin(distance: float, seed: int) -> Scene:
     scale, target = 1e-4 * distance, distance * np.array([0.6, -0.5, 0.62])
     gaussians, request = scaled_scene(scale, seed)
@@ -233,26 +235,26 @@ def far_from_the_origin(distance: float, seed: int) -> Scene:
     return with_mean(gaussians, space=gaussians.mean[:, :3] + torch.from_numpy(target)), replace(request, camera=camera)
 
 
-@family(1e-4, 1e4, "world units that the plain scene's unit becomes, near plane too")
+@family(1e-4, 1e4, "factor on the base scene and the near plane")
 def scaled_scene(scale: float, seed: int) -> Scene:
-    gaussians = plain_gaussians(COUNT, seed)
+    gaussians = base_gaussians(COUNT, seed)
     log_scale = gaussians.log_scale.clone()
     log_scale[:, :3] += math.log(scale)
-    # Space and time have their own units: what mixes them is no rotation any more, so time stays apart.
+    # Scaling space alone would change a rotation that mixes space and time, so the time axis is kept.
     gaussians = replace(
         with_mean(gaussians, space=gaussians.mean[:, :3] * scale),
         log_scale=log_scale,
         quat_right=_keeping_time(gaussians.quat_left, gaussians.quat_left),
     )
-    return gaussians, plain_request(camera=camera_at(DISTANCE * scale), near=0.2 * scale)
+    return gaussians, base_request(camera=camera_at(DISTANCE * scale), near=0.2 * scale)
 
 
-# ---- Numbers of things -------------------------------------------------------------------------------------
+# ---- Counts and image sizes -------------------------------------------------------------------------------------
 
 
-@family(1, 10_000, "how many, exactly coincident")
+@family(1, 10_000, "number of exactly coincident Gaussians")
 def coincident(count: float, seed: int) -> Scene:
-    gaussians = plain_gaussians(round(count), seed, sh_degree=0, fourier_order=0)
+    gaussians = base_gaussians(round(count), seed, sh_degree=0, fourier_order=0)
     one = lambda t: t[:1].expand_as(t).clone()  # noqa: E731
     gaussians = replace(
         gaussians,
@@ -263,21 +265,21 @@ def coincident(count: float, seed: int) -> Scene:
     )
     gaussians = with_mean(gaussians, time=torch.full((len(gaussians),), 0.5, dtype=torch.float64))
     camera = camera_at(DISTANCE, *((9, 7, 9.0) if count > 100 else (32, 24, 30.0)))
-    return gaussians, plain_request(camera=camera)
+    return gaussians, base_request(camera=camera)
 
 
-@family(0, 40, "how many")
+@family(0, 40, "number of Gaussians")
 def count(number: float, seed: int) -> Scene:
-    return plain_gaussians(round(number), seed), plain_request()
+    return base_gaussians(round(number), seed), base_request()
 
 
 @family(1, 8192, "columns of an image of one row")
 def wide(columns: float, seed: int) -> Scene:
     width = round(columns)
-    return plain_gaussians(COUNT, seed), plain_request(camera=camera_at(DISTANCE, width, 1, max(1.0, 0.9 * width)))
+    return base_gaussians(COUNT, seed), base_request(camera=camera_at(DISTANCE, width, 1, max(1.0, 0.9 * width)))
 
 
 @family(1, 8192, "rows of an image of one column")
 def tall(rows: float, seed: int) -> Scene:
     height = round(rows)
-    return plain_gaussians(COUNT, seed), plain_request(camera=camera_at(DISTANCE, 1, height, max(1.0, 0.9 * height)))
+    return base_gaussians(COUNT, seed), base_request(camera=camera_at(DISTANCE, 1, height, max(1.0, 0.9 * height)))

@@ -1,7 +1,7 @@
-"""A case on every instruction set this machine has: how far the results lie apart, and whether threads change them.
+"""Differences between the kernel's instruction sets, and between one thread and two, in one case.
 
-One source is compiled for each; what differs is how many numbers are added at once and where multiply and add are one
-operation, so results may differ by rounding and by no more.
+All instruction sets are compiled from one source. They differ in vector width and in fused multiply-add, so results
+may differ by rounding only.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from torch import Tensor
 
 from pipeline.studies.kernel_stability.measure import full_scale, relative_error, weights_of
 from rasterizer import Gaussians, Gradients, Rasterizer, RenderOutput, Request
-from rasterizer.kernel import available_isas, load_kernel
+from rasterizer.kernel_loader import available_isas, load_kernel
 from rasterizer.reference.discontinuities import away_from_discontinuities, smooth_pixels
 
 Tensors = dict[str, Tensor]  # by output or field
@@ -22,24 +22,26 @@ Tensors = dict[str, Tensor]  # by output or field
 
 @dataclass(frozen=True)
 class Spread:
-    """The largest difference between two instruction sets: images relative to full scale, gradients to the largest
-    of their tensor, away from jumps."""
+    """The largest difference between two instruction sets, away from discontinuities.
+
+    Images are relative to full scale, gradients to the largest of their tensor.
+    """
 
     isas: tuple[str, ...]
     image: float
     gradient: float
-    worst_field: str  # whose gradients lie farthest apart
-    changed_by_threads: tuple[str, ...]  # instruction sets that with 2 threads give other bits than with 1
+    worst_field: str  # with the largest difference of gradients
+    changed_by_threads: tuple[str, ...]  # instruction sets with other bits on 2 threads than on 1
 
 
 def measure_spread(gaussians: Gaussians, request: Request) -> Spread:
-    """Of float64 `gaussians` whose values float32 holds."""
+    """gaussians: float64, with values that float32 represents exactly."""
     isas = available_isas()
     away = away_from_discontinuities(gaussians, request)
     smooth = smooth_pixels(away, request)
     single = away.to(torch.float32)
-    seen = Rasterizer(1, load_kernel(isas[0])).render(single, request, differentiable=False)
-    scale, weights = full_scale(seen, request), weights_of(seen, request, smooth)
+    rendered = Rasterizer(1, load_kernel(isas[0])).render(single, request, differentiable=False)
+    scale, weights = full_scale(rendered, request), weights_of(rendered, request, smooth)
     found = [images_and_gradients(isa, 1, single, request, weights) for isa in isas]
     images = [{name: image * smooth for name, image in images.items()} for images, _ in found]
     gradients = [by_field for _, by_field in found]
@@ -53,7 +55,7 @@ def measure_spread(gaussians: Gaussians, request: Request) -> Spread:
         max(largest_difference([i[name] for i in images], scale[name]) for name in images[0]),
         fields[worst_field],
         worst_field,
-        tuple(isa for isa in isas if threads_change_bits(isa, gaussians.to(torch.float32), request, seen)),
+        tuple(isa for isa in isas if threads_change_bits(isa, gaussians.to(torch.float32), request, rendered)),
     )
 
 
@@ -70,14 +72,14 @@ def images_and_gradients(
 
 
 def threads_change_bits(isa: str, gaussians: Gaussians, request: Request, like: RenderOutput) -> bool:
-    """Whether images or gradients differ at all between one thread and two, next to jumps too. like: shapes."""
+    """Whether images or gradients differ in any bit between one thread and two. like: gives the shapes."""
     ones = {name: torch.ones_like(getattr(like, name)) for name in request.outputs}
     one, two = (images_and_gradients(isa, threads, gaussians, request, ones) for threads in (1, 2))
     return any(not same_bits(a[name], b[name]) for a, b in zip(one, two, strict=True) for name in a)
 
 
 def same_bits(a: Tensor, b: Tensor) -> bool:
-    """As numbers NaN is not itself, and 0 is -0."""
+    """Compared as bits: as numbers NaN differs from itself, and 0 equals -0."""
     return torch.equal(a.view(torch.int32), b.view(torch.int32))
 
 

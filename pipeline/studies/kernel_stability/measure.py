@@ -1,4 +1,4 @@
-"""What is measured of a case: a float32 program's images, gradients and optimiser steps against the float64 twin's."""
+"""Errors of a float32 program in a case: images, gradients and optimiser steps against the float64 reference."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
-from pipeline.studies.kernel_stability.scene import generator
+from pipeline.studies.kernel_stability.base_scene import generator
 from rasterizer import Gaussians, Gradients, Rasterizer, RenderOutput, Request
 from rasterizer.reference import render as reference
 from rasterizer.reference.discontinuities import away_from_discontinuities, smooth_pixels
 
 LEARNING_RATE = 1e-3  # of the optimiser steps, on every parameter
-EPSILON = 1e-8  # Adam's: with 1e-15 a gradient that is zero but for rounding moves as far as any other
+EPSILON = 1e-8  # of Adam: with 1e-15 a gradient that is rounding error alone gives a step as large as any other
 
 
 @dataclass(frozen=True)
 class Errors:
-    """Of one program at one case: images relative to full scale, gradients to the largest of their tensor."""
+    """Errors of one program in one case: images relative to full scale, gradients to the largest of their tensor."""
 
     image: float
     gradient: float
-    worst_field: str  # whose gradient is the farthest off
-    steps: float  # the loss after the optimiser steps less float64's, relative to the loss before them
+    worst_field: str  # with the largest gradient error
+    steps: float  # |loss after the optimiser steps - the reference's| / loss before them
     non_finite: int  # values of images, gradients and stepped parameters
     indefinite: int  # 2D covariances that are not positive definite
 
@@ -42,15 +42,17 @@ def leaves_of(gaussians: Gaussians) -> dict[str, Tensor]:
 
 
 def full_scale(truth: RenderOutput, request: Request) -> dict[str, float]:
-    """The largest value of each image, but at least 1 of colour and alpha and a pixel of flow: of what hardly moves
-    float32 has no relative accuracy, nor is it asked for."""
+    """The largest value of each image, at least 1 for colour and alpha and 1 pixel for flow.
+
+    Flow of nearly static Gaussians has no relative accuracy in float32.
+    """
     scale = {name: getattr(truth, name).detach().abs().max().item() for name in request.outputs}
-    least_sensitive = {"color": 1.0, "alpha": 1.0, "flow": 1.0}
-    return {name: max(value, least_sensitive.get(name, 1e-30)) for name, value in scale.items()}
+    least = {"color": 1.0, "alpha": 1.0, "flow": 1.0}
+    return {name: max(value, least.get(name, 1e-30)) for name, value in scale.items()}
 
 
 def weights_of(truth: RenderOutput, request: Request, smooth: Tensor) -> dict[str, Tensor]:
-    """∂L/∂image: random, zero where the image is not smooth, every output counting alike."""
+    """Random ∂L/∂image, divided by full scale; zero at pixels that are not `smooth` (H, W)."""
     rng, scale = generator(99), full_scale(truth, request)
     return {
         name: torch.randn(getattr(truth, name).shape, generator=rng, dtype=torch.float64) * smooth / scale[name]
@@ -91,7 +93,7 @@ def optimise(
     scale: dict[str, float],
     steps: int,
 ) -> tuple[float, dict[str, Tensor]]:
-    """The loss after so many steps of Adam towards `target`, and the parameters then.
+    """The loss after `steps` steps of Adam towards `target`, and the parameters after them.
 
     The loss is Σ over the outputs of the mean square of (image - target) / full scale.
     """
@@ -114,9 +116,9 @@ def optimise(
 def step_error(
     rasterize: Callable[..., RenderOutput], gaussians: Gaussians, request: Request, steps: int
 ) -> tuple[float, int]:
-    """(|loss after the steps - float64's| / the loss before them, non-finite parameters).
+    """(|loss after the steps - the reference's| / the loss before them, number of non-finite parameters).
 
-    The target is the scene as it looks with its parameters jittered by 2 %.
+    The target is a rendering of the scene with its parameters jittered by 2 %.
     """
     if len(gaussians) == 0 or steps == 0:
         return 0.0, 0
@@ -142,13 +144,13 @@ def step_error(
 
 
 def kernel_indefinite(gaussians: Gaussians, request: Request) -> int:
-    """Visible Gaussians whose ellipse has no finite radius on the screen, as the kernel itself reports."""
+    """Number of visible Gaussians without a finite, positive screen-space radius, as reported by the kernel."""
     frame = Rasterizer(threads=1)
     single = gaussians.to(torch.float32)
     frame.render(single, request)
     color = torch.zeros(3, request.camera.height, request.camera.width)
-    seen = frame.backward(Gradients.zeros_like(single), d_color=color)
-    return int((~(torch.isfinite(seen.radius) & (seen.radius > 0))).sum())
+    statistics = frame.backward(Gradients.zeros_like(single), d_color=color)
+    return int((~(torch.isfinite(statistics.radius) & (statistics.radius > 0))).sum())
 
 
 def measure(
@@ -159,7 +161,7 @@ def measure(
     steps: int,
     dtype: torch.dtype = torch.float32,
 ) -> Errors:
-    """A program's errors on float64 `gaussians` whose values float32 holds."""
+    """Errors of a program. gaussians: float64, with values that float32 represents exactly."""
     away = away_from_discontinuities(gaussians, request)
     smooth = smooth_pixels(away, request)
     truth = call(reference.rasterize, away, request)
@@ -176,16 +178,16 @@ def measure(
         if exact.numel()
     }
     worst_field = max(by_field, key=by_field.get, default="")
-    # All of them, those next to a jump too, must give finite images and gradients.
+    # All Gaussians, those next to a discontinuity too, must give finite images and gradients.
     ones = {name: torch.ones_like(weight) for name, weight in weights.items()}
     whole, whole_gradients = images_and_gradients(rasterize, gaussians.to(dtype), request, ones)
     values = [getattr(whole, name) for name in request.outputs] + list(whole_gradients.values())
-    stepped, lost = step_error(rasterize, away, request, steps)
+    steps_error, non_finite = step_error(rasterize, away, request, steps)
     return Errors(
         image,
         by_field.get(worst_field, 0.0),
         worst_field,
-        stepped,
-        count_non_finite(values) + lost,
+        steps_error,
+        count_non_finite(values) + non_finite,
         indefinite(gaussians.to(dtype), request),
     )

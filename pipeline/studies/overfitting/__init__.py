@@ -1,1 +1,1 @@
-"""What a model learnt by heart and what it understood: training views against held-out ones, and how long Gaussians live."""
+"""Overfitting: training against held-out views, effective view counts, lifetimes, error in moving and static pixels."""

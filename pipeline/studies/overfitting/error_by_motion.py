@@ -1,4 +1,4 @@
-"""Where a model errs, on what moves or on what stands still: a held-out camera that stands still tells them apart."""
+"""Error in moving and in static pixels, where the test views come from one static camera."""
 
 from __future__ import annotations
 
@@ -9,56 +9,57 @@ from scipy.ndimage import binary_dilation
 
 from datasets.scene import View
 from pipeline.data.training_views import target_of
-from pipeline.evaluation.evaluate import Renderer
+from pipeline.evaluation.renderer import Renderer
 from pipeline.studies.open_run import TrainedRun
 from rasterizer import Rasterizer
 
-CHANGE = 0.03  # of full scale: a pixel that is ever farther from its median, in any channel, moves; eight grey levels
-WIDEN = 2  # pixels round those that count as moving too, for what is shown in the wrong place
+CHANGE = 0.03  # of full scale (8 grey levels): a moving pixel once differs by more from its median, in any channel
+DILATION = 2  # pixels around them that count as moving too: objects rendered in the wrong place
 
 
 @dataclass(frozen=True)
 class ErrorByMotion:
-    """The squared error of all test views, shared out."""
+    """The squared error of all test views, by pixel."""
 
-    moving: float  # part of the pixels that move
-    error: float  # part of the squared error that is theirs
-    moving_psnr: float  # dB, of the mean squared error over these pixels of all views
-    still_psnr: float  # likewise over the others
+    moving_fraction: float  # of the pixels
+    moving_error: float  # fraction of the squared error that is in moving pixels
+    moving_psnr: float  # dB, of the mean squared error over moving pixels of all views
+    static_psnr: float  # dB, likewise over the other pixels
 
 
 def error_by_motion(run: TrainedRun) -> ErrorByMotion | None:
-    """None where the test views' camera moves, or where nothing or everything in them does."""
-    if not _one_place(run.scene.test):
+    """None where the test camera moves, and where no pixel or every pixel is moving."""
+    if not is_static_camera(run.scene.test):
         return None
     renderer = Renderer(run.model, run.scene, run.cfg, Rasterizer())
     targets = [target_of(view, run.cfg.train.resolution_scale) for view in run.scene.test]
     truth = np.stack([target.image.numpy().transpose(1, 2, 0) for target in targets])
-    found = np.stack([renderer.image(target.camera, target.time) for target in targets])
-    return shared_out(truth, found)
+    rendered = np.stack([renderer.image(target.camera, target.time) for target in targets])
+    return split_error(truth, rendered)
 
 
-def shared_out(truth: np.ndarray, found: np.ndarray) -> ErrorByMotion | None:
-    """(V, H, W, 3) each, in [0, 1]. None where nothing or everything moves."""
-    mask = moving_pixels(truth)
-    if not mask.any() or mask.all():
+def split_error(truth: np.ndarray, rendered: np.ndarray) -> ErrorByMotion | None:
+    """(V, H, W, 3) images in [0, 1]. None where no pixel or every pixel is moving."""
+    moving = moving_pixels(truth)
+    if not moving.any() or moving.all():
         return None
-    squared = ((found - truth) ** 2).mean(axis=(0, 3), dtype=np.float64)  # (H, W)
-    with np.errstate(divide="ignore", invalid="ignore"):  # a perfect model has no error to share: nan, and inf dB
+    squared = ((rendered - truth) ** 2).mean(axis=(0, 3), dtype=np.float64)  # (H, W)
+    with np.errstate(divide="ignore", invalid="ignore"):  # a perfect model: 0 / 0 is nan, PSNR is inf
         return ErrorByMotion(
-            float(mask.mean()),
-            float(squared[mask].sum() / squared.sum()),
-            *(float(-10 * np.log10(squared[part].mean())) for part in (mask, ~mask)),
+            float(moving.mean()),
+            float(squared[moving].sum() / squared.sum()),
+            *(float(-10 * np.log10(squared[mask].mean())) for mask in (moving, ~moving)),
         )
 
 
 def moving_pixels(images: np.ndarray) -> np.ndarray:
-    """(H, W) bool, of (V, H, W, 3) images by one camera in [0, 1]."""
+    """(H, W) bool mask of (V, H, W, 3) images in [0, 1] by one camera."""
     change = np.abs(images - np.median(images, axis=0)).max(axis=(0, 3))
-    return binary_dilation(change > CHANGE, np.ones((2 * WIDEN + 1,) * 2))
+    return binary_dilation(change > CHANGE, np.ones((2 * DILATION + 1,) * 2))
 
 
-def _one_place(views: tuple[View, ...]) -> bool:
+def is_static_camera(views: tuple[View, ...]) -> bool:
+    """Whether all views have one pose and one image size."""
     first = views[0].camera
     return all(
         view.camera.width == first.width

@@ -1,4 +1,4 @@
-"""What a run's log says of it as training went on."""
+"""The evaluations in the log of a run: PSNR of training and held-out views, lifetimes."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ import numpy as np
 
 @dataclass(frozen=True)
 class History:
-    """One run; arrays over its evaluations."""
+    """One run; arrays over its E evaluations."""
 
     label: str
     scene: str
     iteration: np.ndarray  # (E,)
     train_psnr: np.ndarray  # (E,) dB
     psnr: np.ndarray  # (E,) dB, held-out views
-    lifetimes: np.ndarray | None  # (E, 5) lifetimes.QUANTILES, in frames; None: static
-    lifetime_counts: np.ndarray | None  # (E, B) Gaussians in lifetimes.BIN_EDGES
+    lifetimes: np.ndarray | None  # (E, 5) quantiles lifetimes.QUANTILES, in frames; None: static model
+    lifetime_counts: np.ndarray | None  # (E, B) Gaussians in each bin of lifetimes.BIN_EDGES
 
 
 def read_history(folder: Path) -> History:
-    """Raises ValueError, one line, where the folder holds no finished run that logged all this."""
+    """ValueError, one line, where `folder` holds no finished run whose log has all of it."""
     try:
-        about = json.loads((folder / "metrics.json").read_text())
+        metrics = json.loads((folder / "metrics.json").read_text())
         lines = (folder / "log.jsonl").read_text().splitlines()
     except (OSError, json.JSONDecodeError) as error:
         raise ValueError(f"{folder}: expected a finished run, found {error}") from None
@@ -35,10 +35,10 @@ def read_history(folder: Path) -> History:
             f"{folder / 'log.jsonl'}: expected evaluations with train_psnr, found "
             f"{'none' if not rows else 'a run of an earlier version'}"
         )
-    rows = list({row["iteration"]: row for row in rows}.values())  # a resumed run evaluates some of them again
-    lived = counts = None
+    rows = list({row["iteration"]: row for row in rows}.values())  # a resumed run repeats some evaluations
+    quantiles = counts = None
     if rows[0]["lifetimes"] is not None:
-        lived, counts = (np.array([row["lifetimes"][key] for row in rows]) for key in ("quantiles", "counts"))
+        quantiles, counts = (np.array([row["lifetimes"][key] for row in rows]) for key in ("quantiles", "counts"))
     column = {name: np.array([row[name] for row in rows]) for name in ("iteration", "train_psnr", "psnr")}
-    label = about["train"] if about["ablation"] == "full" else f"{about['train']}, {about['ablation']}"
-    return History(label, about["scene"], **column, lifetimes=lived, lifetime_counts=counts)
+    label = metrics["train"] if metrics["ablation"] == "full" else f"{metrics['train']}, {metrics['ablation']}"
+    return History(label, metrics["scene"], **column, lifetimes=quantiles, lifetime_counts=counts)

@@ -1,0 +1,1 @@
+"""Gradient clipping: how heavy-tailed the gradients are, and whether clipping their norm improves training."""
