@@ -63,7 +63,8 @@ def _table_files(content: Content, with_latex: bool) -> dict[str, bytes]:
 
 
 def _image_files(content: Content) -> dict[str, bytes]:
-    pictures = (*content.strips, *(content.sfm.pictures if content.sfm else ()))
-    return {f"plots/{plot.slug}.svg": plot.light.encode() for plot in content.plots} | {
-        f"strips/{picture.filename}": picture.webp for picture in pictures
-    }
+    files = {f"plots/{plot.slug}.svg": plot.light.encode() for plot in content.plots}
+    files |= {f"strips/{strip.filename}": strip.webp for strip in content.strips}
+    if content.sfm:
+        files |= {f"strips/{picture.filename}": picture.webp for picture in content.sfm.pictures}
+    return files

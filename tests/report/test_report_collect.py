@@ -87,8 +87,10 @@ def test_incomplete_last_line_of_a_curve_is_dropped(tmp_path):
 def test_no_runs_is_an_error_with_advice(tmp_path, capsys, make, advice):
     make(tmp_path / "runs")
     assert main([str(tmp_path / "runs")]) == 1
-    said = capsys.readouterr().err
-    assert said.startswith(f"error: {tmp_path / 'runs'}: expected") and said.count("\n") == 1 and advice in said
+    printed = capsys.readouterr().err
+    assert (
+        printed.startswith(f"error: {tmp_path / 'runs'}: expected") and printed.count("\n") == 1 and advice in printed
+    )
     assert not (tmp_path / "report").exists()
 
 

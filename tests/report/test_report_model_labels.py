@@ -149,10 +149,10 @@ def test_models_without_4dsh_are_compared_and_labelled(tmp_path, capsys) -> None
         capsys.readouterr().out,
         *((tmp_path / "report" / name).read_text() for name in ("report.html", "report.md")),
     )
-    for said in (out, page, text):
-        assert "no_4drot, 4DSH left out" in said and "selection by validation removed it" in said
+    for document in (out, page, text):
+        assert "no_4drot, 4DSH left out" in document and "selection by validation removed it" in document
         # The label is never shortened to the ablation; only commands and paths contain that alone.
-        assert not re.search(r"(<b>|\| |<td[^>]*>)(full|no_4drot)( *\||</b>|</td>)", said)
+        assert not re.search(r"(<b>|\| |<td[^>]*>)(full|no_4drot)( *\||</b>|</td>)", document)
     assert "synthetic/wheel: worse, full, 4DSH left out − ablation = 5.00 dB" in out
 
 

@@ -114,8 +114,8 @@ def test_command_reports_a_foreign_file_in_one_line(tmp_path, capsys) -> None:
     write_run(tmp_path / "runs", "synthetic/wheel")
     put(tmp_path / "report", {"report.md": b"# My own"})
     assert main([str(tmp_path / "runs")]) == 1
-    said = capsys.readouterr()
-    assert said.out == "" and said.err.count("\n") == 1 and "give another --out" in said.err
+    printed = capsys.readouterr()
+    assert printed.out == "" and printed.err.count("\n") == 1 and "give another --out" in printed.err
     assert files(tmp_path / "report") == {"report.md": b"# My own"}
 
 

@@ -104,9 +104,9 @@ def test_report_of_one_scene_is_short(tmp_path, capsys) -> None:
         *((tmp_path / "report" / name).read_text() for name in ("report.md", "report.html")),
     )
     assert len(out.splitlines()) < 25 and len(text.splitlines()) < 70
-    for said in (out, text, page):
+    for document in (out, text, page):
         for absent in ("Table 1", "Table 2", "Table 3", "no run of", "K-Planes", "Ablations"):
-            assert absent not in said, absent
+            assert absent not in document, absent
     assert not re.search(r"<h2[^>]*>[^<]*</h2>\s*(<h2|</main>)", page)  # no section is empty
     assert re.findall(r'<h2 id="(\w+)">', page) == ["summary", "strips", "curves", "scenes", "raw"]
     assert re.findall(r'<a href="#(\w+)">', page) == ["summary", "strips", "curves", "scenes", "raw"]

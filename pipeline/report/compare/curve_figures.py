@@ -85,11 +85,11 @@ def _groups(variants: list[_Variant]) -> list[_Group]:
     groups: list[_Group] = []
     # Schedules are compared for one requested model: selection by validation is a part of the schedule.
     for i, factor in enumerate(_FACTORS):
-        same = _classes(
-            variants,
-            lambda v, i=i: (models.requested(v.ablation), v.scene, v.schedule, v.factors[:i] + v.factors[i + 1 :]),
-        )
-        groups += [(factor, group) for group in same if len({v.factors[i] for v in group}) > 1]
+
+        def others(v: _Variant, i: int = i) -> object:
+            return models.requested(v.ablation), v.scene, v.schedule, v.factors[:i] + v.factors[i + 1 :]
+
+        groups += [(factor, group) for group in _classes(variants, others) if len({v.factors[i] for v in group}) > 1]
     same = _classes(variants, lambda v: (v.train, v.scene, v.schedule, v.factors))
     groups += [("ablation", group) for group in same if len({v.ablation for v in group}) > 1]
 
@@ -136,12 +136,8 @@ def _lines(factor: str, group: list[_Variant]) -> tuple[Line, ...]:
         return tuple(Line(name, of_name[name].train, name) for name in scenes.ablations_in_order(of_name))
     shared = _shared_parts(group) if len(group) > 1 else []
     ordered = sorted(group, key=lambda v: (len(v.train), v.train, v.ablation))
-    return tuple(
-        Line(
-            v.ablation, v.train, _without(shared, v.train) + (models.LEFT_OUT if models.is_left_out(v.ablation) else "")
-        )
-        for v in ordered
-    )
+    suffixes = [models.LEFT_OUT if models.is_left_out(v.ablation) else "" for v in ordered]
+    return tuple(Line(v.ablation, v.train, _without(shared, v.train) + end) for v, end in zip(ordered, suffixes))
 
 
 def _without(parts: list[str], train: str) -> str:

@@ -72,7 +72,7 @@ def _cells(runs: pd.DataFrame, scene: str, label: str, train: str, metric: str) 
     found = verdict(runs, scene, label, train, metric)
     if found is None:
         baseline = baseline_of(label)
-        no_run = select(runs, scene, baseline, train).empty
+        no_run = baseline is None or select(runs, scene, baseline, train).empty
         return {"verdict": text(f"no run of {baseline}" if no_run else "not measured")}
     return {
         "full_psnr": measured(found.full),

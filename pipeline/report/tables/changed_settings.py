@@ -76,26 +76,25 @@ def _table(schedule: str, ablation: str, names: list[str], rows: list[Row], note
         *(Column(key, header, group="means") for key, header in _RATIOS.items()),
     )
     of = schedule if ablation == "full" else f"{schedule}, {ablation}"
-    best_first = sorted(rows, key=lambda row: -row.cells["mean"].value)
+    best_first = sorted(rows, key=lambda row: -(row.cells["mean"].value or 0.0))
     slug = file_name(STUDY + re.sub(r"[^\w.-]+", "_", of))
     return Table(slug, f"Effect of changed settings of {of}", columns, tuple(best_first), notes=(NOTE, *notes))
 
 
 def _row(change: str, variant: pd.DataFrame, unchanged: pd.DataFrame, names: list[str]) -> Row | None:
     """One change on every scene; None without a common scene and seed."""
-    cells, ratios = {"change": text(change)}, {key: [] for key in _RATIOS}
+    cells = {"change": text(change)}
+    ratios: dict[str, list[float]] = {key: [] for key in _RATIOS}
     psnr, ssim = [], []
     for scene in names:
         changed, base = _of_common_seeds(variant[variant["scene"] == scene], unchanged[unchanged["scene"] == scene])
-        after, before = estimate(changed["final.psnr"]), estimate(base["final.psnr"])
-        if after is None or before is None:
+        in_psnr, in_ssim = (_difference(changed[metric], base[metric]) for metric in ("final.psnr", "final.ssim"))
+        if in_psnr is None or in_ssim is None:
             cells[scene] = NO_RUN
             continue
-        found = compare(after, before)
-        psnr.append((found.difference, found.standard_error))
-        cells[scene] = _signed(found.difference, found.standard_error)
-        in_ssim = compare(estimate(changed["final.ssim"]), estimate(base["final.ssim"]))
-        ssim.append((in_ssim.difference, in_ssim.standard_error))
+        psnr.append(in_psnr)
+        ssim.append(in_ssim)
+        cells[scene] = _signed(*in_psnr)
         for key in _RATIOS:
             ratios[key].append(changed[key].mean() / base[key].mean())
     if not psnr:
@@ -105,6 +104,15 @@ def _row(change: str, variant: pd.DataFrame, unchanged: pd.DataFrame, names: lis
         ratio = float(np.exp(np.mean(np.log(values))))
         cells[key] = Cell(f"{ratio:.2f}", ratio)
     return Row(cells)
+
+
+def _difference(changed: pd.Series, base: pd.Series) -> tuple[float, float] | None:
+    """Difference of the means and its standard error; None without runs."""
+    after, before = estimate(changed), estimate(base)
+    if after is None or before is None:
+        return None
+    found = compare(after, before)
+    return found.difference, found.standard_error
 
 
 def _of_common_seeds(one: pd.DataFrame, other: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:

@@ -40,8 +40,8 @@ def time_to_psnr(collection: Collection, levels: tuple[float, ...] = ()) -> Tabl
         for level in levels or levels_of(of_scene):
             for ablation in scenes.ablations_in_order(of_scene["ablation"]):
                 of_ablation = of_scene[of_scene["ablation"] == ablation]
-                for train, mine in of_ablation.groupby("train", sort=True):
-                    seconds = [seconds_to(run, level) for _, run in mine.groupby("run")]
+                for train, seeds in of_ablation.groupby("train", sort=True):
+                    seconds = [seconds_to(run, level) for _, run in seeds.groupby("run")]
                     rows.append(
                         Row(
                             {

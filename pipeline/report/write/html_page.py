@@ -25,11 +25,7 @@ def render_page(content: Content) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {
-        "svg_uri": lambda svg: _data_uri("image/svg+xml", svg.encode()),
-        "webp_uri": lambda webp: _data_uri("image/webp", webp),
-        "pieces": pieces,
-    }
+    environment.filters |= {"svg_uri": _svg_uri, "webp_uri": _webp_uri, "pieces": pieces}
     return environment.get_template("html_page.html").render(
         content=content,
         summary=content.summary,
@@ -62,6 +58,14 @@ def _sections(content: Content) -> dict[str, str]:
 def pieces(text: str) -> list[str]:
     """`text` split where a line may break: after / _ and =."""
     return re.split(r"(?<=[/_=])", text)
+
+
+def _svg_uri(svg: str) -> str:
+    return _data_uri("image/svg+xml", svg.encode())
+
+
+def _webp_uri(webp: bytes) -> str:
+    return _data_uri("image/webp", webp)
 
 
 def _data_uri(mime: str, content: bytes) -> str:

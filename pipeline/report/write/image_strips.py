@@ -134,8 +134,8 @@ def compose(paths: list[Path], max_side: int = _MAX_SIDE) -> bytes:
     scale = min(1.0, max_side / max(images[0].size))
     size = (max(1, round(images[0].width * scale)), max(1, round(images[0].height * scale)))
     strip = Image.new("RGBA", (len(images) * size[0] + (len(images) - 1) * _GAP, size[1]), (0, 0, 0, 0))
-    for i, image in enumerate(images):
-        scaled = image if image.size == size else image.resize(size, Image.Resampling.LANCZOS)
+    for i, full_size in enumerate(images):
+        scaled = full_size if full_size.size == size else full_size.resize(size, Image.Resampling.LANCZOS)
         strip.paste(scaled, (i * (size[0] + _GAP), 0))
     buffer = io.BytesIO()
     strip.save(buffer, "WEBP", quality=_QUALITY)

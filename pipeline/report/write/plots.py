@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import math
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -54,7 +55,7 @@ def plot(collection: Collection, figure_of: CurveFigure, theme: Theme = LIGHT) -
     columns = [(y, label) for y, label in _COLUMNS if shown[y].notna().any()]
     colours = _colours(figure_of.lines, theme.ablations)
     # Text as text elements: outlines would double the size of the page.
-    style = {
+    style: Any = {
         "svg.hashsalt": figure_of.slug,
         "svg.fonttype": "none",
         "font.family": ["DejaVu Sans", "sans-serif"],

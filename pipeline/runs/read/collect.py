@@ -60,7 +60,8 @@ def collect(runs_dir: Path) -> Collection:
         found = "a file" if runs_dir.exists() else "nothing"
         raise FileNotFoundError(f"{runs_dir}: expected a folder of runs, found {found}; {_HOW_TO_START}")
     rows, curves, settings = [], [], {}
-    left_out, warnings = [], []
+    left_out: list[str] = []
+    warnings: list[str] = []
     no_provenance = dict.fromkeys(PROVENANCE, "unknown") | {"overrides": ()}
     for folder in run_folders(runs_dir):
         run = folder.relative_to(runs_dir).as_posix()

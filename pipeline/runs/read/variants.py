@@ -94,7 +94,7 @@ def _current_key(override: str) -> str:
     return renamed_key(key) + equals + value
 
 
-def evaluated_on_validation(settings: dict[str, Any]) -> bool:
+def evaluated_on_validation(settings: Mapping[str, Any]) -> bool:
     """Whether the run was evaluated on training views held out for validation, not on test views."""
     return settings.get(VALIDATION) not in (None, 0)
 

@@ -14,7 +14,7 @@ from fuzz.readers.dnerf import png
 from fuzz.target import REFUSED, VALID, Changes, Files, Target, check_line, require, valid_or_refused
 from pipeline.report.compare.curve_figures import curve_figures
 from pipeline.report.compare.curve_statistics import end_of_coarse
-from pipeline.report.tables import paper_tables
+from pipeline.report.tables.paper_tables import paper_tables
 from pipeline.report.tables.run_tables import run_tables
 from pipeline.report.tables.summary import summarise
 from pipeline.report.write.html_page import render_page
