@@ -7,6 +7,7 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 RUN := .venv/bin/python -m
 RUNS ?= results/runs
 FUZZ_SECONDS ?= 20
+MARKDOWN := README.md CONTRIBUTING.md CHANGELOG.md docs results/measured/few_views/few_views.md
 
 # How long a target took since make began, what it set up on the way included.
 STARTED := $(shell date +%s)
@@ -31,11 +32,12 @@ lint: $(INSTALLED) ## check style, imports, types and Markdown, without changing
 	.venv/bin/ruff check .
 	.venv/bin/ruff format --check .
 	.venv/bin/mypy
-	.venv/bin/pymarkdown --config pyproject.toml scan README.md CONTRIBUTING.md CHANGELOG.md docs
+	.venv/bin/mdformat --check $(MARKDOWN)
 
-format: $(INSTALLED) ## format the code and sort its imports
+format: $(INSTALLED) ## format code, imports and Markdown
 	.venv/bin/ruff check --fix --select I .
 	.venv/bin/ruff format .
+	.venv/bin/mdformat $(MARKDOWN)
 
 test: $(BUILT) ## run all tests
 	$(RUN) pytest -n auto --dist loadscope --no-loadscope-reorder
