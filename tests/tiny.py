@@ -1,8 +1,9 @@
-"""A scene and a run folder so small that training takes seconds."""
+"""A scene, a configuration and a run folder small enough to train in seconds; shared by tests of several folders."""
 
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import torch
 
 from datasets.scene import Scene, View, camera_extent
 from datasets.settings import SceneConfig
-from pipeline.config.schema import AblationConfig, Config, InitConfig
+from pipeline.config.schema import AblationConfig, Config, EvaluateConfig, InitConfig
 from pipeline.config.train_schema import DensifyConfig, TrainConfig
 from pipeline.model.initialise import initialise
 from pipeline.model.model import Model, ModelKind
@@ -21,14 +22,14 @@ SIZE = 32
 
 
 def tiny_scene(views: int = 8, static: bool = False) -> Scene:
-    """A red disc that moves to the right over time (or stays), seen by cameras on a small arc in front of it."""
+    """A red disc, moving to the right unless static, and `views` views by four cameras on an arc in front of it."""
     made = []
     for i in range(views):
         time = 0.0 if static else i / (views - 1)
         angle = 0.3 * (i % 4 - 1.5)
         rotation = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
         pose = np.eye(4)
-        pose[:3, :3], pose[2, 3] = rotation, 4.0  # looks at the origin from 4 away
+        pose[:3, :3], pose[2, 3] = rotation, 4.0  # looks at the origin from a distance of 4
         camera = Camera(SIZE, SIZE, 40.0, 40.0, SIZE / 2, SIZE / 2, pose)
         y, x = np.mgrid[:SIZE, :SIZE] + 0.5
         disc = (x - (10 + 12 * time)) ** 2 + (y - 16) ** 2 < 36
@@ -48,8 +49,8 @@ def tiny_scene(views: int = 8, static: bool = False) -> Scene:
     )
 
 
-def tiny_config(iterations: int = 60, background: str = "auto", **train_keys) -> Config:
-    """Everything that can happen in a run happens within 60 iterations; a background is trained for 20 of them."""
+def tiny_config(iterations: int = 60, background_model: str = "auto", **train_keys) -> Config:
+    """60 iterations include every event of a schedule; a background model is frozen after 20."""
     densify = DensifyConfig(
         start=5, stop=50, every=10, space_gradient=1e-5, opacity_reset_every=25, prune_big_after=30, max_gaussians=400
     )
@@ -72,18 +73,23 @@ def tiny_config(iterations: int = 60, background: str = "auto", **train_keys) ->
         ablation=AblationConfig(),
         train=TrainConfig(**(keys | train_keys)),
         threads=1,
-        background_model=background,
+        background_model=background_model,
     )
 
 
+def evaluation_config(**keys) -> Config:
+    """`tiny_config` without LPIPS and with a single speed pass; keys: of `evaluate`."""
+    return replace(tiny_config(), evaluate=EvaluateConfig(**{"lpips": False, "speed_repeats": 1} | keys))
+
+
 def random_model(kind: ModelKind, count: int = 7) -> Model:
-    """Of standard normal numbers."""
-    generator = torch.Generator().manual_seed(1)
-    return Model(kind, {name: torch.randn(count, *row, generator=generator) for name, row in kind.shapes().items()})
+    """Standard normal parameters, always the same."""
+    rng = torch.Generator().manual_seed(1)
+    return Model(kind, {name: torch.randn(count, *row, generator=rng) for name, row in kind.shapes().items()})
 
 
 class TinyRun:
-    """The least a run folder does: see pipeline.training.loop.RunFolder."""
+    """A minimal pipeline.training.run_log.RunLog."""
 
     def __init__(self, path: Path) -> None:
         path.mkdir(parents=True, exist_ok=True)
@@ -98,7 +104,9 @@ class TinyRun:
     def rows(self, name: str) -> list[dict]:
         file = self.path / name
         lines = file.read_text().splitlines(keepends=True) if file.exists() else []
-        return [json.loads(line) for line in lines if line.endswith("\n")]  # a kill may have cut the last one
+        return [
+            json.loads(line) for line in lines if line.endswith("\n")
+        ]  # a killed process may leave a partial last line
 
     def truncate_after(self, iteration: int) -> None:
         for name in ("log.jsonl", "error_vs_time.jsonl"):
@@ -111,7 +119,7 @@ class TinyRun:
 
 
 def fake_evaluate(model: Model, progress: Progress) -> dict:
-    """A "PSNR" that is a function of the model, so that a different model shows."""
+    """A "PSNR" that is a function of the model, so that tests notice a different model."""
     return {"psnr": model.parameters["mean"].double().square().mean().item(), "ssim": 0.5, "test_loss": 0.1}
 
 
@@ -121,7 +129,7 @@ def train_tiny(path: Path, cfg: Config | None = None, scene: Scene | None = None
     return train(model, scene, cfg, TinyRun(path), fake_evaluate)
 
 
-def train_alone(path: Path, iterations: int, background: str) -> None:
-    """What a process of its own does."""
+def train_in_process(path: Path, iterations: int, background_model: str) -> None:
+    """The main function of a child process."""
     torch.set_num_threads(1)
-    train_tiny(path, tiny_config(iterations, background))
+    train_tiny(path, tiny_config(iterations, background_model))

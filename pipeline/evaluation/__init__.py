@@ -1,1 +1,1 @@
-"""How good a model is: metrics, speed, pictures and videos of held-out views."""
+"""Evaluation of a model on held-out views: image metrics, flicker, speed, images and videos."""

@@ -1,4 +1,4 @@
-"""Videos as any player takes them: H.264, 4:2:0, .mp4. Frames go to the encoder as they come; none is kept."""
+"""Writes H.264 videos (4:2:0, .mp4) frame by frame, without keeping frames in memory."""
 
 from __future__ import annotations
 
@@ -12,46 +12,30 @@ import numpy as np
 from datasets.files.atomic_write import atomic_file
 from pipeline.data.frame_order import camera_name
 
-# x264's measure of loss, 0 to 51: to the eye there is none. No number is taken from a video.
+# x264's constant rate factor, 0 (lossless) to 51; 18 is visually lossless. No metric is computed from a video.
 QUALITY = 18
 
-# The matrix is named in the file, or players guess one by the size of the image. What one thread writes does not depend
-# on the machine; the encoder runs beside rendering and measuring, which take longer.
+# The colour matrix is written to the file, because players otherwise guess it from the image size. With one thread the
+# output does not depend on the machine; rendering and measuring, which run in parallel, take longer than encoding.
 _ENCODER = (
-    "-vf",
-    "scale=in_range=full:out_range=limited:out_color_matrix=bt709",
-    "-colorspace",
-    "bt709",
-    "-color_primaries",
-    "bt709",
-    "-color_trc",
-    "bt709",
-    "-color_range",
-    "tv",
-    "-crf",
-    str(QUALITY),
-    "-threads",
-    "1",
-    "-fflags",
-    "+bitexact",
-    "-flags:v",
-    "+bitexact",
-    "-movflags",
-    "+faststart",
-)
+    "-vf", "scale=in_range=full:out_range=limited:out_color_matrix=bt709",
+    "-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709", "-color_range", "tv",
+    "-crf", str(QUALITY), "-threads", "1", "-fflags", "+bitexact", "-flags:v", "+bitexact", "-movflags", "+faststart",
+)  # fmt: skip
 
 Send = Callable[[np.ndarray], None]  # takes the next image, (H, W, 3) in [0, 1]
 
 
 @contextmanager
 def video(path: Path, width: int, height: int, frame_rate: float) -> Iterator[Send]:
-    """Write `path` from the images sent, width × height each; odd sides get their last pixels twice.
+    """Write the images sent, width × height each, as a video at `frame_rate` frames per second.
 
-    The file appears when all is written, or not at all. OSError if the encoder fails.
+    Odd sides are padded with a copy of the last pixels. The write is atomic. Raises OSError if the encoder fails, and
+    ValueError for an image of another size.
     """
-    from imageio_ffmpeg import count_frames_and_secs, write_frames  # only who writes a video needs it
+    from imageio_ffmpeg import count_frames_and_secs, write_frames  # not imported where no video is written
 
-    even = (width + width % 2, height + height % 2)  # 4:2:0 has a colour for every two pixels
+    even = (width + width % 2, height + height % 2)  # 4:2:0 stores chroma for every second pixel
     sent = 0
     with atomic_file(path) as temporary:
         encoder = write_frames(
@@ -64,7 +48,7 @@ def video(path: Path, width: int, height: int, frame_rate: float) -> Iterator[Se
             ffmpeg_log_level="error",
             output_params=list(_ENCODER),
         )
-        encoder.send(None)  # starts it
+        encoder.send(None)  # starts the encoder
 
         def send(image: np.ndarray) -> None:
             nonlocal sent
@@ -75,29 +59,29 @@ def video(path: Path, width: int, height: int, frame_rate: float) -> Iterator[Se
             try:
                 encoder.send(np.ascontiguousarray(padded))
             except OSError as error:
-                raise OSError(f"{path}: expected ffmpeg to take frame {sent}, found it ended") from error
+                raise OSError(f"{path}: expected ffmpeg to accept frame {sent}, found that it had exited") from error
             sent += 1
 
         try:
             yield send
         finally:
             encoder.close()  # waits for the last frames
-        # Its exit status is not to be had: a disk that filled up at the end would pass for success.
+        # write_frames hides the exit status of the encoder; a disk that fills up at the end would go unnoticed.
         written = count_frames_and_secs(str(temporary))[0] if temporary.exists() else 0
         if written != sent:
             raise OSError(f"{path}: expected {sent} frames written, found {written}")
 
 
 class HeldOutFilms:
-    """<camera>_render_and_truth.mp4 for each test camera, render left, truth right; a context manager.
+    """Writes <camera>_render_and_truth.mp4 for each test camera: render left, ground truth right. A context manager.
 
-    Called with every test view's name and images in film order (film.film_order).
+    Call it with every test view's name and images in film order (frame_order.film_order).
     """
 
     def __init__(self, folder: Path, frame_rate: float) -> None:
         self._folder, self._frame_rate = folder, frame_rate
         self._camera: str | None = None
-        self._open = ExitStack()  # the film of `camera`
+        self._open = ExitStack()  # the video of `_camera`
         self._send: Send | None = None
 
     def __enter__(self) -> HeldOutFilms:
@@ -111,8 +95,9 @@ class HeldOutFilms:
     def __call__(self, view_name: str, image: np.ndarray, truth: np.ndarray) -> None:
         pair = np.concatenate([image, truth], axis=1)
         if camera_name(view_name) != self._camera:
-            self._open.close()  # of the camera before
+            self._open.close()  # finishes the previous camera's video
             self._camera = camera_name(view_name)
             path = self._folder / f"{self._camera}_render_and_truth.mp4"
             self._send = self._open.enter_context(video(path, pair.shape[1], pair.shape[0], self._frame_rate))
+        assert self._send is not None
         self._send(pair)

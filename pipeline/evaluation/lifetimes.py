@@ -1,4 +1,4 @@
-"""How long Gaussians live, in frames: what sinks while a monocular scene is learnt by heart."""
+"""Distribution of the Gaussians' temporal standard deviations, in frames: it falls while a monocular scene overfits."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ BIN_EDGES = 2.0 ** np.arange(-6, 10.25, 0.25)  # frames, of the histogram
 
 
 def lifetimes(model: Model, scene: Scene) -> dict[str, list[float] | list[int]] | None:
-    """√Σtt over the spacing of the training times: `quantiles`, and `counts` in BIN_EDGES, what lies outside in the
-    first and last; None for a static model.
+    """√Σtt divided by the spacing of the training times: `quantiles`, and `counts` in the bins of BIN_EDGES; the first
+    and last bin include what is outside. None for a static model.
 
-    Σtt = Σ_j (R_tj s_j)²: without rotation st². Tilted far, a long axis of space reaches into time too.
+    Σtt = Σ_j (R_tj s_j)²; without 4D rotation it is st². A strong rotation turns a long spatial axis into time.
     """
     if model.kind.dims == 3:
         return None

@@ -1,8 +1,8 @@
 """LPIPS (Zhang et al. 2018, version 0.1) without torchvision: the weighted distance between deep features.
 
-Two sets of weights a network: the convolutions of torchvision's ImageNet models (233 MB AlexNet, 528 MB VGG16) and
-the 6 kB linear heads of the LPIPS authors. They are looked for in torch.hub's cache (`torch.hub.get_dir()`, moved by
-TORCH_HOME) and otherwise downloaded there, checked by SHA-256. Where that fails there is no number but a reason.
+A network has two sets of weights: the convolutions of torchvision's ImageNet model (233 MB AlexNet, 528 MB VGG16) and
+the 6 kB linear heads of the LPIPS authors. They are read from torch.hub's cache (`torch.hub.get_dir()`, set by
+TORCH_HOME), or downloaded to it, and checked by SHA-256. Where that fails, LpipsUnavailable has the reason.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-CONNECT_SECONDS = 4.0  # longer than this an evaluation does not wait to learn that it is offline
+CONNECT_SECONDS = 4.0  # timeout of the first request
 
 _HEADS_AT = (
     "https://raw.githubusercontent.com/richzhang/PerceptualSimilarity/"
@@ -25,7 +25,7 @@ _HEADS_AT = (
 )
 _BACKBONES_AT = "https://download.pytorch.org/models/"
 
-# file, beginning of its SHA-256, address
+# file, prefix of its SHA-256, URL
 _FILES = {
     "alex": (
         ("alexnet-owt-7be5be79.pth", "7be5be79", _BACKBONES_AT + "alexnet-owt-7be5be79.pth"),
@@ -37,27 +37,15 @@ _FILES = {
     ),
 }
 
-# Layers of torchvision's `features`, as (kind, out channels, kernel, stride, padding). "tap" is no layer: there the
-# features of the two images are compared.
+# Layers of torchvision's `features`, as (kind, out channels, kernel, stride, padding). "compare" is not a layer: there
+# the features of the two images are compared.
 _ALEX = (
-    ("conv", 64, 11, 4, 2),
-    ("relu",),
-    ("tap",),
-    ("pool", 3),
-    ("conv", 192, 5, 1, 2),
-    ("relu",),
-    ("tap",),
-    ("pool", 3),
-    ("conv", 384, 3, 1, 1),
-    ("relu",),
-    ("tap",),
-    ("conv", 256, 3, 1, 1),
-    ("relu",),
-    ("tap",),
-    ("conv", 256, 3, 1, 1),
-    ("relu",),
-    ("tap",),
-)
+    ("conv", 64, 11, 4, 2), ("relu",), ("compare",), ("pool", 3),
+    ("conv", 192, 5, 1, 2), ("relu",), ("compare",), ("pool", 3),
+    ("conv", 384, 3, 1, 1), ("relu",), ("compare",),
+    ("conv", 256, 3, 1, 1), ("relu",), ("compare",),
+    ("conv", 256, 3, 1, 1), ("relu",), ("compare",),
+)  # fmt: skip
 
 
 def _vgg_layers() -> tuple[tuple, ...]:
@@ -65,35 +53,37 @@ def _vgg_layers() -> tuple[tuple, ...]:
     for block, (channels, convolutions) in enumerate(((64, 2), (128, 2), (256, 3), (512, 3), (512, 3))):
         if block > 0:
             layers.append(("pool", 2))
-        layers += [("conv", channels, 3, 1, 1), ("relu",)] * convolutions + [("tap",)]
+        layers += [("conv", channels, 3, 1, 1), ("relu",)] * convolutions + [("compare",)]
     return tuple(layers)
 
 
 _LAYERS = {"alex": _ALEX, "vgg": _vgg_layers()}
 
-# ImageNet's channel means and deviations, for images in [-1, 1].
+# ImageNet's channel means and standard deviations, for images in [-1, 1].
 _SHIFT = torch.tensor([-0.030, -0.088, -0.188]).reshape(1, 3, 1, 1)
 _SCALE = torch.tensor([0.458, 0.448, 0.450]).reshape(1, 3, 1, 1)
 
-# Images smaller than this leave AlexNet's last layers without a pixel; both networks are held to it.
+# Below this AlexNet's last feature maps are empty; the limit is used for both networks.
 SMALLEST_SIDE = 32
 
 
 class LpipsUnavailable(RuntimeError):
-    """Why there is no LPIPS, in one line."""
+    """The weights are neither cached nor downloadable; the message is one line."""
 
 
 class Lpips(nn.Module):
-    """`net`: alex or vgg. Called with two images (H, W, 3) in [0, 1], returns their distance."""
+    """LPIPS of one network. Called with two images (H, W, 3) in [0, 1], it returns their distance."""
 
     def __init__(self, net: str, backbone: dict[str, Tensor], heads: dict[str, Tensor]) -> None:
-        """backbone: torchvision's state dict ("features.<i>.weight"); heads: "lin<k>.model.1.weight" (1, C, 1, 1)."""
+        """net: alex or vgg. backbone: torchvision's state dict, "features.<i>.weight" and ".bias". heads: the state
+        dict of the linear heads, "lin<k>.model.1.weight" (1, C, 1, 1)."""
         super().__init__()
-        self.slices, self.heads = nn.ModuleList(), []
+        self.slices = nn.ModuleList()
+        self.heads: list[Tensor] = []
         layers: list[nn.Module] = []
         channels, index = 3, 0
         for kind, *shape in _LAYERS[net]:
-            if kind == "tap":
+            if kind == "compare":
                 self.slices.append(nn.Sequential(*layers))
                 self.heads.append(heads[f"lin{len(self.heads)}.model.1.weight"].reshape(1, channels, 1, 1))
                 layers = []
@@ -147,15 +137,15 @@ def _download(url: str, path: Path, digest: str) -> None:
     folder = str(path.parent).replace(str(Path.home()), "~")
     raise LpipsUnavailable(
         " ".join(
-            f"LPIPS weights {path.name} are neither in {folder} nor to be had from "
-            f"{url.split('/')[2]} ({problem}); put the file there, or leave LPIPS out by "
+            f"LPIPS weights {path.name} are neither in {folder} nor available from "
+            f"{url.split('/')[2]} ({problem}); put the file there, or set "
             "evaluate.lpips=false".split()
         )
     )
 
 
 def _reason(error: BaseException) -> str:
-    """What lies behind an error of urllib, in the operating system's or the server's words."""
+    """The cause of an error of urllib, as reported by the operating system or the server."""
     if isinstance(error, urllib.error.HTTPError):
         return f"the server answers {error.code} {error.reason}"
     reason = getattr(error, "reason", None)
@@ -165,20 +155,20 @@ def _reason(error: BaseException) -> str:
 
 
 def _unreachable(url: str) -> str | None:
-    """Why the first bytes of `url` do not come within CONNECT_SECONDS; None if they do.
+    """Why a HEAD request for `url` fails within CONNECT_SECONDS; None if it succeeds.
 
-    In a thread of its own, because looking up a name knows no time limit.
+    It runs in its own thread, because name resolution has no timeout.
     """
     outcome: list[str | None] = []
 
-    def ask() -> None:
+    def request() -> None:
         try:
             urllib.request.urlopen(urllib.request.Request(url, method="HEAD"), timeout=CONNECT_SECONDS).close()
             outcome.append(None)
         except (OSError, ValueError) as error:
             outcome.append(_reason(error))
 
-    thread = threading.Thread(target=ask, daemon=True)
+    thread = threading.Thread(target=request, daemon=True)
     thread.start()
     thread.join(CONNECT_SECONDS)
     return outcome[0] if outcome else f"no answer in {CONNECT_SECONDS:g} s"
@@ -190,11 +180,11 @@ def _sha256(path: Path) -> str:
 
 
 def _prepared(image: np.ndarray) -> Tensor:
-    """(H, W, 3) in [0, 1] -> (1, 3, H, W) as the backbones were trained on."""
+    """(H, W, 3) in [0, 1] -> (1, 3, H, W), normalised as the backbones' training images."""
     x = torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1), dtype=np.float32))[None]
     return (2.0 * x - 1.0 - _SHIFT) / _SCALE
 
 
 def _unit(features: Tensor) -> Tensor:
-    """Each pixel's feature vector scaled to length 1."""
+    """Each pixel's feature vector normalised to length 1."""
     return features / (features.square().sum(dim=1, keepdim=True).sqrt() + 1e-10)

@@ -1,38 +1,41 @@
-"""LPIPS over a scene's test views: which networks there are, and on which views each is asked.
+"""LPIPS over a scene's test views: which networks are available, and which views each measures.
 
-AlexNet's is of every view. VGG's costs 27 times as much: 21 s of one core and 1.8 GB for 1352 × 1014 pixels, nearly two
-hours for the 300 frames of a Plenoptic Video scene. It is asked on views spread evenly, of VGG_PIXELS in all.
+LPIPS-Alex is measured on every view. LPIPS-VGG costs 27 times as much: 21 s of one core and 1.8 GB for 1352 × 1014
+pixels, nearly two hours for the 300 frames of a Plenoptic Video scene. It is measured on evenly spread views of
+VGG_PIXELS in total.
 """
 
 from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from datasets.scene import Scene
 from pipeline.config.schema import Config
-from pipeline.data.training_views import camera_at, spread
+from pipeline.data.training_views import camera_at, evenly_spaced
 from pipeline.evaluation import lpips
 from pipeline.evaluation.metrics import mean
 
 NETS = ("alex", "vgg")
-VGG_PIXELS = 50e6  # 36 views of 1352 × 1014; all 200 of a D-NeRF scene at 400 × 400, all of ours
-VGG_BYTES_A_PIXEL = 1300  # of memory while it works
+VGG_PIXELS = 50e6  # 36 views of 1352 × 1014; all views of D-NeRF at 400 × 400 and of the synthetic scenes
+VGG_BYTES_PER_PIXEL = 1300  # memory in use
 
 
 class Perceptual:
-    """lpips_alex and lpips_vgg of single views and their means."""
+    """Measures lpips_alex and lpips_vgg of single views, and their means."""
 
     def __init__(self, cfg: Config, scene: Scene) -> None:
-        """Loads the networks there are weights for; `note` says why others are missing, or what a mean is over."""
+        """Loads the networks whose weights are available. `note`: why others are missing, or which views a mean has."""
         self._networks: dict[str, lpips.Lpips | None] = dict.fromkeys(NETS)
         self.note: str | None = None
         camera = camera_at(scene.test[0].camera, cfg.train.resolution_scale)
         count, pixels = len(scene.test), camera.width * camera.height
-        self._vgg_views = set(spread(count, max(1, int(VGG_PIXELS / pixels))))
+        self._vgg_views = set(evenly_spaced(count, max(1, int(VGG_PIXELS / pixels))))
         if not cfg.evaluate.lpips:
             self.note = "not measured: evaluate.lpips=false"
         elif min(camera.width, camera.height) < lpips.SMALLEST_SIDE:
-            self.note = f"LPIPS needs images of {lpips.SMALLEST_SIDE} px a side at least"
+            self.note = f"LPIPS needs images of at least {lpips.SMALLEST_SIDE} px a side"
         else:
             for net in NETS:
                 try:
@@ -43,24 +46,24 @@ class Perceptual:
                 self.note = self.note or f"LPIPS-VGG is of {len(self._vgg_views)} of the {count} test views"
 
     @property
-    def bytes_a_pixel(self) -> int:
-        """Memory that `measure` may need."""
-        return 0 if self._networks["vgg"] is None else VGG_BYTES_A_PIXEL
+    def bytes_per_pixel(self) -> int:
+        """Memory that `measure` needs in addition to the other metrics."""
+        return 0 if self._networks["vgg"] is None else VGG_BYTES_PER_PIXEL
 
     def measure(self, index: int, image: np.ndarray, truth: np.ndarray) -> dict[str, float | None]:
-        """Of test view `index`, images (H, W, 3) in [0, 1]; None where a network is missing or not asked."""
+        """LPIPS of test view `index`, images (H, W, 3) in [0, 1]; None where a network is missing or skips the view."""
         return {
-            f"lpips_{net}": network(image, truth) if network and self._asked(net, index) else None
+            f"lpips_{net}": network(image, truth) if network and self._measures(net, index) else None
             for net, network in self._networks.items()
         }
 
-    def means(self, rows: list[dict[str, float | None]]) -> dict[str, float | str | None]:
-        """lpips_alex, lpips_vgg and lpips_note of `measure` over all test views, in their order."""
+    def means(self, rows: Sequence[Mapping[str, float | None]]) -> dict[str, float | str | None]:
+        """{lpips_alex, lpips_vgg, lpips_note} of the rows of all test views, in the order of scene.test."""
         of_views = {
-            f"lpips_{net}": mean([row for index, row in enumerate(rows) if self._asked(net, index)], f"lpips_{net}")
+            f"lpips_{net}": mean([row for index, row in enumerate(rows) if self._measures(net, index)], f"lpips_{net}")
             for net in NETS
         }
         return {**of_views, "lpips_note": self.note}
 
-    def _asked(self, net: str, index: int) -> bool:
+    def _measures(self, net: str, index: int) -> bool:
         return net != "vgg" or index in self._vgg_views

@@ -1,1 +1,1 @@
-"""What is trained: the Gaussians' parameters, how they are initialised, what stands behind them, and how all of it is rendered."""
+"""The trained model: parameters of the Gaussians, initialisation, background model and rendering."""

@@ -1,5 +1,5 @@
-"""The Gaussians training starts from (docs/method.md 2): random points in a cube, or those of structure from motion; and
-where the scene has an open background, more on a sphere round it."""
+"""Initialisation of the Gaussians (docs/method.md 2): random points in a box or a point cloud from structure from
+motion, and, with background_model=sphere, points on a sphere around the scene."""
 
 from __future__ import annotations
 
@@ -16,85 +16,88 @@ from pipeline.model.model import Model, kind_of
 from pipeline.model.sphere import sphere_points
 from rasterizer import Camera
 
-# 3DGS: squared distances are kept above this, so that coincident points still have a finite log scale.
+# 3DGS: lower bound of squared distances, so that coincident points have a finite log scale.
 MIN_SQUARED_DISTANCE = 1e-7
 
-# A Gaussian of the sphere reaches about its distance to the next one, of 100,000 a hundredth of the radius.
-SIGHT_MARGIN = 0.1
+# Of the image size. A Gaussian of the sphere is about as large as the distance to its neighbour, with 100,000 of them a
+# hundredth of the radius.
+IMAGE_MARGIN = 0.1
 
 SH_C0 = 0.28209479177387814  # Y_00 = 1 / (2 √π)
 
 
-def initialise(scene: Scene, cfg: Config, generator: np.random.Generator, cloud: Reconstruction | None = None) -> Model:
-    """A fresh model of the kind the scene and the ablation ask for.
+def initialise(scene: Scene, cfg: Config, rng: np.random.Generator, cloud: Reconstruction | None = None) -> Model:
+    """A new model of the kind that scene and ablation determine.
 
-    Positions and colours are those of `cloud`; without one positions are uniform in the box `scene.init_box` (or the
-    cube `train.init_box`³) and colours grey. Times are uniform over the scene's duration widened by
-    `train.init_time_margin` × duration a side. Deterministic in `generator`.
+    Positions and colours are those of `cloud`. Without one, positions are uniform in `scene.init_box` (or the cube
+    `train.init_box`³) and colours grey. Times are uniform over the scene's duration, widened by
+    `train.init_time_margin` × duration on each side. Deterministic in `rng`.
     """
-    points, sh_dc = _random_points(scene, cfg, generator) if cloud is None else (cloud.points, _sh_dc(cloud.colors))
-    sphere = 0
+    points, sh_dc = _random_points(scene, cfg, rng) if cloud is None else (cloud.points, _sh_dc(cloud.colors))
+    n_sphere = 0
     if cfg.effective_background_model == "sphere":
         cameras = list({view.camera.world_to_cam.tobytes(): view.camera for view in scene.train}.values())
-        places = np.concatenate([points, [camera.position for camera in cameras]])
-        around = sphere_points(cfg.init.sphere_points, *bounding_sphere(places, cfg.init.sphere_radius), generator)
-        around = around[in_sight(around, cameras)]
-        sphere = len(around)
-        points, sh_dc = np.concatenate([points, around]), np.concatenate([sh_dc, _grey(sphere, generator)])
+        positions = np.concatenate([points, [camera.position for camera in cameras]])
+        centre, radius = bounding_sphere(positions, cfg.init.sphere_radius)
+        on_sphere = sphere_points(cfg.init.sphere_points, centre, radius, rng)
+        on_sphere = on_sphere[visible_in_any(on_sphere, cameras)]
+        n_sphere = len(on_sphere)
+        points, sh_dc = np.concatenate([points, on_sphere]), np.concatenate([sh_dc, _grey(n_sphere, rng)])
     margin = cfg.train.init_time_margin * scene.duration
-    times = generator.uniform(scene.time_start - margin, scene.time_start + scene.duration + margin, size=len(points))
+    times = rng.uniform(scene.time_start - margin, scene.time_start + scene.duration + margin, size=len(points))
     model = from_points(points, times, sh_dc, scene, cfg)
     if cfg.effective_background_model != "sphere":
         return model
-    return Model(model.kind, model.parameters, sphere=torch.arange(len(points)) >= len(points) - sphere)
+    return Model(model.kind, model.parameters, sphere=torch.arange(len(points)) >= len(points) - n_sphere)
 
 
-def bounding_sphere(places: np.ndarray, reach: float) -> tuple[np.ndarray, float]:
-    """(centre (3,), radius): the middle of the box round `places` (N, 3), `reach` times the farthest one's distance."""
-    centre = 0.5 * (places.min(axis=0) + places.max(axis=0))
-    return centre, reach * float(np.linalg.norm(places - centre, axis=1).max())
+def bounding_sphere(positions: np.ndarray, factor: float) -> tuple[np.ndarray, float]:
+    """(centre (3,), radius), world units: the centre of the bounding box of `positions` (N, 3), and `factor` times the
+    largest distance from it."""
+    centre = 0.5 * (positions.min(axis=0) + positions.max(axis=0))
+    return centre, factor * float(np.linalg.norm(positions - centre, axis=1).max())
 
 
-def in_sight(points: np.ndarray, cameras: Sequence[Camera]) -> np.ndarray:
-    """(N,) bool: which points (N, 3) appear in some camera's image, or beside it by less than SIGHT_MARGIN of its size.
+def visible_in_any(points: np.ndarray, cameras: Sequence[Camera]) -> np.ndarray:
+    """(N,) bool: which points (N, 3) project into the image of at least one camera, enlarged by IMAGE_MARGIN a side.
 
-    What no training camera sees never has a gradient: it would stay as it is and cost memory and time.
+    The others would never have a gradient, and would cost memory and time.
     """
-    seen = np.zeros(len(points), dtype=bool)
+    visible = np.zeros(len(points), dtype=bool)
     for c in cameras:
         x, y, z = c.world_to_cam[:3, :3] @ points.T + c.world_to_cam[:3, 3:]
         with np.errstate(divide="ignore", invalid="ignore"):
             column, row = (c.fx * x / z + c.cx) / c.width, (c.fy * y / z + c.cy) / c.height
-        low, high = -SIGHT_MARGIN, 1 + SIGHT_MARGIN
-        seen |= (z > 0) & (column > low) & (column < high) & (row > low) & (row < high)
-    return seen
+        low, high = -IMAGE_MARGIN, 1 + IMAGE_MARGIN
+        visible |= (z > 0) & (column > low) & (column < high) & (row > low) & (row < high)
+    return visible
 
 
-def _random_points(scene: Scene, cfg: Config, generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (N, 3) in the box, and colours as coefficients (N, 3)."""
+def _random_points(scene: Scene, cfg: Config, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (N, 3), world units, and SH coefficients of degree 0 (N, 3)."""
     count = cfg.scene.init_points if cfg.train.init_points is None else cfg.train.init_points
     low, high = scene.init_box if cfg.train.init_box is None else cfg.train.init_box
-    return generator.uniform(low, high, size=(count, 3)), _grey(count, generator)
+    return rng.uniform(low, high, size=(count, 3)), _grey(count, rng)
 
 
-def _grey(count: int, generator: np.random.Generator) -> np.ndarray:
-    """(N, 3) coefficients: 3DGS's start for Blender scenes, grey (½ from 4DSH's offset) with a trace of noise."""
-    return generator.uniform(0.0, 1.0 / 255.0, size=(count, 3))
+def _grey(count: int, rng: np.random.Generator) -> np.ndarray:
+    """(N, 3) SH coefficients of degree 0, as 3DGS for Blender scenes: near 0, which is grey, with a little noise."""
+    return rng.uniform(0.0, 1.0 / 255.0, size=(count, 3))
 
 
 def _sh_dc(colors: np.ndarray) -> np.ndarray:
-    """(N, 3) uint8 -> coefficients of order 0, degree 0 that show these colours from everywhere, at all times."""
+    """(N, 3) uint8 RGB -> SH coefficients of order 0, degree 0: these colours at any time, in any direction."""
     return (colors / 255.0 - 0.5) / SH_C0
 
 
 def from_points(
     points: np.ndarray,  # (N, 3) world units
-    times: np.ndarray,  # (N,) the scene's time unit; ignored by a static model
+    times: np.ndarray,  # (N,) in the scene's unit of time; unused by a static model
     sh_dc: np.ndarray,  # (N, 3) order-0, degree-0 coefficients
     scene: Scene,
     cfg: Config,
 ) -> Model:
-    """Isotropic Gaussians at the points, unrotated. Raises ValueError for an empty or non-finite point cloud."""
+    """Isotropic, unrotated Gaussians at the points. Raises ValueError for an empty or non-finite point cloud."""
     if len(points) == 0:
         raise ValueError(f"{scene.source}: expected at least 1 initial point, found an empty point cloud")
     if not (np.isfinite(points).all() and np.isfinite(times).all()):
@@ -117,9 +120,9 @@ def from_points(
 
 
 def nearest_distance(points: np.ndarray) -> np.ndarray:
-    """(N, 3) -> (N,): root of the mean squared distance to the 3 nearest other points, as 3DGS's simple-knn.
+    """(N, 3) -> (N,): root mean squared distance to the 3 nearest other points, as 3DGS's simple-knn.
 
-    With fewer than 4 points the mean is over those there are; a lone point gets the floor.
+    With fewer than 4 points the mean is over all others; for a single point it is the root of MIN_SQUARED_DISTANCE.
     """
     neighbours = min(3, len(points) - 1)
     if neighbours == 0:

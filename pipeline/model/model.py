@@ -1,9 +1,8 @@
-"""The trained model: one float32 tensor per field of docs/method.md 1, and nothing a scene does not need.
+"""The trained model: one float32 tensor per field of docs/method.md 1, and its background model.
 
-A model is a plain bag of tensors. Which tensors there are, and how wide, is its `ModelKind`: a static scene stores
-no time, a model without 4D rotation no right quaternion, a model without Fourier orders no coefficients for them.
-Two more parts exist only where a scene's open background is modelled: the label of the Gaussians on the sphere round
-the scene (sphere.py), or the environment map (environment_map.py).
+`ModelKind` determines which tensors there are and their shapes: a static model stores no time, a model without 4D
+rotation no right quaternion, a model without Fourier orders no coefficients for them. With a background model there is
+also the label of the Gaussians on the sphere around the scene (sphere.py) or the environment map (environment_map.py).
 """
 
 from __future__ import annotations
@@ -18,13 +17,12 @@ from pipeline.config.schema import Config
 from pipeline.model.environment_map import EnvironmentMap
 from rasterizer.gaussians import Gaussians, Motion
 
-OF_THE_WHOLE = ("environment",)  # what a model's state holds besides rows of Gaussians
-FIELDS = ("mean", "log_scale", "quat_left", "quat_right", "opacity_logit", "sh")
+GLOBAL_TENSORS = ("environment",)  # of `Model.state()`: not one row per Gaussian
 
 
 @dataclass(frozen=True)
 class ModelKind:
-    """What a model is made of."""
+    """Motion, Fourier order and SH degree, which determine the shapes of a model's tensors."""
 
     motion: Motion  # static: 3D; separable: 4D without rotation into time; full: 4D
     fourier_order: int  # 0 to 2; 0 when static
@@ -37,12 +35,12 @@ class ModelKind:
 
     @property
     def coefficients(self) -> int:
-        """Appearance coefficients a colour channel, (n+1)(l+1)²."""
+        """4DSH coefficients per colour channel, (n+1)(l+1)²."""
         return (self.fourier_order + 1) * (self.sh_degree + 1) ** 2
 
     def shapes(self) -> dict[str, tuple[int, ...]]:
         """Field name -> shape of one Gaussian's row, in storage order."""
-        shapes = {
+        shapes: dict[str, tuple[int, ...]] = {
             "mean": (self.dims,),
             "log_scale": (self.dims,),
             "quat_left": (4,),
@@ -56,10 +54,9 @@ class ModelKind:
 
 
 def kind_of(scene: Scene, cfg: Config) -> ModelKind:
-    """The model a scene asks for, less what the ablation leaves out.
+    """The kind of model for a scene under an ablation.
 
-    `ablation.static` overrides what the scene says of itself; a static model has no Fourier order whatever the
-    ablation says, because it has no time to vary with.
+    `ablation.static` overrides `scene.is_static`. A static model has Fourier order 0 whatever the ablation says.
     """
     static = scene.is_static if cfg.ablation.static is None else cfg.ablation.static
     if static:
@@ -82,7 +79,7 @@ class Model:
         sphere: Tensor | None = None,
         environment_map: EnvironmentMap | None = None,
     ) -> None:
-        """sphere: (N,) bool, which Gaussians stand on the sphere round the scene; None: there is no sphere.
+        """sphere: (N,) bool, which Gaussians are on the sphere around the scene; None without a sphere.
 
         Raises ValueError naming the field whose presence, dtype or shape does not fit `kind`.
         """
@@ -107,14 +104,22 @@ class Model:
         return cls(kind, gaussians.tensors())
 
     def gaussians(self) -> Gaussians:
-        """As the rasterizer takes them: the same tensors (not copies)."""
-        return Gaussians(**{name: self.parameters.get(name) for name in FIELDS})
+        """The rasterizer's input; it shares the tensors."""
+        p = self.parameters
+        return Gaussians(
+            mean=p["mean"],
+            log_scale=p["log_scale"],
+            quat_left=p["quat_left"],
+            quat_right=p.get("quat_right"),
+            opacity_logit=p["opacity_logit"],
+            sh=p["sh"],
+        )
 
     def copy(self) -> Model:
         return Model.restored(self.kind, {name: tensor.clone() for name, tensor in self.state().items()})
 
     def state(self) -> dict[str, Tensor]:
-        """All tensors by name (not copies), those of the background among them where there is one."""
+        """All tensors by name (not copies), including those of the background model."""
         state = dict(self.parameters)
         if self.sphere is not None:
             state["sphere"] = self.sphere
@@ -125,18 +130,18 @@ class Model:
     @classmethod
     def restored(cls, kind: ModelKind, state: dict[str, Tensor]) -> Model:
         """The model whose `state()` this is."""
-        parameters = {name: tensor for name, tensor in state.items() if name not in ("sphere", *OF_THE_WHOLE)}
+        parameters = {name: tensor for name, tensor in state.items() if name not in ("sphere", *GLOBAL_TENSORS)}
         environment_map = EnvironmentMap(state["environment"]) if "environment" in state else None
         return cls(kind, parameters, state.get("sphere"), environment_map)
 
     def checked(self) -> Model:
-        """The model itself, if the rasterizer can take it: ValueError for a value that is not finite."""
-        if broken := self.first_non_finite():
-            raise ValueError(f"{broken[0]} of Gaussian {broken[1]}: expected a finite number, found NaN or Inf")
+        """The model itself. Raises ValueError for a NaN or Inf and for Gaussians that the rasterizer refuses."""
+        if found := self.first_non_finite():
+            raise ValueError(f"{found[0]} of Gaussian {found[1]}: expected a finite number, found NaN or Inf")
         if self.environment_map is not None:
             image = self.environment_map.image
             if image.numel() == 0 or not torch.isfinite(image).all():
-                raise ValueError("environment: expected finite pixels, found NaN, Inf or none")
+                raise ValueError("environment map: expected finite pixels, found NaN, Inf or none")
         self.gaussians()
         return self
 
@@ -145,19 +150,19 @@ class Model:
 
     @property
     def background_model(self) -> str:
-        """none, sphere or envmap, as the configuration calls it."""
+        """none, sphere or envmap, as in the configuration."""
         return "envmap" if self.environment_map is not None else "none" if self.sphere is None else "sphere"
 
     @property
     def bytes(self) -> int:
-        """Size of the parameters, the environment's among them; with Adam's two moments it is three times this."""
+        """Size of the parameters, environment map included; with Adam's two moments three times as much."""
         gaussians = sum(tensor.numel() * tensor.element_size() for tensor in self.parameters.values())
         return gaussians + (self.environment_map.bytes if self.environment_map else 0)
 
     def first_non_finite(self) -> tuple[str, int] | None:
         """(field, Gaussian index) of the first value that is NaN or Inf, or None."""
         for name, tensor in self.parameters.items():
-            # One pass that allocates nothing: the sum of finite float32 values in float64 cannot overflow.
+            # One pass without allocation: a float64 sum of finite float32 values cannot overflow.
             if not torch.isfinite(tensor.sum(dtype=torch.float64)):
                 rows = ~torch.isfinite(tensor.reshape(len(self), -1)).all(dim=1)
                 return name, int(rows.nonzero()[0])

@@ -1,13 +1,12 @@
-"""The model as a .ply file that viewers of 3D Gaussian Splatting open, and back without loss.
+"""Lossless .ply files of a model, in the format of 3D Gaussian Splatting's viewers.
 
-A static model is exactly 3DGS's file. A 4D model adds properties such viewers skip: `t`, `scale_3` (log time scale),
-`rot_right_0..3`, and the coefficients of Fourier order n as `f_fourier<n>_*`; so does one with a sphere round the
-scene, `sphere`, 1 for its Gaussians and 0 for the others. An environment map is no Gaussian and is left out. Shown in
-such a viewer, a 4D model is the Gaussians' spatial part without conditioning on a time: right for checking an
-initialisation, a blur for motion.
+A static model is exactly 3DGS's file. A 4D model adds properties that such viewers skip: `t`, `scale_3` (log time
+scale), `rot_right_0..3`, and the coefficients of Fourier order n as `f_fourier<n>_*`. A model with a sphere adds
+`sphere`, 1 for its Gaussians and 0 for the others. An environment map is not stored. A viewer shows the Gaussians'
+spatial part, not conditioned on a time: correct for an initialisation, blurred for motion.
 
-Lengths and times are the model's own, canonical ones: training starts from the file a run writes, and far from the
-origin float32 would lose what it needs. The run's canonical.json says how they follow from the world's.
+Lengths and times are canonical, because training starts from this file and float32 loses precision far from the origin.
+The run's canonical.json has the transform from world units.
 """
 
 from __future__ import annotations
@@ -22,12 +21,13 @@ from plyfile import PlyData, PlyElement
 
 from datasets.files.errors import DataError
 from pipeline.model.model import Model, ModelKind
+from rasterizer.gaussians import Motion
 
 LONGEST_HEADER, LONGEST_LINE = 1000, 1000  # lines, bytes; a full model has 170 lines
 
 
 def save_ply(path: Path, model: Model) -> None:
-    """Write binary little-endian float32, one vertex a Gaussian, values before activation (as 3DGS does)."""
+    """Write binary little-endian float32, one vertex per Gaussian, values before activation, as 3DGS does."""
     columns = {
         name: model.parameters[field].reshape(len(model), -1)[:, index].numpy()
         for name, field, index in _layout(model.kind)
@@ -44,9 +44,9 @@ def save_ply(path: Path, model: Model) -> None:
 
 
 def load_ply(path: Path) -> Model:
-    """Read a file of `save_ply` or of 3DGS. Raises ValueError naming the file and what is missing."""
+    """Read a file of `save_ply` or of 3DGS. Raises DataError, a ValueError, naming the file and what is missing."""
     vertices = _vertices(path)
-    present = set(vertices.dtype.names)
+    present = set(vertices.dtype.names or ())
     kind = _kind(path, present)
     parameters = {
         field: torch.zeros(len(vertices), int(np.prod(row, initial=1))) for field, row in kind.shapes().items()
@@ -64,7 +64,7 @@ def load_ply(path: Path) -> Model:
 
 
 def _vertices(path: Path) -> np.ndarray:
-    """The rows of the file's element `vertex`, one at least."""
+    """The rows of the file's element `vertex`, at least one."""
     try:
         _check_header(path)
         vertices = PlyData.read(str(path))["vertex"].data
@@ -77,8 +77,8 @@ def _vertices(path: Path) -> np.ndarray:
 
 
 def _check_header(path: Path) -> None:
-    """ValueError for a header that promises more than the file can hold, before plyfile takes memory for it, or lists:
-    a Gaussian has none, and plyfile reads them one by one."""
+    """ValueError for a header that declares more data than the file holds, before plyfile allocates it; and for list
+    properties, which a Gaussian never has and plyfile reads slowly."""
     elements: list[list[int]] = []  # rows, properties of each
     with open(path, "rb") as file:
         for line in itertools.islice(iter(lambda: file.readline(LONGEST_LINE), b""), LONGEST_HEADER):
@@ -94,13 +94,13 @@ def _check_header(path: Path) -> None:
         else:
             raise ValueError("no end_header")
         size = file.seek(0, os.SEEK_END)
-    for rows, properties in elements:  # a value takes a byte at least
+    for rows, properties in elements:  # a value takes at least a byte
         if not 0 <= rows * max(1, properties) <= size:
-            raise ValueError(f"a header that promises {rows} rows of {properties} values in {size} bytes")
+            raise ValueError(f"a header that declares {rows} rows of {properties} values in {size} bytes")
 
 
 def _column(vertices: np.ndarray, name: str) -> torch.Tensor:
-    with np.errstate(over="ignore"):  # a double too large for float32 becomes infinite, and is refused as such
+    with np.errstate(over="ignore"):  # a double too large for float32 becomes Inf, which is refused later
         return torch.from_numpy(np.array(vertices[name], dtype=np.float32))
 
 
@@ -110,14 +110,14 @@ def _kind(path: Path, present: set[str]) -> ModelKind:
     if degree is None:
         raise DataError(path, "0, 9, 24 or 45 properties f_rest_*", f"{rest}")
     fourier = sum(f"f_fourier{n}_0" in present for n in (1, 2))
-    motion = "static" if "t" not in present else "full" if "rot_right_0" in present else "separable"
+    motion: Motion = "static" if "t" not in present else "full" if "rot_right_0" in present else "separable"
     return ModelKind(motion, fourier, degree)
 
 
 def _layout(kind: ModelKind) -> list[tuple[str, str, int]]:
     """(property, field, flat index in the field's row), in the file's order.
 
-    `sh` is stored (coefficient, channel); 3DGS's f_rest is channel major: all of red, then green, then blue.
+    `sh` is stored as (coefficient, channel); 3DGS's f_rest is channel major: all of red, then green, then blue.
     """
     per_order = (kind.sh_degree + 1) ** 2
     layout = [(axis, "mean", i) for i, axis in enumerate("xyzt"[: kind.dims])]

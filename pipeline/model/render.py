@@ -1,9 +1,8 @@
-"""A view of a model: its Gaussians, and behind them the environment where the model has one.
+"""Renders a view of a model: the Gaussians, composited over its environment map where it has one.
 
-    image = colour + (1 - alpha) · environment(direction of the pixel)
+    image = colour + (1 - alpha) · environment_map(direction of the pixel)
 
-Training and evaluation render through here, so that no picture can lack its background. A model without an
-environment costs nothing more than the rasterizer's own call, whose image it gets, bit for bit.
+Training and evaluation both render through here. Without an environment map the image is the rasterizer's, bit for bit.
 """
 
 from __future__ import annotations
@@ -17,54 +16,57 @@ from rasterizer import Gradients, Rasterizer, Request, ViewGradient
 
 
 @dataclass(frozen=True)
-class Behind:
-    """What the image of a model with an environment was composed of."""
+class Composite:
+    """What an image over an environment map was composited from; its backward pass needs it."""
 
     alpha: Tensor  # (1, H, W) of the Gaussians
-    colors: Tensor  # (3, H, W) of the environment behind each pixel
-    grid: Tensor  # (H, W, 2) where in the environment that is
+    colors: Tensor  # (3, H, W) of the environment map at each pixel
+    grid: Tensor  # (H, W, 2) sampling positions, by EnvironmentMap.grid
 
 
 @dataclass(frozen=True)
 class Rendered:
     image: Tensor  # (3, H, W), not clamped
-    behind: Behind | None  # None: no environment
+    composite: Composite | None  # None without an environment map
 
 
-def render_image(frame: Rasterizer, model: Model, request: Request) -> Tensor:
-    """(3, H, W), not clamped, and not for a backward pass. request: as `render`."""
-    return render(frame, model, request, differentiable=False).image
+def render_image(rasterizer: Rasterizer, model: Model, request: Request) -> Tensor:
+    """(3, H, W), not clamped, without what a backward pass needs. request: as `render`."""
+    return render(rasterizer, model, request, differentiable=False).image
 
 
-def render(frame: Rasterizer, model: Model, request: Request, differentiable: bool = True) -> Rendered:
-    """Render `model` with `frame`; of the request's outputs only colour is made.
+def render(rasterizer: Rasterizer, model: Model, request: Request, differentiable: bool = True) -> Rendered:
+    """Render the colour of `model`; other outputs of the request are ignored.
 
-    Where the model has an environment, that stands in place of the request's background.
+    An environment map replaces the request's background.
     """
-    gaussians = model.gaussians()
-    if model.environment_map is None:
-        request = replace(request, outputs=("color",))
-        return Rendered(frame.render(gaussians, request, differentiable).color, None)
+    gaussians, environment_map = model.gaussians(), model.environment_map
+    if environment_map is None:
+        color = rasterizer.render(gaussians, replace(request, outputs=("color",)), differentiable).color
+        assert color is not None
+        return Rendered(color, None)
     request = replace(request, outputs=("color", "alpha"), background=(0.0, 0.0, 0.0))
-    out = frame.render(gaussians, request, differentiable)
-    grid = model.environment_map.grid(request.camera)
-    colors = model.environment_map.look_up(grid)
-    return Rendered(out.color + (1 - out.alpha) * colors, Behind(out.alpha, colors, grid))
+    out = rasterizer.render(gaussians, request, differentiable)
+    assert out.color is not None and out.alpha is not None
+    grid = environment_map.grid(request.camera)
+    colors = environment_map.sample(grid)
+    return Rendered(out.color + (1 - out.alpha) * colors, Composite(out.alpha, colors, grid))
 
 
 def backward(
-    frame: Rasterizer,
+    rasterizer: Rasterizer,
     model: Model,
-    rendered: Rendered,  # the frame's last, by `render`
+    rendered: Rendered,  # by the last `render` with this rasterizer and model
     d_image: Tensor,  # (3, H, W) ∂L/∂image
     gradients: Gradients,
-    d_environment: Tensor | None = None,  # (3, h, 2h); None: the environment is not trained
+    d_environment_map: Tensor | None = None,  # (3, h, 2h); None: the environment map is not trained
 ) -> ViewGradient:
-    """Add ∂L/∂parameters to `gradients` and ∂L/∂environment to `d_environment`, both in place."""
-    behind = rendered.behind
-    if behind is None:
-        return frame.backward(gradients, d_color=d_image)
-    if d_environment is not None:
-        model.environment_map.add_gradient(d_environment, behind.grid, (1 - behind.alpha) * d_image)
-    d_alpha = -(d_image * behind.colors).sum(dim=0, keepdim=True)
-    return frame.backward(gradients, d_color=d_image, d_alpha=d_alpha)
+    """Add ∂L/∂parameters to `gradients` and ∂L/∂environment map to `d_environment_map`, both in place."""
+    composite = rendered.composite
+    if composite is None:
+        return rasterizer.backward(gradients, d_color=d_image)
+    if d_environment_map is not None:
+        assert model.environment_map is not None
+        model.environment_map.add_gradient(d_environment_map, composite.grid, (1 - composite.alpha) * d_image)
+    d_alpha = -(d_image * composite.colors).sum(dim=0, keepdim=True)
+    return rasterizer.backward(gradients, d_color=d_image, d_alpha=d_alpha)

@@ -1,4 +1,4 @@
-"""Settings that the scene decides: the static overrides of the schedule, and `scene.background=auto`."""
+"""Settings that depend on the scene: the static overrides of the schedule, and `scene.background=auto`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pipeline.model.model import kind_of
 
 
 def resolved(cfg: Config, scene: Scene) -> Config:
-    """`cfg` with everything filled in that `scene` decides. Resolving twice is resolving once."""
+    """`cfg` with the settings that depend on `scene` filled in. Idempotent."""
     static = kind_of(scene, cfg).motion == "static"
     cfg = with_static_overrides(cfg) if static else without_static_overrides(cfg)
     return replace(cfg, scene=replace(cfg.scene, background=list(scene.background)))

@@ -1,1 +1,1 @@
-"""How it is trained: the loop, one file for each of its steps, and the checkpoint it continues from."""
+"""Training: the loop, the steps of an iteration, the state that they change, and the checkpoint of that state."""

@@ -1,7 +1,7 @@
-"""One file from which a run continues as if it had never stopped.
+"""Checkpoint of a training run: one file, from which the run continues with the same bits as without an interruption.
 
-It is written as datasets/files/atomic_write.py does, so that at any moment, also after a kill, a power cut or on a full disk, the
-name holds either the old one or the new one, whole.
+The write is atomic (datasets/files/atomic_write.py): after a kill, a power failure or on a full disk the file is either
+the old checkpoint or the new one.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import json
 import math
 import os
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,7 +25,7 @@ from torch import Tensor
 from datasets.files.atomic_write import atomic_file
 from datasets.files.errors import DataError
 from pipeline.model.model import Model, ModelKind
-from pipeline.training.density.densification import Statistics
+from pipeline.training.density.statistics import Statistics
 from rasterizer.gaussians import MAX_FOURIER_ORDER, SH_DEGREES, Motion
 
 FILE_NAME = "checkpoint.safetensors"
@@ -34,35 +34,35 @@ VERSION = 1
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """Everything the rest of a run depends on, besides its configuration and data."""
+    """Everything that the rest of a run depends on, besides its configuration and data."""
 
-    iteration: int  # the last one done
+    iteration: int  # the last completed one
     train_seconds: float  # evaluation excluded
     seed: int
     model: Model
-    step_count: int  # Adam's
-    moments: tuple[dict[str, Tensor], dict[str, Tensor]] | None  # None: dropped after the end of training
-    environment_moments: tuple[Tensor, Tensor] | None  # likewise, or the model has no environment
-    statistics: dict[str, Tensor]  # densification's, densify.Statistics.state()
+    step_count: int  # of Adam
+    moments: tuple[dict[str, Tensor], dict[str, Tensor]] | None  # of Adam; None: dropped after training
+    environment_map_moments: tuple[Tensor, Tensor] | None  # likewise; None also without an environment map
+    statistics: dict[str, Tensor]  # density.statistics.Statistics.state()
     sampler: dict  # sampling.BatchSampler.state()
-    split_generator: Tensor  # torch.Generator.get_state()
-    best: dict | None  # metrics and iteration of the best evaluation so far
+    split_rng: Tensor  # torch.Generator.get_state()
+    best: dict | None  # metrics and iteration of the evaluation with the highest PSNR
     best_model: Model | None
 
 
 def save(path: Path, checkpoint: Checkpoint) -> None:
-    """Write `path` durably. The same checkpoint gives the same bytes."""
+    """Write `path` atomically. Equal checkpoints give equal bytes. Raises OSError where the disk does."""
     c = checkpoint
     tensors = {f"model.{name}": t for name, t in c.model.state().items()}
     for order, moments in zip(("first", "second"), c.moments or ()):
         tensors |= {f"{order}.{name}": t for name, t in moments.items()}
-    for order, moment in zip(("first", "second"), c.environment_moments or ()):
+    for order, moment in zip(("first", "second"), c.environment_map_moments or ()):
         tensors[f"environment.{order}"] = moment
     tensors |= {f"statistics.{name}": t for name, t in c.statistics.items()}
     if c.best_model is not None:
         tensors |= {f"best.{name}": t for name, t in c.best_model.state().items()}
     tensors["sampler.order"] = torch.from_numpy(c.sampler["order"])
-    tensors["split_generator"] = c.split_generator
+    tensors["split_generator"] = c.split_rng
     kind = c.model.kind
     header = {
         "version": VERSION,
@@ -76,31 +76,31 @@ def save(path: Path, checkpoint: Checkpoint) -> None:
     }
     with atomic_file(path) as temporary:
         try:
-            # A single metadata key: with several, safetensors writes them in an order that changes from run to run.
+            # A single metadata key, because safetensors writes several keys in random order.
             save_file(tensors, temporary, metadata={"state": json.dumps(header, sort_keys=True)})
         except SafetensorError as error:
             raise _os_error(error) from error
 
 
 def load(path: Path) -> Checkpoint:
-    """Read a checkpoint back. Raises ValueError, one line with the file's name, when it is not one."""
+    """Raises DataError, a ValueError of one line with the file's name, for anything but a valid checkpoint."""
     header, tensors = _read(path)
     if header.get("version") != VERSION:
         raise DataError(path, f"checkpoint version {VERSION}", str(header.get("version")))
-    with _named(path):
-        return _assembled(header, tensors)
+    with _naming(path):
+        return _assemble(header, tensors)
 
 
 def load_model(path: Path) -> Model:
-    """The model of a checkpoint alone, without reading Adam's moments."""
+    """Only the model of a checkpoint; Adam's moments are not read."""
     header, tensors = _read(path, lambda name: name.startswith("model."))
     state = {name.removeprefix("model."): tensor for name, tensor in tensors.items()}
-    with _named(path):
+    with _naming(path):
         return _model(header, state)
 
 
-def _assembled(header: dict, tensors: dict[str, Tensor]) -> Checkpoint:
-    """Every part is tried as a resumed run will use it: a run must not find out hours later."""
+def _assemble(header: dict, tensors: dict[str, Tensor]) -> Checkpoint:
+    """Every part is validated here, so that an invalid one does not stop a resumed run hours later."""
     groups: dict[str, dict[str, Tensor]] = {}
     for name, tensor in tensors.items():
         group, _, rest = name.partition(".")
@@ -110,33 +110,33 @@ def _assembled(header: dict, tensors: dict[str, Tensor]) -> Checkpoint:
     moments = (groups["first"], groups["second"]) if "first" in groups else None
     for moment in moments or ():
         _require_floats(moment, rows)
-    environment_map = groups.get("environment")
-    if environment_map is not None:
+    map_moments = groups.get("environment")
+    if map_moments is not None:
         image = model.environment_map.image.shape if model.environment_map is not None else None
-        _require_floats(environment_map, {"first": image, "second": image})
+        _require_floats(map_moments, {"first": image, "second": image})
     _require_floats(groups["statistics"], dict.fromkeys(Statistics.FIELDS, torch.Size([len(model)])))
     sampler = dict(header["sampler"], order=tensors["sampler.order"].numpy())
     order = sampler["order"]
     if order.dtype != np.int64 or not np.array_equal(np.sort(order), np.arange(order.size)):
         raise ValueError("sampler.order: expected a permutation")
-    _whole("sampler.position", sampler["position"], len(order))
+    _integer("sampler.position", sampler["position"], len(order))
     np.random.default_rng().bit_generator.state = json.loads(sampler["generator"])
     torch.Generator().set_state(tensors["split_generator"])
     best = header["best"]
     if best is not None:
         _number("best.psnr", best["psnr"])
-        _whole("best.iteration", best["iteration"])
+        _integer("best.iteration", best["iteration"])
     return Checkpoint(
-        iteration=_whole("iteration", header["iteration"]),
+        iteration=_integer("iteration", header["iteration"]),
         train_seconds=_number("train_seconds", header["train_seconds"]),
-        seed=_whole("seed", header["seed"]),
+        seed=_integer("seed", header["seed"]),
         model=model,
-        step_count=_whole("step_count", header["step_count"]),
+        step_count=_integer("step_count", header["step_count"]),
         moments=moments,
-        environment_moments=(environment_map["first"], environment_map["second"]) if environment_map else None,
+        environment_map_moments=(map_moments["first"], map_moments["second"]) if map_moments else None,
         statistics=groups["statistics"],
         sampler=sampler,
-        split_generator=tensors["split_generator"],
+        split_rng=tensors["split_generator"],
         best=best,
         best_model=_model(header, groups["best"]) if "best" in groups else None,
     )
@@ -146,12 +146,13 @@ def _model(header: dict, state: dict[str, Tensor]) -> Model:
     motion, fourier_order, sh_degree = header["kind"]
     if motion not in get_args(Motion):
         raise ValueError(f"kind: expected one of {', '.join(get_args(Motion))}, found {motion!r}")
-    _whole("kind: Fourier order", fourier_order, 0 if motion == "static" else MAX_FOURIER_ORDER)
-    _whole("kind: SH degree", sh_degree, max(SH_DEGREES.values()))
+    _integer("kind: Fourier order", fourier_order, 0 if motion == "static" else MAX_FOURIER_ORDER)
+    _integer("kind: SH degree", sh_degree, max(SH_DEGREES.values()))
     return Model.restored(ModelKind(motion, fourier_order, sh_degree), state).checked()
 
 
-def _require_floats(tensors: dict[str, Tensor], shapes: dict[str, torch.Size | None]) -> None:
+def _require_floats(tensors: dict[str, Tensor], shapes: Mapping[str, torch.Size | None]) -> None:
+    """ValueError unless the tensors are finite float32 of exactly these names and shapes."""
     for name in {**shapes, **tensors}:
         found = tensors.get(name)
         if found is None or found.dtype != torch.float32 or found.shape != shapes.get(name):
@@ -163,7 +164,7 @@ def _require_floats(tensors: dict[str, Tensor], shapes: dict[str, torch.Size | N
             raise ValueError(f"{name}: NaN or Inf")
 
 
-def _whole(name: str, value: object, largest: int = 2**53) -> int:
+def _integer(name: str, value: object, largest: int = 2**53) -> int:
     if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value <= largest:
         raise ValueError(f"{name}: expected an integer in 0..{largest}, found {value!r}")
     return value
@@ -176,8 +177,8 @@ def _number(name: str, value: object) -> float:
 
 
 @contextmanager
-def _named(path: Path) -> Iterator[None]:
-    """What is wrong with a checkpoint's parts, in one line with its name."""
+def _naming(path: Path) -> Iterator[None]:
+    """Turns the errors of invalid parts of a checkpoint into a DataError with its name."""
     try:
         yield
     except (KeyError, IndexError, TypeError, AttributeError, ValueError, ArithmeticError, RuntimeError) as error:
@@ -186,11 +187,12 @@ def _named(path: Path) -> Iterator[None]:
 
 
 def _read(path: Path, wanted: Callable[[str], bool] = lambda name: True) -> tuple[dict, dict[str, Tensor]]:
-    """The header, and the tensors whose names are wanted."""
+    """The header, and the tensors that `wanted` selects by name."""
     try:
         with safe_open(path, framework="pt") as file:
             header = json.loads((file.metadata() or {})["state"])
-            tensors = {name: file.get_tensor(name) for name in file.keys() if wanted(name)}
+            names = filter(wanted, file.keys())
+            tensors = {name: file.get_tensor(name) for name in names}
     except FileNotFoundError:
         raise
     except Exception as error:  # safetensors, json and torch raise many types for broken files
@@ -201,11 +203,11 @@ def _read(path: Path, wanted: Callable[[str], bool] = lambda name: True) -> tupl
 
 
 def _os_error(error: SafetensorError) -> OSError:
-    """What the operating system said, which safetensors passes on in words: "… (os error 28)"."""
+    """The operating system's error, which safetensors reports as text: "… (os error 28)"."""
     code = re.search(r"os error (\d+)", str(error))
     return OSError(int(code[1]), os.strerror(int(code[1]))) if code else OSError(str(error))
 
 
 def saved_iteration(path: Path) -> int:
-    """The last iteration that a checkpoint holds, from its header alone."""
-    return _whole("iteration", _read(path, wanted=lambda name: False)[0].get("iteration"))
+    """The last completed iteration of a checkpoint, from its header alone."""
+    return _integer("iteration", _read(path, wanted=lambda name: False)[0].get("iteration"))

@@ -1,8 +1,8 @@
-"""What a run will take, before it starts: disk, memory and time on this machine.
+"""Estimate of a run's disk, memory and time, before it starts.
 
-Time is measured, not looked up: a few frames are decoded, an image measured, and a few iterations run on as many random
-Gaussians as the run may have, at its size. Real Gaussians overlap otherwise, and a run begins with fewer of them and
-often at a coarser resolution: take it for the order of magnitude. Structure from motion is not counted.
+Time is measured on this machine: decoding a few frames, the metrics of one image, and a few iterations with the maximum
+number of Gaussians at the run's image size. The estimate is an order of magnitude, because a benchmark scene is
+rendered and a run starts with fewer Gaussians, often at a coarser resolution. Structure from motion is not included.
 """
 
 from __future__ import annotations
@@ -18,80 +18,82 @@ import torch
 
 from datasets import is_filmed, load_footage, load_scene
 from pipeline.config.schema import Config
+from pipeline.data.training_views import CACHE_LIMIT_BYTES
 from pipeline.evaluation.metrics import measure
 from pipeline.runs.provenance import memory_gb
 from rasterizer.cores import thread_count
 from rasterizer.gaussians import Gaussians
-from rasterizer.timing.measure import time_frame, time_iteration
+from rasterizer.timing.frame_time import time_frame
+from rasterizer.timing.iteration_time import time_iteration
 from rasterizer.timing.workloads import Workload, make_workload
 
 if TYPE_CHECKING:
     from datasets import Footage
 
-# Of a Gaussian of the full model in training, float32: 161 parameters, Adam's two moments, the gradients that are
-# stored (17), running statistics (7), the copy of the best model so far; and 9 for each view of a batch.
-FLOATS_A_GAUSSIAN, FLOATS_A_VIEW = 161 * 4 + 17 + 7, 9
-CHECKPOINT_FLOATS = 161 * 4 + 4  # parameters, moments, best model; statistics
-PROGRAM_MB = 600.0  # Python, torch and all they bring
-LIKELY_GAUSSIANS = 500_000  # where train.densify.max_gaussians sets no limit that a run would reach
+# float32 values per Gaussian of the full model in training: parameters, Adam's two moments and the best model so far,
+# stored gradients (17) and statistics (7); and 9 for each view of a batch.
+PARAMETERS = 161
+FLOATS_PER_GAUSSIAN, FLOATS_PER_VIEW = PARAMETERS * 4 + 17 + 7, 9
+CHECKPOINT_FLOATS = PARAMETERS * 4 + 4  # parameters, moments, best model; statistics
+PROGRAM_MB = 600.0  # Python and torch
+MAX_GAUSSIANS = 500_000  # assumed where train.densify.max_gaussians is higher
 TIMED_FRAMES, TIMED_ITERATIONS = 12, 3
-WORTH_SAYING_BYTES = 1e9  # a run that decodes so much says first what it will take
+LARGE_SCENE_BYTES = 1e9  # of decoded frames, above which a run logs its estimate
 
 
 @dataclass(frozen=True)
 class Size:
-    """What a scene measures, as a run reads it."""
+    """Size of a scene as a run reads it."""
 
     train_views: int
     test_views: int
     width: int
     height: int
-    stored_bytes: int  # of decoded frames in the cache; 0: images are kept in memory
+    stored_bytes: int  # decoded frames in the cache; 0: images are kept in memory
     decode_seconds: float
 
 
 @dataclass(frozen=True)
 class Estimate:
-    gaussians: int  # the time and memory are for so many
+    gaussians: int  # assumed for time and memory
     frames_gb: float  # decoded frames in scene.cache, shared by all runs of the scene
     run_gb: float  # the run folder
-    memory_gb: float  # resident, beside the page cache
+    memory_gb: float  # resident, without the page cache
     decode_seconds: float
     iteration_seconds: float
     train_seconds: float
     evaluate_seconds: float  # all evaluations
 
     def lines(self, cfg: Config) -> list[str]:
-        """For people: what it takes, and what there is."""
+        """Lines of text: what the run needs, and what this machine has."""
         free = shutil.disk_usage(_existing(Path(cfg.scene.cache))).free / 1e9
         return [
             f"disk: {self.frames_gb:.1f} GB of decoded frames in {cfg.scene.cache}, {self.run_gb:.1f} GB in {cfg.out} "
             f"({free:.0f} GB free)",
-            f"memory: about {self.memory_gb:.1f} GB beside the page cache ({memory_gb():.0f} GB in this machine)",
+            f"memory: about {self.memory_gb:.1f} GB without the page cache ({memory_gb():.0f} GB in this machine)",
             f"time: decoding {duration(self.decode_seconds)}, training {duration(self.train_seconds)} "
-            f"({self.iteration_seconds:.2f} s an iteration at {self.gaussians:,} Gaussians), evaluations "
-            f"{duration(self.evaluate_seconds)}; structure from motion not counted",
+            f"({self.iteration_seconds:.2f} s per iteration at {self.gaussians:,} Gaussians), evaluations "
+            f"{duration(self.evaluate_seconds)}; structure from motion not included",
         ]
 
 
 def estimate(cfg: Config) -> Estimate:
-    """Takes seconds. Raises what reading the scene raises."""
+    """Measure for a few seconds. Raises the errors of reading the scene."""
     threads = thread_count(cfg.threads)
-    size = size_of(cfg, threads)
-    return _estimate(cfg, size, threads)
+    return _estimate(cfg, measure_size(cfg, threads), threads)
 
 
 def estimate_if_large(cfg: Config) -> Estimate | None:
-    """`estimate`, for a scene whose decoded frames take more than WORTH_SAYING_BYTES."""
+    """`estimate` for a scene with more than LARGE_SCENE_BYTES of decoded frames; None for others."""
     if not is_filmed(cfg.scene):
         return None
     footage = load_footage(cfg.scene, threads=cfg.threads)
-    large = 3 * footage.size[0] * footage.size[1] * len(footage.names) * footage.count / cfg.scene.downscale**2
-    return estimate(cfg) if large > WORTH_SAYING_BYTES else None
+    decoded_bytes = 3 * footage.size[0] * footage.size[1] * len(footage.names) * footage.count
+    return estimate(cfg) if decoded_bytes / cfg.scene.downscale**2 > LARGE_SCENE_BYTES else None
 
 
 def _estimate(cfg: Config, size: Size, threads: int) -> Estimate:
-    gaussians = min(cfg.train.densify.max_gaussians, LIKELY_GAUSSIANS)
+    gaussians = min(cfg.train.densify.max_gaussians, MAX_GAUSSIANS)
     if cfg.effective_background_model == "sphere":
         gaussians += cfg.init.sphere_points
     workload = workload_of(gaussians, size)
@@ -101,54 +103,54 @@ def _estimate(cfg: Config, size: Size, threads: int) -> Estimate:
     if cfg.train.time_budget_s is not None:
         train = min(train, cfg.train.time_budget_s)
     elif cfg.ablation.fourier_order:
-        train *= 1 + 2 * cfg.train.select_time_colour  # at most: it is half the size, and none where nothing moves
+        train *= 1 + 2 * cfg.train.select_time_colour  # an upper bound: at half resolution, and not in static scenes
     view = time_frame(workload, threads, TIMED_ITERATIONS).forward.minimum / 1e3
     image = np.random.default_rng(0).random((size.height, size.width, 3), dtype=np.float32)
     started = time.perf_counter()
     measure(image, image[::-1].copy())
     measured = time.perf_counter() - started
-    looks = cfg.train.iterations // cfg.train.eval_every * min(size.test_views, cfg.train.eval_views) * 2 * view
+    quick = cfg.train.iterations // cfg.train.eval_every * min(size.test_views, cfg.train.eval_views) * 2 * view
     final = (1 + cfg.evaluate.best_on_test) * size.test_views * (2 * view + measured / threads)
     pixels = size.width * size.height
     images = 0 if size.stored_bytes else (size.train_views + size.test_views) * 3 * pixels
-    floats = min((size.train_views * 3 * pixels) * 4, 2 * 1024**3)  # views.CACHE_LIMIT_BYTES
-    resident = 4 * gaussians * (FLOATS_A_GAUSSIAN + FLOATS_A_VIEW * cfg.train.batch) + images + floats
+    floats = min((size.train_views * 3 * pixels) * 4, CACHE_LIMIT_BYTES)
+    resident = 4 * gaussians * (FLOATS_PER_GAUSSIAN + FLOATS_PER_VIEW * cfg.train.batch) + images + floats
     return Estimate(
         gaussians,
         size.stored_bytes / 1e9,
-        4 * gaussians * (CHECKPOINT_FLOATS + 161) / 1e9,
+        4 * gaussians * (CHECKPOINT_FLOATS + PARAMETERS) / 1e9,
         resident / 1e9 + PROGRAM_MB / 1e3,
         size.decode_seconds,
         iteration,
         train,
-        looks + final,
+        quick + final,
     )
 
 
-def size_of(cfg: Config, threads: int) -> Size:
-    """From the headers of videos, and a few frames to time; of other scenes, by reading them."""
+def measure_size(cfg: Config, threads: int) -> Size:
+    """From the headers of videos and the timing of a few frames; other scenes are read."""
     if is_filmed(cfg.scene):
         footage = load_footage(cfg.scene, threads=cfg.threads)
         width, height = (side // cfg.scene.downscale for side in footage.size)
         tests, cameras = len(footage.held_out), len(footage.names)
         stored = 3 * width * height * cameras * footage.count
-        seconds = seconds_a_frame(footage) * cameras * footage.count / threads
+        seconds = seconds_per_frame(footage) * cameras * footage.count / threads
         return Size((cameras - tests) * footage.count, tests * footage.count, width, height, stored, seconds)
     scene = load_scene(cfg.scene, threads=cfg.threads)
     camera = scene.train[0].camera
     return Size(len(scene.train), len(scene.test), camera.width, camera.height, 0, 0.0)
 
 
-def seconds_a_frame(footage: Footage) -> float:
-    """To decode one, on one thread."""
+def seconds_per_frame(footage: Footage) -> float:
+    """Decoding time on one thread."""
     started, count = time.perf_counter(), min(TIMED_FRAMES, footage.count)
-    for _ in footage.streams[0].read(footage.reading.first_frame, count, 1):
+    for _ in footage.streams[0].read(footage.options.first_frame, count, 1):
         pass
     return (time.perf_counter() - started) / count
 
 
 def workload_of(gaussians: int, size: Size) -> Workload:
-    """The benchmark's forward-facing scene with so many Gaussians, seen at this size."""
+    """The benchmark's forward-facing scene with this number of Gaussians and image size."""
     whole = make_workload("W2")
     rows = torch.arange(gaussians) % len(whole.gaussians)
     tensors = {name: tensor[rows] for name, tensor in whole.gaussians.tensors().items()}
@@ -164,6 +166,6 @@ def duration(seconds: float) -> str:
 
 
 def _existing(path: Path) -> Path:
-    """The path itself or the nearest folder above it that is there."""
+    """The path itself, or its nearest existing parent."""
     path = path.resolve()
     return path if path.exists() else _existing(path.parent)

@@ -1,6 +1,6 @@
-"""Stops a run at the first number that is not one, saying where, so that it costs no further time.
+"""Finite checks: a run stops at the first NaN or Inf in a loss, a gradient or a parameter, and names it.
 
-The checks are one pass over what the iteration has just written; the search for the culprit runs only once they fail.
+A check is one pass over the values of an iteration; the search for view, field and Gaussian runs only after a failure.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from rasterizer import Gradients
 
 
 class NonFiniteError(FloatingPointError):
-    """A loss, a gradient or a parameter became NaN or Inf. The last checkpoint on disk is from before."""
+    """A loss, a gradient or a parameter became NaN or Inf. The last checkpoint on disk is finite."""
 
 
 def check_loss(loss: float, iteration: int, view: str, model: Model) -> None:
     """After each view."""
     if not math.isfinite(loss):
-        broken = _broken(model)
-        cause = f"NaN or Inf in {broken}" if broken else "the model is finite"
+        parameter = _non_finite_parameter(model)
+        cause = f"NaN or Inf in {parameter}" if parameter else "the model is finite"
         raise NonFiniteError(f"iteration {iteration}, view {view}: expected a finite loss, found {loss}; {cause}")
 
 
@@ -31,33 +31,35 @@ def check_gradients(
     gradients: Gradients,
     iteration: int,
     views: Sequence[str],  # names of the batch
-    gradients_of: Callable[[int], Gradients],  # position in the batch -> gradients of that view alone
+    gradients_of: Callable[[int], Gradients],  # index in the batch -> gradients of that view alone
     threads: int = 1,
 ) -> None:
-    """After each batch, before the optimiser sees it."""
+    """After each batch, before the optimiser step."""
     if gradients.all_finite(threads):
         return
-    for position, view in enumerate(views):
-        found = first_non_finite(gradients_of(position))
+    for index, view in enumerate(views):
+        found = first_non_finite(gradients_of(index))
         if found is not None:
-            field, index = found
+            field, row = found
             raise NonFiniteError(
                 f"iteration {iteration}, view {view}: expected finite gradients, "
-                f"found NaN or Inf in that of {field} of Gaussian {index}"
+                f"found NaN or Inf in that of {field} of Gaussian {row}"
             )
-    field, index = first_non_finite(gradients)
+    found = first_non_finite(gradients)
+    assert found is not None
+    field, row = found
     raise NonFiniteError(
         f"iteration {iteration}, views {', '.join(views)}: expected finite gradients, "
-        f"found NaN or Inf in the sum over the batch of {field} of Gaussian {index}"
+        f"found NaN or Inf in the sum over the batch of {field} of Gaussian {row}"
     )
 
 
 def check_model(model: Model, iteration: int) -> None:
-    """Before a checkpoint is written: a broken model must not replace a good one."""
-    broken = _broken(model)
-    if broken is not None:
+    """Before a checkpoint is written: a model that is not finite must not replace a finite one."""
+    parameter = _non_finite_parameter(model)
+    if parameter is not None:
         raise NonFiniteError(
-            f"iteration {iteration}: expected finite parameters, found NaN or Inf in {broken}; "
+            f"iteration {iteration}: expected finite parameters, found NaN or Inf in {parameter}; "
             "not written to the checkpoint"
         )
 
@@ -65,18 +67,18 @@ def check_model(model: Model, iteration: int) -> None:
 def first_non_finite(gradients: Gradients) -> tuple[str, int] | None:
     """(field, Gaussian index) of the first NaN or Inf, or None."""
     for name, tensor in gradients.dense().items():
-        row = _first_bad_row(tensor)
+        row = _first_non_finite_row(tensor)
         if row is not None:
             return name, row
     for view in gradients.views:
-        row = _first_bad_row(view.gradient)
+        row = _first_non_finite_row(view.gradient)
         if row is not None:
             return "sh", int(view.visible[row])
     return None
 
 
-def _broken(model: Model) -> str | None:
-    """Where the first parameter is that is NaN or Inf, in words, or None."""
+def _non_finite_parameter(model: Model) -> str | None:
+    """The first parameter that is NaN or Inf, as text, or None."""
     found = model.first_non_finite()
     if found is not None:
         return f"{found[0]} of Gaussian {found[1]}"
@@ -85,6 +87,6 @@ def _broken(model: Model) -> str | None:
     return None
 
 
-def _first_bad_row(tensor: Tensor) -> int | None:
+def _first_non_finite_row(tensor: Tensor) -> int | None:
     rows = (~torch.isfinite(tensor.reshape(len(tensor), -1)).all(dim=1)).nonzero()
     return int(rows[0]) if len(rows) else None

@@ -1,4 +1,4 @@
-"""The compiled parts that training calls, with their scratch memory."""
+"""The compiled rasterizer and loss of a training run, with their scratch memory."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from rasterizer.loss import L1Ssim
 
 
 class Kernels:
-    """Rasterizer and loss; their memory is reused from view to view."""
+    """Rasterizer and loss; their memory is reused for every view."""
 
     def __init__(self, ssim_weight: float, threads: int) -> None:
         self.rasterizer = Rasterizer(threads=threads)

@@ -1,7 +1,7 @@
 """The training loop: render a batch, step, refine the set of Gaussians, log, evaluate, save (docs/method.md 2).
 
-The result is a function of the configuration, the data and the seed. Neither the number of threads nor an interruption
-changes a bit of it. The one exception is `train.time_budget_s`: how many iterations fit into it depends on the machine.
+The result is a function of the configuration, the data and the seed: the number of threads and interruptions do not
+change a bit of it. The exception is `train.time_budget_s`: how many iterations fit into it depends on the machine.
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ from pipeline.training.schedule import Phase
 from pipeline.training.state import TrainState, save, start
 from pipeline.training.step import Batch, draw_batch, optimiser_step, render_batch
 
-SHOW_EVERY = 10  # iterations between updates of the progress bar; the PSNR it shows costs half a millisecond
-LOG_EVERY = 100  # iterations between lines of log.jsonl; a multiple of SHOW_EVERY
+PROGRESS_EVERY = 10  # iterations between updates of the progress bar, whose PSNR costs half a millisecond
+LOG_EVERY = 100  # iterations between lines of log.jsonl; a multiple of PROGRESS_EVERY
 
 
 @dataclass(frozen=True)
 class Progress:
-    """How far training is, for the evaluation callback."""
+    """Progress of training, for the evaluation callback."""
 
     iteration: int
     train_seconds: float  # evaluation excluded
-    resolution: float  # scale trained at; a model trained coarsely reads low when rendered at full size
+    resolution: float  # current training resolution × full size
     final: bool
 
 
 @dataclass(frozen=True)
 class TrainResult:
-    """What training leaves in memory; the same is in the run folder's checkpoint."""
+    """The trained model and its statistics; the run folder's checkpoint has the same."""
 
     model: Model
     iteration: int
@@ -48,7 +48,7 @@ class TrainResult:
     optimiser_bytes: int  # of Adam's moments
 
 
-EvaluateFn = Callable[[Model, Progress], dict]  # returns at least psnr; ssim and test_loss if it can
+EvaluateFn = Callable[[Model, Progress], dict]  # returns psnr, and optionally ssim and test_loss
 
 
 def train(
@@ -56,10 +56,9 @@ def train(
 ) -> TrainResult:
     """Train `model` (in place) on `scene.train`, or continue from the run folder's checkpoint if `cfg.resume`.
 
-    evaluate_fn: called every `train.eval_every` iterations and at the end; its time does not count as training.
-    begin: iterations of the schedule that a fresh run counts as done; for a model that is trained already. spent:
-    seconds that count as training from the start. Raises finite_checks.NonFiniteError, with the last good checkpoint
-    kept, and ValueError for a checkpoint that does not fit.
+    evaluate_fn: called every `train.eval_every` iterations and at the end; its time is not training time. begin: the
+    iteration a new run starts after, for a model that is already trained. spent: training seconds before the start.
+    Raises finite_checks.NonFiniteError, with the last checkpoint kept, and ValueError for a checkpoint of another run.
     """
     state = start(model, scene, cfg, run, begin, spent)
     views, scoring = TrainingViews(scene.train), scoring_views(scene)
@@ -73,8 +72,8 @@ def train(
             for event in refine(state, phase, scoring, scene, cfg):
                 run.log(event)
 
-            if state.iteration % SHOW_EVERY == 0:
-                _show(state, batch, phase, progress, run)
+            if state.iteration % PROGRESS_EVERY == 0:
+                _report_progress(state, batch, phase, progress, run)
             finished = state.is_finished(cfg.train)
             if finished or state.iteration % cfg.train.eval_every == 0:
                 _evaluate(state, phase, evaluate_fn, progress, run, finished)
@@ -85,44 +84,29 @@ def train(
     )
 
 
-def _show(state: TrainState, batch: Batch, phase: Phase, progress: TrainingProgress, run: RunLog) -> None:
-    """The progress bar, and every LOG_EVERY iterations a line of log.jsonl."""
+def _report_progress(state: TrainState, batch: Batch, phase: Phase, progress: TrainingProgress, run: RunLog) -> None:
+    """Update the progress bar and, every LOG_EVERY iterations, log.jsonl."""
     seconds, quality = state.stopwatch.seconds, psnr(batch.last.image, batch.last.target)
-    progress.update(state.iteration, batch.loss, quality, batch.n_gaussians, batch.alive, seconds)
+    progress.update(state.iteration, batch.loss, quality, batch.n_gaussians, batch.n_alive, seconds)
     if state.iteration % LOG_EVERY == 0:
-        run.log(
-            {
-                "event": "train",
-                "iteration": state.iteration,
-                "train_seconds": seconds,
-                "loss": batch.loss,
-                "psnr": quality,
-                "n_gaussians": batch.n_gaussians,
-                "n_alive": batch.alive,
-                "resolution": phase.resolution,
-                "sh_degree": phase.sh_degree,
-                "fourier_order": phase.fourier_order,
-            }
-        )
+        run.log({
+            "event": "train", "iteration": state.iteration, "train_seconds": seconds, "loss": batch.loss,
+            "psnr": quality, "n_gaussians": batch.n_gaussians, "n_alive": batch.n_alive, "resolution": phase.resolution,
+            "sh_degree": phase.sh_degree, "fourier_order": phase.fourier_order,
+        })  # fmt: skip
 
 
 def _evaluate(
     state: TrainState, phase: Phase, evaluate_fn: EvaluateFn, progress: TrainingProgress, run: RunLog, final: bool
 ) -> None:
-    """A row of error_vs_time.csv, and the best model so far."""
+    """Append a row to error_vs_time.csv, and keep the best model so far."""
     with state.stopwatch.paused():
         reached = Progress(state.iteration, state.stopwatch.seconds, phase.resolution, final)
         metrics = evaluate_fn(state.model, reached)
-        run.append_error_vs_time(
-            {
-                "train_seconds": reached.train_seconds,
-                "iteration": reached.iteration,
-                "psnr": metrics["psnr"],
-                "ssim": metrics.get("ssim"),
-                "test_loss": metrics.get("test_loss"),
-                "n_gaussians": len(state.model),
-            }
-        )
+        run.append_error_vs_time({
+            "train_seconds": reached.train_seconds, "iteration": reached.iteration, "psnr": metrics["psnr"],
+            "ssim": metrics.get("ssim"), "test_loss": metrics.get("test_loss"), "n_gaussians": len(state.model),
+        })  # fmt: skip
         if state.best is None or metrics["psnr"] > state.best["psnr"]:
             state.best, state.best_model = dict(metrics, iteration=reached.iteration), state.model.copy()
     progress.line(

@@ -1,4 +1,4 @@
-"""What training shows while it runs: a live bar on a terminal, one clean line now and then elsewhere."""
+"""Progress output of training: a progress bar on a terminal, a line every 5 % elsewhere."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
-SMOOTHING = 0.95  # of the shown loss and PSNR; what is written to log.jsonl is not smoothed
-LINES = 20  # without a terminal a run prints about so many
+SMOOTHING = 0.95  # of the displayed loss and PSNR; log.jsonl has the unsmoothed values
+LINES = 20  # of a whole run without a terminal
 
 
 class TrainingProgress:
-    """A context manager; `update` is called every few iterations."""
+    """A context manager; call `update` every few iterations."""
 
     def __init__(
         self, first: int, iterations: int, time_budget_s: float | None, console: Console | None = None
@@ -43,9 +43,10 @@ class TrainingProgress:
         self._bar.__exit__(*exception)
 
     def update(
-        self, iteration: int, loss: float, psnr: float, gaussians: int, alive: float, train_seconds: float
+        self, iteration: int, loss: float, psnr: float, n_gaussians: int, n_alive: float, train_seconds: float
     ) -> None:
-        """loss, psnr: of the last batch. alive: Gaussians with p(t) >= 0.05 in it. train_seconds: since the start."""
+        """loss, psnr: of the last batch. n_alive: Gaussians with temporal marginal p(t) >= 0.05, mean over its views.
+        train_seconds: since the start."""
         for name, value in (("loss", loss), ("psnr", psnr)):
             if math.isfinite(value):
                 self._smooth[name] = SMOOTHING * self._smooth.get(name, value) + (1 - SMOOTHING) * value
@@ -56,7 +57,7 @@ class TrainingProgress:
         minutes, seconds = divmod(round(left), 60)
         text = (
             f"loss {self._smooth.get('loss', math.nan):.4f}  psnr {self._smooth.get('psnr', math.nan):.2f}  "
-            f"N {gaussians}  alive {alive:.0f}  {pace:.1f} it/s  {minutes}:{seconds:02d} left"
+            f"N {n_gaussians}  alive {n_alive:.0f}  {pace:.1f} it/s  {minutes}:{seconds:02d} left"
         )
         self._bar.update(self._task, completed=iteration, text=text)
         if not self._console.is_terminal and iteration >= self._next_line:
@@ -64,5 +65,5 @@ class TrainingProgress:
             print(f"{iteration}/{self._iterations}  {text}", file=self._console.file, flush=True)
 
     def line(self, text: str) -> None:
-        """One line that stays, above the bar."""
+        """Print one line above the bar."""
         self._bar.console.print(text, highlight=False, soft_wrap=True)

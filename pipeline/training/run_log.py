@@ -1,4 +1,4 @@
-"""What training writes besides its checkpoint: the interface of a run folder, and one that keeps nothing."""
+"""The log that training writes to besides its checkpoint: the interface of a run folder, and one without output."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from typing import Protocol
 
 
 class RunLog(Protocol):
-    """What training needs of a run folder; see pipeline/runs/run_folder.py."""
+    """The part of a run folder that training uses; see pipeline/runs/run_folder.py."""
 
-    path: Path  # where the checkpoint goes
+    @property
+    def path(self) -> Path: ...  # folder of the checkpoint
 
     def log(self, row: dict) -> None: ...  # a line of log.jsonl
     def append_error_vs_time(self, row: dict) -> None: ...
@@ -21,8 +22,8 @@ class RunLog(Protocol):
 
 
 @dataclass(frozen=True)
-class Unrecorded:
-    """Keeps the checkpoint alone, in a folder that `unrecorded` removes."""
+class NoLog:
+    """Discards all rows; the checkpoint goes to a temporary folder."""
 
     path: Path
 
@@ -34,7 +35,7 @@ class Unrecorded:
 
 
 @contextmanager
-def unrecorded() -> Iterator[Unrecorded]:
-    """For a training whose model alone is wanted."""
+def temporary_run() -> Iterator[NoLog]:
+    """A run folder for a training of which only the returned model is used; removed afterwards."""
     with TemporaryDirectory() as folder:
-        yield Unrecorded(Path(folder))
+        yield NoLog(Path(folder))

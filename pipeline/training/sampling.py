@@ -1,7 +1,7 @@
-"""Which training views make up a batch (docs/method.md 2): the only randomness of the optimisation besides splitting.
+"""Sampling of batches of training views (docs/method.md 2).
 
-Every sampler walks through a shuffled list of groups of views and shuffles anew at its end. Its whole state is a
-permutation, a position in it and the state of its numpy generator, so that a resumed run draws the same batches.
+Every sampler iterates over a shuffled list of groups of views and reshuffles it at the end of an epoch. Its state is a
+permutation, a position in it and the state of its rng, so that a resumed run draws the same batches.
 """
 
 from __future__ import annotations
@@ -18,17 +18,18 @@ SAMPLERS = ("pairs", "views_at_one_time", "times_of_one_view")
 
 
 class BatchSampler:
-    """Endless batches of indices into the training views.
+    """Endless batches of indices of training views.
 
-    - `pairs`: every (view, time) pair once an epoch in random order; the last, partial batch of an epoch is dropped.
-    - `views_at_one_time`: a batch is one moment, seen by up to `batch` cameras drawn without repetition.
-    - `times_of_one_view`: a batch is one camera, at up to `batch` moments drawn without repetition.
+    - `pairs`: every (view, time) pair once per epoch in random order; the last, partial batch of an epoch is dropped.
+    - `views_at_one_time`: a batch is one time, with up to `batch` cameras drawn without replacement.
+    - `times_of_one_view`: a batch is one camera, at up to `batch` times drawn without replacement.
 
-    In the last two every group comes once an epoch, and a batch is as small as its group: with one moving camera,
-    where no two views share a time or a pose, both amount to batch 1.
+    In the last two every group is drawn once per epoch, and a batch is no larger than its group. With one moving
+    camera, where no two views share a time or a pose, both have batches of 1.
     """
 
-    def __init__(self, views: Sequence[View], kind: str, batch: int, generator: np.random.Generator) -> None:
+    def __init__(self, views: Sequence[View], kind: str, batch: int, rng: np.random.Generator) -> None:
+        """Raises ValueError for an unknown kind, and for a batch of pairs larger than the number of views."""
         if kind not in SAMPLERS:
             raise ValueError(f"train.sampler: expected one of {SAMPLERS}, found {kind!r}")
         if kind == "pairs" and batch > len(views):
@@ -36,7 +37,7 @@ class BatchSampler:
         self._batch = batch
         self._pairs = kind == "pairs"
         self._groups = _groups([_group_key(view, i, kind) for i, view in enumerate(views)])
-        self._generator = generator
+        self._rng = rng
         self._order = self._shuffled()
         self._position = 0
 
@@ -50,28 +51,28 @@ class BatchSampler:
         if self._pairs:
             return chosen.tolist()
         group = self._groups[chosen[0]]
-        return self._generator.permutation(group)[: self._batch].tolist()
+        return self._rng.permutation(group)[: self._batch].tolist()
 
     def _shuffled(self) -> np.ndarray:
-        return self._generator.permutation(len(self._groups))
+        return self._rng.permutation(len(self._groups))
 
     def state(self) -> dict:
-        """Everything the next batches depend on, JSON-serialisable except the int64 array `order`."""
+        """Everything that the next batches depend on; JSON-serialisable except the int64 array `order`."""
         return {
             "order": self._order.copy(),
             "position": self._position,
-            "generator": json.dumps(self._generator.bit_generator.state, sort_keys=True),
+            "generator": json.dumps(self._rng.bit_generator.state, sort_keys=True),
         }
 
     def restore(self, state: dict) -> None:
-        """Continue from a `state()` of a sampler over the same views."""
+        """Continue from a `state()` of a sampler over the same views. Raises ValueError for other views."""
         if len(state["order"]) != len(self._groups):
             raise ValueError(
                 f"checkpoint: expected a sampler of {len(self._groups)} groups of views as the scene "
                 f"has, found {len(state['order'])}"
             )
         self._order, self._position = np.array(state["order"]), int(state["position"])
-        self._generator.bit_generator.state = json.loads(state["generator"])
+        self._rng.bit_generator.state = json.loads(state["generator"])
 
 
 def _group_key(view: View, index: int, kind: str) -> Hashable:
@@ -84,7 +85,7 @@ def _group_key(view: View, index: int, kind: str) -> Hashable:
 
 
 def _groups(keys: Sequence[Hashable]) -> list[list[int]]:
-    """Indices with equal keys together, groups in order of first appearance."""
+    """Indices grouped by key, in order of first appearance."""
     groups: dict[Hashable, list[int]] = defaultdict(list)
     for index, key in enumerate(keys):
         groups[key].append(index)

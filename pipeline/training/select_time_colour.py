@@ -1,9 +1,8 @@
 """Selection of time-varying colour by validation: two short trainings, with and without, on part of the training views.
 
-4DSH holds two thirds of a Gaussian's numbers. Where colours do change with time, it is needed; elsewhere it fits noise
-and costs memory and time. No number in the data says which. So the model is trained with and without it, in a part of
-the schedule and at half size, on three quarters of the training poses; the other quarter is the validation set. Test
-views have no part in it.
+4DSH has two thirds of a Gaussian's parameters. Scenes whose colours change with time need it; in others it fits noise
+and costs memory and time. So the model is trained with and without it, in a part of the schedule and at half
+resolution, on three quarters of the training poses. The other quarter is the validation set. Test views are not used.
 """
 
 from __future__ import annotations
@@ -21,28 +20,28 @@ from datasets.validation import hold_out_poses
 from pipeline.config.random_streams import Stream, stream
 from pipeline.config.schema import Config
 from pipeline.data.sfm.photograph import Reconstruction
-from pipeline.evaluation.evaluate import held_out_psnr
+from pipeline.evaluation.quick_evaluate import held_out_psnr
 from pipeline.model.initialise import initialise
 from pipeline.model.model import Model, kind_of
 from pipeline.training import schedule
 from pipeline.training.loop import Progress, train
-from pipeline.training.run_log import unrecorded
+from pipeline.training.run_log import temporary_run
 
-VALIDATION_EVERY = 4  # every so many-th pose is a validation pose
-RESOLUTION = 0.5  # × the schedule's; whether a colour changes shows at half size too
-# dB. Twice the standard deviation of such a gain from seed to seed, which the error over the views does not contain.
+VALIDATION_EVERY = 4  # every fourth pose is a validation pose
+RESOLUTION = 0.5  # × the schedule's
+# dB. Twice the standard deviation of the gain over seeds, which the standard error over views does not include.
 MIN_GAIN = 0.2
-MIN_STANDARD_ERRORS = 2.0  # that the gain must be above zero
+MIN_STANDARD_ERRORS = 2.0  # of the gain, above zero
 
 
 @dataclass(frozen=True)
 class Selection:
-    """What the validation views say."""
+    """Result of the validation."""
 
-    gain: float  # dB of PSNR that time-varying colour adds on the validation views, mean
+    gain: float  # dB of PSNR by time-varying colour, mean over the validation views
     standard_error: float  # dB, of that mean
     views: int
-    seconds: float  # that both trainings took
+    seconds: float  # of both trainings
 
     @property
     def kept(self) -> bool:
@@ -56,8 +55,8 @@ class Selection:
 
 
 def due(cfg: Config, scene: Scene) -> bool:
-    """Does the schedule ask for a selection, and is there time-varying colour to leave out? Never with a time budget,
-    all of which belongs to the schedule."""
+    """Whether the schedule has a selection and the model time-varying colour. False with a time budget, all of which is
+    for the schedule, and for scenes with too few poses or validation views."""
     train = cfg.train
     if train.select_time_colour == 0 or train.time_budget_s is not None or kind_of(scene, cfg).fourier_order == 0:
         return False
@@ -76,7 +75,7 @@ def without_time_colour(cfg: Config) -> Config:
 def select(
     scene: Scene, cfg: Config, cloud: Reconstruction | None, threads: int, log: Callable[[str], None]
 ) -> Selection:
-    """Trains twice on `scene.train`. A function of the scene, the configuration and its seed, but for the seconds."""
+    """Train twice on `scene.train`. Deterministic in scene, configuration and seed, except for the seconds."""
     started, part = time.perf_counter(), hold_out_poses(scene, VALIDATION_EVERY)
     short = schedule.shortened(cfg.train, cfg.train.select_time_colour)
     short = replace(
@@ -97,10 +96,10 @@ def select(
 
 
 def mean_and_error(gains: np.ndarray, poses: Sequence[Hashable]) -> tuple[float, float]:
-    """The mean of `gains`, (views,) with at least two views, and its standard error.
+    """Mean of `gains`, (views,) with at least two views, and its standard error.
 
-    The error is taken over poses where there are two or more: the frames of one camera are not independent. With a
-    single pose it is taken over frames.
+    The standard error is over poses, because the frames of one camera are not independent; with a single pose it is
+    over frames.
     """
     groups: dict[Hashable, list[float]] = defaultdict(list)
     for pose, gain in zip(poses, gains.tolist(), strict=True):
@@ -116,6 +115,6 @@ def _trained_psnr(part: Scene, cfg: Config, cloud: Reconstruction | None, thread
         return {"psnr": float(held_out_psnr(model, part, cfg, threads).mean())}
 
     initial = initialise(part, cfg, stream(cfg.seed, Stream.INIT), cloud)
-    with unrecorded() as run:
+    with temporary_run() as run:
         model = train(initial, part, cfg, run, evaluate_fn).model
     return held_out_psnr(model, part, cfg, threads)

@@ -1,4 +1,4 @@
-"""Everything that changes while a model trains, and how it is saved to a checkpoint and restored from one."""
+"""The state of training: everything that an iteration changes, saved to and restored from a checkpoint."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from pipeline.training.kernels import Kernels
 from pipeline.training.optimiser import Adam
 from pipeline.training.run_log import RunLog
 from pipeline.training.sampling import BatchSampler
-from pipeline.training.schedule import Phase, clock, phase
+from pipeline.training.schedule import Phase, clock_at, phase
 from pipeline.training.stopwatch import Stopwatch
 from rasterizer import Gradients
 from rasterizer.cores import thread_count
@@ -27,7 +27,7 @@ from rasterizer.cores import thread_count
 
 @dataclass
 class TrainState:
-    """A run between two iterations. A checkpoint holds all of it but the buffers, which an iteration begins anew."""
+    """A run between two iterations. A checkpoint has all of it except the buffers, which every iteration resets."""
 
     model: Model
     optimiser: Adam
@@ -36,7 +36,7 @@ class TrainState:
     split_rng: torch.Generator
     seed: int
     kernels: Kernels
-    gradients: Gradients  # buffer, summed over a batch
+    gradients: Gradients  # buffer; sums over a batch
     stopwatch: Stopwatch
     iteration: int = 0
     best: dict | None = None  # the evaluation with the highest PSNR
@@ -51,28 +51,31 @@ class TrainState:
         return self.iteration >= cfg.iterations or (budget is not None and self.stopwatch.seconds >= budget)
 
     def begin_iteration(self, scene: Scene, cfg: Config) -> Phase:
-        """Count the next iteration; returns what the schedule says of it."""
+        """Increment the iteration and return its phase of the schedule."""
         self.iteration += 1
-        now = clock(self.iteration, self.stopwatch.seconds, cfg.train)
-        return phase(now, cfg.train, scene.extent, self.model.kind.sh_degree, self.model.kind.fourier_order)
+        clock = clock_at(self.iteration, self.stopwatch.seconds, cfg.train)
+        return phase(clock, cfg.train, scene.extent, self.model.kind.sh_degree, self.model.kind.fourier_order)
 
     def zero_gradients(self) -> None:
-        """Zero gradients for the Gaussians there are now; the last iteration may have changed their set."""
+        """Zero the gradients; allocate them again if the last iteration changed the number of Gaussians."""
         if len(self.gradients.mean) == len(self.model):
             self.gradients.zero_(self.threads)
         else:
             self.gradients = Gradients.zeros_like(self.model.gaussians())
 
     def reset_statistics(self) -> None:
-        """Begin the densification statistics anew, for the Gaussians there are now."""
+        """Start new densification statistics for the current Gaussians."""
         self.statistics = Statistics(len(self.model))
 
 
 def start(model: Model, scene: Scene, cfg: Config, run: RunLog, begin: int, spent: float) -> TrainState:
-    """A fresh state around `model`, or the one saved in the run folder. begin, spent: as `loop.train`."""
+    """A new state with `model`, or the one saved in the run folder. begin, spent: as `loop.train`.
+
+    Raises ValueError for a checkpoint of another seed or kind of model, or one without the moments needed to continue.
+    """
     path, threads = run.path / checkpoints.FILE_NAME, thread_count(cfg.threads)
     if not cfg.resume:
-        path.unlink(missing_ok=True)  # or a later resume would continue the run that this one replaces
+        path.unlink(missing_ok=True)  # otherwise a later resume would continue the replaced run
     saved = checkpoints.load(path) if path.exists() else None
     if cfg.effective_background_model == "envmap":  # init.ply has no environment map
         model.environment_map = EnvironmentMap.grey(cfg.train.envmap_height)
@@ -88,7 +91,7 @@ def start(model: Model, scene: Scene, cfg: Config, run: RunLog, begin: int, spen
         model,
         Adam(model, threads),
         Statistics(len(model)),
-        # A random stream for each purpose: what one draws never shifts another.
+        # One random stream per purpose, so that the draws of one never shift those of another.
         BatchSampler(scene.train, cfg.train.sampler, cfg.train.batch, stream(cfg.seed, Stream.BATCHES)),
         split_stream(cfg.seed),
         cfg.seed,
@@ -109,7 +112,7 @@ def start(model: Model, scene: Scene, cfg: Config, run: RunLog, begin: int, spen
 
 
 def save(state: TrainState, run: RunLog, keep_moments: bool) -> None:
-    """Write the checkpoint. Raises finite_checks.NonFiniteError instead where the model is broken."""
+    """Write the checkpoint. Raises finite_checks.NonFiniteError, and writes nothing, if the model is not finite."""
     finite_checks.check_model(state.model, state.iteration)
     optimiser = state.optimiser
     checkpoints.save(
@@ -121,10 +124,10 @@ def save(state: TrainState, run: RunLog, keep_moments: bool) -> None:
             model=state.model,
             step_count=optimiser.step_count,
             moments=(optimiser.first, optimiser.second) if keep_moments else None,
-            environment_moments=optimiser.environment_map if keep_moments else None,
+            environment_map_moments=optimiser.environment_map_moments if keep_moments else None,
             statistics=state.statistics.state(),
             sampler=state.sampler.state(),
-            split_generator=state.split_rng.get_state(),
+            split_rng=state.split_rng.get_state(),
             best=state.best,
             best_model=state.best_model,
         ),
@@ -132,13 +135,13 @@ def save(state: TrainState, run: RunLog, keep_moments: bool) -> None:
 
 
 def _restore(state: TrainState, saved: checkpoints.Checkpoint) -> None:
-    """Everything of a checkpoint but the model, which the state is made around."""
+    """Restore everything except the model, which `state` already has."""
     state.iteration, state.best, state.best_model = saved.iteration, saved.best, saved.best_model
     state.stopwatch = Stopwatch(saved.train_seconds)
     if saved.moments is not None:
         state.optimiser.first, state.optimiser.second = saved.moments
-        state.optimiser.environment_map = saved.environment_moments
+        state.optimiser.environment_map_moments = saved.environment_map_moments
     state.optimiser.step_count = saved.step_count
     state.statistics = Statistics.restored(saved.statistics)
     state.sampler.restore(saved.sampler)
-    state.split_rng.set_state(saved.split_generator)
+    state.split_rng.set_state(saved.split_rng)

@@ -1,4 +1,4 @@
-"""One iteration: draw a batch, render its views forward and backward one after another, step Adam (docs/method.md 2)."""
+"""The steps of an iteration: draw a batch, render its views forward and backward, step Adam (docs/method.md 2)."""
 
 from __future__ import annotations
 
@@ -21,42 +21,43 @@ from pipeline.training.kernels import Kernels
 from pipeline.training.objective.losses import view_loss
 from pipeline.training.objective.random_background import over_random_background
 from pipeline.training.objective.regularization import DECAY_EVERY, add_regularization_gradients, decay_colors
+from pipeline.training.objective.rigid_loss import add_rigid_gradient
 from pipeline.training.schedule import Phase
 from pipeline.training.state import TrainState
 from rasterizer import Gradients, Request, ViewGradient
 
-OverBackground = tuple[Target, Color]  # a training view, and the colour its image is composed over
+TargetOverColor = tuple[Target, Color]  # a training view, and the background that its image is composed over
 
 
 @dataclass(frozen=True)
 class RenderedView:
-    """What the forward and backward pass of one view found."""
+    """Result of the forward and backward pass of one view."""
 
     loss: float
     image: Tensor  # (3, H, W)
-    target: Tensor  # (3, H, W) what it was compared with
+    target: Tensor  # (3, H, W)
     gradient: ViewGradient  # of the batch's loss
 
 
 class Batch:
-    """What `backward` of each view adds up to."""
+    """Sums over the views of a batch; call `backward` once for each view."""
+
+    last: RenderedView  # of the last call of `backward`, for the progress bar
 
     def __init__(self, model: Model, scene: Scene, cfg: Config, kernels: Kernels, phase: Phase, size: int) -> None:
         self._model, self._scene, self._cfg, self._kernels = model, scene, cfg, kernels
         self._phase, self._size = phase, size
         sparse = cfg.train.optimiser == "sparse_adam"
-        self.touched = torch.zeros(len(model), dtype=torch.uint8) if sparse else None
-        trained = model.environment_map is not None and phase.environment_map
-        # of the batch's loss
-        self.d_environment_map = torch.zeros_like(model.environment_map.image) if trained else None
-        self.loss = 0.0  # mean over the batch, once all views are through
-        self.n_gaussians = len(model)  # refinement after the step may change how many there are
-        self.alive = 0.0  # of them those with p(t) >= 0.05 a view, likewise
-        self.last: RenderedView | None = None  # for the progress bar
+        self.visible = torch.zeros(len(model), dtype=torch.uint8) if sparse else None  # in any view; for sparse Adam
+        environment_map = model.environment_map if phase.environment_map else None
+        self.d_environment_map = None if environment_map is None else torch.zeros_like(environment_map.image)
+        self.loss = 0.0  # mean over the batch
+        self.n_gaussians = len(model)  # before refinement
+        self.n_alive = 0.0  # Gaussians with temporal marginal p(t) >= 0.05, mean over the batch
 
     def backward(self, target: Target, background: Color, gradients: Gradients) -> RenderedView:
-        """Render `target` over `background`, the colour its image is composed over, and add the gradient of its share
-        of the batch's loss into `gradients`."""
+        """Render `target` over `background`, the colour that its image is composed over, and add the gradient of its
+        share of the batch's loss to `gradients`."""
         scene, cfg, rasterizer = self._scene, self._cfg, self._kernels.rasterizer
         request = Request(
             target.camera,
@@ -73,32 +74,29 @@ class Batch:
         loss = value.loss
         if cfg.train.rigid_weight > 0 and self._model.kind.motion == "full":
             loss += self._add_rigid_gradient(target.time, gradients)
-        if self.touched is not None:
-            gradient.mark(self.touched, self._kernels.threads)
+        if self.visible is not None:
+            gradient.mark_visible(self.visible, self._kernels.threads)
         self.loss += loss / self._size
-        self.alive += rasterizer.alive / self._size
+        self.n_alive += rasterizer.alive / self._size
         self.last = RenderedView(loss, rendered.image, target.image, gradient)
         return self.last
 
     def gradients_of(self, target: Target, background: Color) -> Gradients:
-        """The gradient of one view alone, over the background it was trained over: to find out which is broken."""
+        """The gradient of one view alone, over the same background; finite_checks finds the faulty view with it."""
         alone = Gradients.zeros_like(self._model.gaussians())
         self.backward(target, background, alone)
         return alone
 
     def _add_rigid_gradient(self, time: float, gradients: Gradients) -> float:
-        # Imported here: the release's schedule alone asks for it.
-        from pipeline.training.objective.rigid_loss import add_rigid_gradient
-
         weight = self._cfg.train.rigid_weight / self._size
-        found = add_rigid_gradient(gradients, self._model, time, self._scene.duration, weight, self._kernels.threads)
-        return self._size * found
+        share = add_rigid_gradient(gradients, self._model, time, self._scene.duration, weight, self._kernels.threads)
+        return self._size * share
 
 
 def draw_batch(
     state: TrainState, views: TrainingViews, phase: Phase, scene: Scene, cfg: Config
-) -> list[OverBackground]:
-    """The views of the next iteration at the phase's resolution, over the background they are trained over."""
+) -> list[TargetOverColor]:
+    """The views of the next iteration at the phase's resolution, each with its background colour."""
     targets = [(views.at(index, phase.resolution), scene.background) for index in state.sampler.next_batch()]
     if not cfg.train.random_background:
         return targets
@@ -107,9 +105,9 @@ def draw_batch(
 
 
 def render_batch(
-    state: TrainState, targets: Sequence[OverBackground], phase: Phase, scene: Scene, cfg: Config
+    state: TrainState, targets: Sequence[TargetOverColor], phase: Phase, scene: Scene, cfg: Config
 ) -> Batch:
-    """Forward and backward pass of every view. The batch's gradients and densification statistics are left in `state`.
+    """Forward and backward pass of every view; gradients and densification statistics accumulate in `state`.
 
     Raises finite_checks.NonFiniteError, which names the view, for a loss or a gradient that is not finite.
     """
@@ -128,17 +126,19 @@ def render_batch(
         state.gradients,
         state.iteration,
         [target.name for target, _ in targets],
-        lambda position: batch.gradients_of(*targets[position]),
+        lambda index: batch.gradients_of(*targets[index]),
         state.threads,
     )
     return batch
 
 
 def optimiser_step(state: TrainState, batch: Batch, phase: Phase, scene: Scene, cfg: Config) -> None:
-    """One step of Adam on the batch's gradients and those of the regularization."""
+    """Add the gradients of the regularization and do one step of Adam."""
     regularization = cfg.train.regularization
     add_regularization_gradients(state.gradients, state.model, regularization, scene)
-    rows = trainable_rows(state.model, phase.sphere, batch.touched)
+    rows = trainable_rows(state.model, phase.sphere, batch.visible)
     state.optimiser.step(state.gradients, phase.lr, rows, batch.d_environment_map)
     if regularization.color > 0 and state.iteration % DECAY_EVERY == 0:
-        decay_colors(state.model, regularization.color, phase.lr["sh"][1])
+        sh_rates = phase.lr["sh"]
+        assert isinstance(sh_rates, tuple)
+        decay_colors(state.model, regularization.color, sh_rates[1])

@@ -1,4 +1,4 @@
-"""Training seconds: they run on from a checkpoint's and stand still while a model is evaluated."""
+"""Training time in seconds: continued from a checkpoint, paused during evaluation."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 
 class Stopwatch:
-    """Runs from the moment it is made. seconds: what it begins with."""
+    """Starts on creation. seconds: the time before."""
 
     def __init__(self, seconds: float) -> None:
         self._before = seconds

@@ -1,37 +1,22 @@
-"""Evaluation against what it should say of models whose quality is known."""
+"""The full evaluation, of models with known quality."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from PIL import Image
-from tiny import SIZE, tiny_config, tiny_scene
+from tiny import SIZE, evaluation_config, tiny_config, tiny_scene
 from tiny_film import tiny_film
 
 from datasets.scene import Scene, View
-from pipeline.config.schema import Config, EvaluateConfig
 from pipeline.evaluation import evaluate as evaluation
 from pipeline.evaluation import lpips, perceptual
-from pipeline.evaluation.evaluate import (
-    DIFFERENCE_GAIN,
-    Renderer,
-    evaluate,
-    frames_per_second,
-    png_saver,
-    quick_evaluate,
-)
+from pipeline.evaluation.evaluate import evaluate
 from pipeline.evaluation.metrics import METRICS, psnr
 from pipeline.model.initialise import initialise
 from pipeline.model.model import Model
-from rasterizer import Rasterizer
-
-
-def config(**keys) -> Config:
-    return replace(tiny_config(), evaluate=EvaluateConfig(**{"lpips": False, "speed_repeats": 1} | keys))
 
 
 @pytest.fixture(scope="module")
@@ -39,84 +24,84 @@ def model() -> Model:
     return initialise(tiny_scene(), tiny_config(), np.random.default_rng(0))
 
 
-def scene_of(model: Model, cfg: Config) -> Scene:
+def scene_of(model: Model) -> Scene:
     """A scene whose test images are the model's own renders, rounded to 8 bits."""
     scene = tiny_scene()
     rendered: dict[str, np.ndarray] = {}
-    evaluate(model, scene, config(renders=-1), 1, lambda name, image, truth: rendered.update({name: image}))
+    evaluate(model, scene, evaluation_config(renders=-1), 1, lambda name, image, truth: rendered.update({name: image}))
     test = tuple(replace(view, image=np.round(rendered[view.name] * 255).astype(np.uint8)) for view in scene.test)
     return replace(scene, test=test)
 
 
-def test_a_model_that_made_the_images_is_as_good_as_8_bits_allow(model: Model) -> None:
-    found = evaluate(model, scene_of(model, config()), config(), 1)
+def test_a_model_that_rendered_the_test_images_has_only_rounding_error(model: Model) -> None:
+    found = evaluate(model, scene_of(model), evaluation_config(), 1)
     # Rounding errors are at most ½/255: at least 20 log10(2 · 255) = 54 dB.
     assert found.metrics["psnr"] >= 54
     assert found.metrics["ssim"] > 0.999
 
 
-def test_means_are_of_the_images(model: Model) -> None:
+def test_metrics_are_means_over_the_images(model: Model) -> None:
     scene = tiny_scene()
-    found = evaluate(model, scene, config(), 2)
+    found = evaluate(model, scene, evaluation_config(), 2)
     assert [row["view"] for row in found.per_image] == [view.name for view in scene.test]
     for name in ("psnr", "ssim", "dssim1", "dssim2"):
         assert found.metrics[name] == pytest.approx(np.mean([row[name] for row in found.per_image]))
     assert set(METRICS) | {"lpips_alex", "lpips_vgg", "fps_raster", "fps_render"} <= set(found.metrics)
 
 
-def test_the_number_of_threads_changes_no_number(model: Model) -> None:
-    one, two = (evaluate(model, tiny_scene(), config(), threads) for threads in (1, 2))
+def test_results_do_not_depend_on_the_number_of_threads(model: Model) -> None:
+    one, two = (evaluate(model, tiny_scene(), evaluation_config(), threads) for threads in (1, 2))
     assert one.per_image == two.per_image
 
 
-def test_what_cannot_be_measured_is_none_and_says_why(model: Model) -> None:
-    found = evaluate(model, tiny_scene(), config(), 1)  # 32 px: too small for MS-SSIM
+def test_missing_metrics_are_none_with_a_reason(model: Model) -> None:
+    found = evaluate(model, tiny_scene(), evaluation_config(), 1)  # 32 px: too small for MS-SSIM
     assert found.metrics["ms_ssim"] is None and "161 px" in found.note()
     assert found.metrics["lpips_alex"] is None and "evaluate.lpips=false" in found.note()
 
 
-def test_lpips_without_weights(model: Model, monkeypatch) -> None:
+def test_lpips_without_weights_is_none_with_a_reason(model: Model, monkeypatch) -> None:
     def unavailable(net: str) -> None:
         raise lpips.LpipsUnavailable(f"no weights of {net}")
 
     monkeypatch.setattr(lpips, "load", unavailable)
-    found = evaluate(model, tiny_scene(), config(lpips=True), 1)
+    found = evaluate(model, tiny_scene(), evaluation_config(lpips=True), 1)
     assert found.metrics["lpips_vgg"] is None
     assert found.metrics["lpips_note"] == "no weights of alex"
 
 
-def test_lpips_with_weights(model: Model, monkeypatch) -> None:
+def test_lpips_with_weights_is_measured(model: Model, monkeypatch) -> None:
     monkeypatch.setattr(lpips, "load", lambda net: lambda image, truth: 0.25)
-    found = evaluate(model, tiny_scene(), config(lpips=True), 1)
+    found = evaluate(model, tiny_scene(), evaluation_config(lpips=True), 1)
     assert found.metrics["lpips_alex"] == found.metrics["lpips_vgg"] == 0.25
     assert found.metrics["lpips_note"] is None
 
 
-def test_lpips_vgg_of_large_scenes_is_of_views_spread_evenly(model: Model, monkeypatch) -> None:
-    """Each network says its own number; room for three of five views."""
-    said = {"alex": iter(range(5)), "vgg": iter((10.0, 20.0, 60.0))}
-    monkeypatch.setattr(lpips, "load", lambda net: lambda image, truth: float(next(said[net])))
+def test_lpips_vgg_of_large_scenes_is_measured_on_evenly_spread_views(model: Model, monkeypatch) -> None:
+    """Networks that return known numbers; the pixel limit allows three of five views."""
+    distances = {"alex": iter(range(5)), "vgg": iter((10.0, 20.0, 60.0))}
+    monkeypatch.setattr(lpips, "load", lambda net: lambda image, truth: float(next(distances[net])))
     monkeypatch.setattr(perceptual, "VGG_PIXELS", 3 * SIZE**2)
-    found = evaluate(model, tiny_film(frames=5, held_out=("cam00",)), config(lpips=True), 1)
+    found = evaluate(model, tiny_film(frames=5, held_out=("cam00",)), evaluation_config(lpips=True), 1)
     assert [row["lpips_vgg"] for row in found.per_image] == [10.0, None, 20.0, None, 60.0]
     assert (found.metrics["lpips_alex"], found.metrics["lpips_vgg"]) == (2.0, 30.0)
     assert found.metrics["lpips_note"] == "LPIPS-VGG is of 3 of the 5 test views"
 
 
-@pytest.mark.parametrize("room, side_by_side", [(0, 1), (2.5, 2), (100, 4)])
-def test_views_are_measured_side_by_side_while_memory_lasts(
-    model: Model, monkeypatch, room: float, side_by_side: int
+@pytest.mark.parametrize("memory, parallel", [(0, 1), (2.5, 2), (100, 4)])
+def test_the_number_of_views_measured_in_parallel_is_limited_by_memory(
+    model: Model, monkeypatch, memory: float, parallel: int
 ) -> None:
     sizes = []
     pool = evaluation.ThreadPoolExecutor
     monkeypatch.setattr(evaluation, "ThreadPoolExecutor", lambda size: sizes.append(size) or pool(size))
-    monkeypatch.setattr(evaluation, "MEASURE_BYTES", int(room * SIZE**2 * evaluation.METRICS_BYTES_A_PIXEL))
-    evaluate(model, tiny_scene(), config(), 4)
-    assert sizes == [side_by_side]
+    monkeypatch.setattr(evaluation, "MEASURE_BYTES", int(memory * SIZE**2 * evaluation.METRICS_BYTES_PER_PIXEL))
+    evaluate(model, tiny_scene(), evaluation_config(), 4)
+    assert sizes == [parallel]
 
 
-def test_alive_counts_the_gaussians_that_the_time_reaches() -> None:
-    cfg = config()
+def test_n_alive_counts_temporal_marginals_of_at_least_005() -> None:
+    cfg = evaluation_config()
     cfg = replace(cfg, ablation=replace(cfg.ablation, rotation_4d=False))
     scene = tiny_scene()
     model = initialise(scene, cfg, np.random.default_rng(0))
@@ -129,37 +114,10 @@ def test_alive_counts_the_gaussians_that_the_time_reaches() -> None:
     assert found.n_alive_mean == np.mean([row["n_alive"] for row in found.per_image])
 
 
-def test_quick_evaluate_agrees_on_psnr(model: Model) -> None:
-    scene, cfg = tiny_scene(), config()
-    quick = quick_evaluate(model, scene, cfg, Rasterizer(threads=1))
-    # The same renders; float32 sums in another order.
-    assert quick["psnr"] == pytest.approx(evaluate(model, scene, cfg, 1).metrics["psnr"], abs=1e-4)
-    assert 0 < quick["ssim"] < 1 and 0 < quick["test_loss"] < 1
-
-
-def test_quick_evaluate_takes_views_spread_evenly(model: Model) -> None:
-    scene, cfg = tiny_film(frames=5, held_out=("cam00",)), config()
-    few = replace(cfg, train=replace(cfg.train, eval_views=3))
-    found = quick_evaluate(model, scene, few, Rasterizer(threads=1))
-    spread = replace(scene, test=scene.test[::2], train=[scene.train[i] for i in (0, len(scene.train) // 2, -1)])
-    assert found == quick_evaluate(model, spread, cfg, Rasterizer(threads=1))
-    assert found != quick_evaluate(model, scene, cfg, Rasterizer(threads=1))
-
-
-def test_speed_is_of_few_views(model: Model, monkeypatch) -> None:
-    rendered = []
-    monkeypatch.setattr(evaluation, "SPEED_VIEWS", 2)
-    monkeypatch.setattr(Renderer, "tensor", lambda self, camera, moment: rendered.append(moment))
-    monkeypatch.setattr(Rasterizer, "stage_ms", {"blend": 1.0})
-    speed = frames_per_second(model, tiny_scene(), config(speed_repeats=2), 1)
-    assert rendered == [0.0, tiny_scene().test[-1].time] * 2
-    assert speed["fps_raster"] == pytest.approx(1000.0)
-
-
-def test_flicker_is_of_consecutive_frames_of_each_camera(model: Model) -> None:
+def test_flicker_is_measured_on_consecutive_frames_of_each_camera(model: Model) -> None:
     scene, images = tiny_film(frames=5), {}
     scene = replace(scene, test=tuple(view for view in scene.test if view.name != "test/cam05_0002"))
-    found = evaluate(model, scene, config(renders=-1), 2, lambda name, *pair: images.update({name: pair}))
+    found = evaluate(model, scene, evaluation_config(renders=-1), 2, lambda name, *pair: images.update({name: pair}))
     assert [row["view"] for row in found.per_image] == [view.name for view in scene.test]
     expected = {}
     for row in found.per_image:
@@ -173,27 +131,27 @@ def test_flicker_is_of_consecutive_frames_of_each_camera(model: Model) -> None:
 
 
 def test_photographs_have_no_flicker(model: Model) -> None:
-    found = evaluate(model, tiny_scene(), config(), 1)
+    found = evaluate(model, tiny_scene(), evaluation_config(), 1)
     assert found.metrics["flicker"] is None and {row["flicker"] for row in found.per_image} == {None}
-    assert "flicker" not in found.note()  # nothing is missing
+    assert "flicker" not in found.note()  # not a missing metric
 
 
-def test_all_frames_come_in_film_order(model: Model) -> None:
+def test_film_is_called_in_film_order(model: Model) -> None:
     names: list[str] = []
-    evaluate(model, tiny_film(frames=3), config(), 2, film=lambda name, image, truth: names.append(name))
+    evaluate(model, tiny_film(frames=3), evaluation_config(), 2, film=lambda name, image, truth: names.append(name))
     assert names == [f"test/{camera}_{number:04d}" for camera in ("cam00", "cam05") for number in range(3)]
 
 
 def test_the_near_plane_is_in_the_scenes_unit(model: Model) -> None:
-    """The cameras are 4 from the middle: a near plane at 0.2 × 100 leaves only the background."""
+    """The cameras are at distance 4: with a near plane at 0.2 × 100 only the background is visible."""
     scene = replace(tiny_scene(), unit=100.0, background=(0.0, 1.0, 0.0))
     images: list[np.ndarray] = []
-    evaluate(model, scene, config(renders=-1), 1, lambda name, image, truth: images.append(image))
+    evaluate(model, scene, evaluation_config(renders=-1), 1, lambda name, image, truth: images.append(image))
     assert all((image == (0.0, 1.0, 0.0)).all() for image in images)
 
 
-def test_it_renders_at_the_size_training_ended_with(model: Model) -> None:
-    cfg = config()
+def test_renders_have_the_final_resolution_of_training(model: Model) -> None:
+    cfg = evaluation_config()
     cfg = replace(cfg, train=replace(cfg.train, resolution_scale=0.5))
     sizes = []
     evaluate(model, tiny_scene(), cfg, 1, lambda name, image, truth: sizes.append((image.shape, truth.shape)))
@@ -201,50 +159,34 @@ def test_it_renders_at_the_size_training_ended_with(model: Model) -> None:
 
 
 @pytest.mark.parametrize("renders, expected", [(0, []), (2, [0, 2]), (-1, [0, 1, 2]), (99, [0, 1, 2])])
-def test_how_many_pictures(model: Model, renders: int, expected: list[int]) -> None:
+def test_evaluate_renders_selects_the_saved_views(model: Model, renders: int, expected: list[int]) -> None:
     scene, saved = tiny_scene(), []
-    evaluate(model, scene, config(renders=renders), 1, lambda name, image, truth: saved.append(name))
+    evaluate(model, scene, evaluation_config(renders=renders), 1, lambda name, image, truth: saved.append(name))
     assert saved == [scene.test[i].name for i in expected]
 
 
-def test_pictures(tmp_path: Path) -> None:
-    image, truth = np.full((4, 6, 3), 0.5, np.float32), np.full((4, 6, 3), 0.4, np.float32)
-    png_saver(tmp_path / "renders")("test/r_0", image, truth)
-    read = {path.name: np.asarray(Image.open(path)) for path in (tmp_path / "renders").iterdir()}
-    assert sorted(read) == ["test_r_0_difference.png", "test_r_0_render.png", "test_r_0_truth.png"]
-    assert read["test_r_0_render.png"].shape == (4, 6, 3) and (read["test_r_0_render.png"] == 128).all()
-    assert (read["test_r_0_truth.png"] == 102).all()
-    assert (read["test_r_0_difference.png"] == round(0.1 * DIFFERENCE_GAIN * 255)).all()
-
-
-def test_blending_alone_is_faster_than_all_of_it(model: Model) -> None:
-    speed = frames_per_second(model, tiny_scene(), config(), 1)
-    assert speed["fps_raster"] > speed["fps_render"] > 0
-
-
-def test_a_static_model(model: Model) -> None:
+def test_all_gaussians_of_a_static_model_are_alive(model: Model) -> None:
     scene = tiny_scene(static=True)
-    static = initialise(scene, config(), np.random.default_rng(0))
-    found = evaluate(static, scene, config(), 1)
+    static = initialise(scene, evaluation_config(), np.random.default_rng(0))
+    found = evaluate(static, scene, evaluation_config(), 1)
     assert found.n_alive_mean == len(static)
 
 
-def test_a_model_that_is_not_finite_is_refused(model: Model) -> None:
+def test_a_model_with_nan_is_refused(model: Model) -> None:
     broken = model.copy()
     broken.parameters["sh"][7, 2] = float("nan")
     with pytest.raises(ValueError, match="found NaN or Inf in sh of Gaussian 7"):
-        evaluate(broken, tiny_scene(), config(), 1)
+        evaluate(broken, tiny_scene(), evaluation_config(), 1)
 
 
 def test_psnr_is_of_the_clamped_render() -> None:
-    """A model brighter than white is as good as white."""
     bright = View(tiny_scene().test[0].camera, 0.0, np.full((SIZE, SIZE, 3), 255, np.uint8), "test/r_0")
     scene = replace(tiny_scene(static=True), test=(bright,))
-    model = initialise(scene, config(), np.random.default_rng(0))
+    model = initialise(scene, evaluation_config(), np.random.default_rng(0))
     model.parameters["sh"][:, 0] = 50.0
     model.parameters["opacity_logit"][:] = 8.0
     model.parameters["log_scale"][:] = 1.0
     images: list[np.ndarray] = []
-    found = evaluate(model, scene, config(renders=-1), 1, lambda name, image, truth: images.append(image))
+    found = evaluate(model, scene, evaluation_config(renders=-1), 1, lambda name, image, truth: images.append(image))
     assert images[0].max() <= 1.0
     assert found.metrics["psnr"] == pytest.approx(psnr(images[0], np.ones_like(images[0])))

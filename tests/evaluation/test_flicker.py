@@ -1,4 +1,4 @@
-"""Flicker against its definition, written out naively, and against cases whose flicker is known."""
+"""Flicker against its definition, written out naively, and against cases with known flicker."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import pytest
 from tiny import tiny_scene
 
 from datasets.scene import View
-from pipeline.data.frame_order import camera_name, film_order, follows
+from pipeline.data.frame_order import camera_name, film_order, is_next_frame
 from pipeline.evaluation.flicker import FlickerMeter, flicker, mean_flicker, residual
 
 CAMERA = tiny_scene().test[0].camera
 RATE = 30.0
-# Sums of a few hundred float32 terms, here and there in another order.
+# Sums of a few hundred float32 terms in different orders.
 FLOAT32 = 1e-6
 
 
@@ -47,14 +47,14 @@ def test_against_loops() -> None:
     assert flicker(residual(images, truths)) == pytest.approx(sum(changes) / 3, abs=FLOAT32)
 
 
-def test_an_error_that_stays_does_not_flicker() -> None:
-    truths = 0.5 * noise(4)  # what moves is in the truth; in steps of 2⁻²⁴ at most ½, so that + ¼ is exact
+def test_a_constant_error_does_not_flicker() -> None:
+    truths = 0.5 * noise(4)  # the motion is in the ground truth
     views = [frame(i) for i in range(4)]
     assert metered(truths, truths, views) == [None, 0.0, 0.0, 0.0]
     assert metered(truths + np.float32(0.25), truths, views) == pytest.approx([None, 0.0, 0.0, 0.0], abs=FLOAT32)
 
 
-def test_an_error_that_alternates_flickers_by_twice_its_size() -> None:
+def test_an_alternating_error_flickers_by_twice_its_size() -> None:
     truths = np.full((5, 4, 6, 3), 0.5, np.float32)
     signs = np.float32([1, -1, 1, -1, 1]).reshape(-1, 1, 1, 1)
     found = metered(truths + np.float32(0.125) * signs, truths, [frame(i) for i in range(5)])
@@ -62,8 +62,8 @@ def test_an_error_that_alternates_flickers_by_twice_its_size() -> None:
     assert flicker(residual(truths + np.float32(0.125) * signs, truths)) == 0.25
 
 
-def test_it_does_not_see_how_large_the_error_is_but_psnr_does_not_see_the_order() -> None:
-    """Two films of the same errors in another order: equal in PSNR, not in flicker."""
+def test_flicker_depends_on_the_order_of_the_errors() -> None:
+    """Two videos with the same errors in different orders have equal PSNR but different flicker."""
     errors, truths = np.float32([0, 0, 0.5, 0.5]).reshape(-1, 1, 1, 1), np.zeros((4, 2, 2, 3), np.float32)
     views = [frame(i) for i in range(4)]
     assert mean_flicker(metered(truths + errors, truths, views)) == pytest.approx(0.5 / 3)
@@ -85,19 +85,19 @@ def test_only_the_next_frame_of_the_same_camera_is_compared(views: list[View], c
     assert [change is not None for change in metered(images, images, views)] == compared
 
 
-def test_photographs_do_not_flicker() -> None:
+def test_photographs_have_no_flicker() -> None:
     meter = FlickerMeter(None)
     assert [meter.next(frame(i), image, image) for i, image in enumerate(noise(3))] == [None] * 3
     assert mean_flicker([None, None]) is None
 
 
-def test_times_may_be_rounded() -> None:
-    """Milliseconds of 30 frames a second: 33, 67, 100 …"""
+def test_rounded_times_are_consecutive_frames() -> None:
+    """Milliseconds at 30 frames per second: 33, 67, 100 …"""
     views = [View(CAMERA, round(i / 30, 3), frame(0).image, f"test/cam00_{i}") for i in range(300)]
-    assert all(follows(a, b, 30.0) for a, b in zip(views, views[1:]))
+    assert all(is_next_frame(a, b, 30.0) for a, b in zip(views, views[1:]))
 
 
-def test_the_meter_leaves_the_images_alone() -> None:
+def test_the_images_are_not_modified() -> None:
     images, truths = noise(3), noise(3, 1)
     before = images.copy(), truths.copy()
     metered(images, truths, [frame(i) for i in range(3)])

@@ -1,4 +1,4 @@
-"""LPIPS without its published weights, which tests do not download: the network's shape, and what happens offline."""
+"""LPIPS with random weights, because tests download none: the networks' architecture, and errors of the download."""
 
 from __future__ import annotations
 
@@ -14,51 +14,40 @@ from torch import Tensor
 
 from pipeline.evaluation import lpips
 
-# (out, in, kernel) of the convolutions in torchvision's `features`, and their indices there.
+# Index in torchvision's `features` -> (out channels, in channels, kernel) of the convolution.
 ALEX = {0: (64, 3, 11), 3: (192, 64, 5), 6: (384, 192, 3), 8: (256, 384, 3), 10: (256, 256, 3)}
 VGG = {
-    0: (64, 3, 3),
-    2: (64, 64, 3),
-    5: (128, 64, 3),
-    7: (128, 128, 3),
-    10: (256, 128, 3),
-    12: (256, 256, 3),
-    14: (256, 256, 3),
-    17: (512, 256, 3),
-    19: (512, 512, 3),
-    21: (512, 512, 3),
-    24: (512, 512, 3),
-    26: (512, 512, 3),
-    28: (512, 512, 3),
-}
+    0: (64, 3, 3), 2: (64, 64, 3),
+    5: (128, 64, 3), 7: (128, 128, 3),
+    10: (256, 128, 3), 12: (256, 256, 3), 14: (256, 256, 3),
+    17: (512, 256, 3), 19: (512, 512, 3), 21: (512, 512, 3),
+    24: (512, 512, 3), 26: (512, 512, 3), 28: (512, 512, 3),
+}  # fmt: skip
 
 
 def random_weights(convolutions: dict[int, tuple[int, int, int]], heads: list[int]) -> tuple[dict, dict]:
-    generator = torch.Generator().manual_seed(0)
+    rng = torch.Generator().manual_seed(0)
     backbone = {}
     for index, (out, inner, kernel) in convolutions.items():
         bound = (inner * kernel**2) ** -0.5
-        backbone[f"features.{index}.weight"] = bound * torch.randn(out, inner, kernel, kernel, generator=generator)
-        backbone[f"features.{index}.bias"] = 0.1 * torch.randn(out, generator=generator)
-    return backbone, {
-        f"lin{k}.model.1.weight": torch.rand(1, c, 1, 1, generator=generator) for k, c in enumerate(heads)
-    }
+        backbone[f"features.{index}.weight"] = bound * torch.randn(out, inner, kernel, kernel, generator=rng)
+        backbone[f"features.{index}.bias"] = 0.1 * torch.randn(out, generator=rng)
+    return backbone, {f"lin{k}.model.1.weight": torch.rand(1, c, 1, 1, generator=rng) for k, c in enumerate(heads)}
 
 
 def images(size: int = 48) -> tuple[np.ndarray, np.ndarray]:
-    generator = np.random.default_rng(1)
-    return tuple(generator.random((size, size, 3)).astype(np.float32) for _ in range(2))
+    rng = np.random.default_rng(1)
+    return tuple(rng.random((size, size, 3)).astype(np.float32) for _ in range(2))
 
 
 def naive_alex(image: np.ndarray, backbone: dict[str, Tensor]) -> list[Tensor]:
-    """Features after each ReLU, layer by layer as torchvision's AlexNet lists them."""
-    x = torch.from_numpy(image).permute(2, 0, 1)[None] * 2 - 1
-    x = (x - torch.tensor([-0.030, -0.088, -0.188]).view(1, 3, 1, 1)) / torch.tensor([0.458, 0.448, 0.450]).view(
-        1, 3, 1, 1
-    )
-    conv = lambda x, i, **keys: F.relu(  # noqa: E731
-        F.conv2d(x, backbone[f"features.{i}.weight"], backbone[f"features.{i}.bias"], **keys)
-    )
+    """Features after each ReLU of torchvision's AlexNet."""
+    mean, deviation = (torch.tensor(c)[:, None, None] for c in ([-0.030, -0.088, -0.188], [0.458, 0.448, 0.450]))
+    x = (torch.from_numpy(image).permute(2, 0, 1)[None] * 2 - 1 - mean) / deviation
+
+    def conv(x: Tensor, i: int, **keys) -> Tensor:
+        return F.relu(F.conv2d(x, backbone[f"features.{i}.weight"], backbone[f"features.{i}.bias"], **keys))
+
     first = conv(x, 0, stride=4, padding=2)
     second = conv(F.max_pool2d(first, 3, 2), 3, padding=2)
     third = conv(F.max_pool2d(second, 3, 2), 6, padding=1)
@@ -66,7 +55,7 @@ def naive_alex(image: np.ndarray, backbone: dict[str, Tensor]) -> list[Tensor]:
     return [first, second, third, fourth, conv(fourth, 10, padding=1)]
 
 
-def test_alex_against_its_definition() -> None:
+def test_alex_equals_its_definition() -> None:
     backbone, heads = random_weights(ALEX, [64, 192, 384, 256, 256])
     a, b = images()
     expected = 0.0
@@ -76,7 +65,7 @@ def test_alex_against_its_definition() -> None:
     assert lpips.Lpips("alex", backbone, heads)(a, b) == pytest.approx(expected, rel=1e-5)  # float32
 
 
-def test_vgg_takes_all_thirteen_convolutions() -> None:
+def test_vgg_has_thirteen_convolutions_and_is_symmetric() -> None:
     backbone, heads = random_weights(VGG, [64, 128, 256, 512, 512])
     network = lpips.Lpips("vgg", backbone, heads)
     a, b = images()
@@ -92,7 +81,7 @@ def empty_cache(tmp_path: Path, monkeypatch) -> Path:
     return tmp_path / "checkpoints"
 
 
-def test_offline_there_is_a_reason_and_no_number(empty_cache: Path, monkeypatch) -> None:
+def test_missing_weights_are_one_line_with_the_reason(empty_cache: Path, monkeypatch) -> None:
     monkeypatch.setattr(lpips, "_unreachable", lambda url: "no route to host")
     with pytest.raises(
         lpips.LpipsUnavailable,
@@ -101,18 +90,14 @@ def test_offline_there_is_a_reason_and_no_number(empty_cache: Path, monkeypatch)
         lpips.load("alex")
 
 
-def test_an_address_that_does_not_answer_is_given_up_soon() -> None:
-    assert lpips._unreachable("http://127.0.0.1:9/nothing")  # port 9: discard, closed everywhere
-
-
-def test_weights_that_are_not_the_published_ones_are_refused(empty_cache: Path) -> None:
+def test_weights_with_another_checksum_are_refused(empty_cache: Path) -> None:
     (empty_cache / "vgg16-397923af.pth").write_bytes(b"something else")
     with pytest.raises(lpips.LpipsUnavailable, match="expected SHA-256 397923af…, found "):
         lpips.load("vgg")
 
 
-def test_the_reason_is_the_operating_systems_or_the_servers() -> None:
-    """Of real failures: nothing listens on port 9 of this machine, and a server of our own knows no such page."""
+def test_the_reason_is_from_the_operating_system_or_the_server() -> None:
+    """A closed port (9, discard), and a local server without the page."""
     assert lpips._unreachable("http://127.0.0.1:9/weights") == "Connection refused"
     with ThreadingHTTPServer(("127.0.0.1", 0), SimpleHTTPRequestHandler) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()

@@ -8,7 +8,7 @@ from scipy.ndimage import convolve1d
 
 from pipeline.evaluation import metrics
 
-# Double precision sums of a few thousand terms against the same in another order.
+# float64 sums of a few thousand terms in different orders.
 EXACT = 1e-9
 # pytorch-msssim works in float32.
 FLOAT32 = 1e-5
@@ -16,10 +16,10 @@ FLOAT32 = 1e-5
 
 def noisy_pair(height: int, width: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """A smooth image and the same with noise, (H, W, 3) float32 in [0, 1]."""
-    generator = np.random.default_rng(seed)
+    rng = np.random.default_rng(seed)
     y, x = np.mgrid[:height, :width]
     truth = np.stack([0.5 + 0.4 * np.sin(x / 7 + c) * np.cos(y / (5 + c)) for c in range(3)], axis=-1)
-    image = np.clip(truth + 0.1 * generator.standard_normal(truth.shape), 0, 1)
+    image = np.clip(truth + 0.1 * rng.standard_normal(truth.shape), 0, 1)
     return image.astype(np.float32), truth.astype(np.float32)
 
 
@@ -30,7 +30,7 @@ def window() -> np.ndarray:
 
 
 def blurred(image: np.ndarray) -> np.ndarray:
-    """The window over the pixels where it lies inside the image."""
+    """Convolution with the window, for pixels whose window is inside the image."""
     for axis in (0, 1):
         image = convolve1d(image, window(), axis=axis)
     return image[5:-5, 5:-5]
@@ -52,20 +52,20 @@ def test_psnr_of_a_constant_error() -> None:
     assert metrics.psnr(truth + np.float32(0.125), truth) == pytest.approx(-20 * np.log10(0.125), abs=EXACT)
 
 
-def test_psnr_of_equal_images_is_a_number() -> None:
+def test_psnr_of_equal_images_is_100_db() -> None:
     truth = np.zeros((4, 5, 3), np.float32)
     assert metrics.psnr(truth, truth) == 100.0
 
 
 @pytest.mark.parametrize("data_range", [1.0, 2.0])
-def test_ssim(data_range: float) -> None:
+def test_ssim_equals_its_definition(data_range: float) -> None:
     image, truth = noisy_pair(24, 31)
     expected = naive_ssim_parts(image, truth, data_range)[0].mean()
     # scikit-image keeps float32 images in float32.
     assert metrics.ssim(image, truth, data_range) == pytest.approx(expected, abs=FLOAT32)
 
 
-def test_dssim_with_either_data_range() -> None:
+def test_dssim_with_both_data_ranges() -> None:
     image, truth = noisy_pair(24, 31)
     for metric, data_range in ((metrics.dssim1, 1.0), (metrics.dssim2, 2.0)):
         expected = (1 - naive_ssim_parts(image, truth, data_range)[0].mean()) / 2
@@ -73,7 +73,7 @@ def test_dssim_with_either_data_range() -> None:
     assert metrics.dssim2(image, truth) < metrics.dssim1(image, truth)
 
 
-def test_ms_ssim() -> None:
+def test_ms_ssim_equals_its_definition() -> None:
     image, truth = noisy_pair(176, 176)
     expected = np.ones(3)
     for scale, weight in enumerate((0.0448, 0.2856, 0.3001, 0.2363, 0.1333)):
@@ -84,19 +84,19 @@ def test_ms_ssim() -> None:
     assert metrics.ms_ssim(image, truth) == pytest.approx(expected.mean(), abs=FLOAT32)
 
 
-def test_ms_ssim_of_small_images_is_left_out() -> None:
+def test_ms_ssim_of_small_images_is_none() -> None:
     assert metrics.ms_ssim(*noisy_pair(160, 400)) is None
     assert metrics.ms_ssim(*noisy_pair(161, 161)) is not None
 
 
-def test_measure_has_every_metric_and_agrees_with_it() -> None:
+def test_measure_equals_every_single_metric() -> None:
     image, truth = noisy_pair(170, 170)
     row = metrics.measure(image, truth)
     assert row == {name: metric(image, truth) for name, metric in metrics.METRICS.items()}
 
 
 @pytest.mark.parametrize("shape", [(24, 30, 3), (24, 31), (24, 31, 4)])
-def test_measure_refuses_images_that_do_not_match(shape: tuple[int, ...]) -> None:
+def test_measure_refuses_images_of_different_shapes(shape: tuple[int, ...]) -> None:
     with pytest.raises(ValueError, match="expected two images"):
         metrics.measure(np.zeros(shape, np.float32), np.zeros((24, 31, 3), np.float32))
 
@@ -108,7 +108,7 @@ def test_measure_refuses_nan() -> None:
         metrics.measure(image, truth)
 
 
-def test_mean_says_nothing_rather_than_average_over_fewer_images() -> None:
+def test_a_mean_with_missing_values_is_none() -> None:
     assert metrics.mean([{"a": 1.0}, {"a": 2.0}], "a") == 1.5
     assert metrics.mean([{"a": 1.0}, {"a": None}], "a") is None
     assert metrics.mean([], "a") is None

@@ -1,4 +1,4 @@
-"""Where training starts: the numbers of docs/method.md 2, recomputed naively."""
+"""Initialisation: the values of docs/method.md 2, recomputed naively."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_spatial_scale_against_brute_force() -> None:
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])
-def test_spatial_scale_of_few_or_coincident_points_is_finite(count: int) -> None:
+def test_spatial_scale_of_few_and_coincident_points_is_finite(count: int) -> None:
     scale = nearest_distance(np.zeros((count, 3)))
     np.testing.assert_allclose(scale, np.sqrt(1e-7))
 
@@ -60,18 +60,18 @@ def test_static_scene_stores_no_time() -> None:
     assert "quat_right" not in p
 
 
-def test_same_generator_state_same_model_and_the_seed_matters() -> None:
+def test_the_model_is_a_function_of_the_rng() -> None:
     one, two, other = (initialise(tiny_scene(), config(), np.random.default_rng(s)).parameters for s in (3, 3, 4))
     assert all(torch.equal(one[name], two[name]) for name in one)
     assert not torch.equal(one["mean"], other["mean"])
 
 
-def test_train_init_points_goes_before_the_scenes() -> None:
+def test_train_init_points_overrides_the_scenes() -> None:
     assert len(initialise(tiny_scene(), config(init_points=20), np.random.default_rng(0))) == 20
 
 
 @pytest.mark.parametrize("points, found", [(np.zeros((0, 3)), "empty point cloud"), (np.full((5, 3), np.nan), "NaN")])
-def test_bad_point_clouds_are_refused_in_one_line(points: np.ndarray, found: str) -> None:
+def test_invalid_point_clouds_are_refused_in_one_line(points: np.ndarray, found: str) -> None:
     cfg = Config(ablation=AblationConfig())
     with pytest.raises(ValueError, match=found) as error:
         from_points(points, np.zeros(len(points)), np.zeros((len(points), 3)), tiny_scene(), cfg)
@@ -83,22 +83,22 @@ def cloud_of(points: np.ndarray, colors: np.ndarray) -> Reconstruction:
     return Reconstruction(points, colors, ones, 3 * ones, {}, "known", 3, 1.0)
 
 
-def test_points_of_structure_from_motion_keep_their_places_and_colours() -> None:
-    """A Gaussian that covers its pixel alone must show the point's colour, from anywhere and at any time."""
+def test_points_of_structure_from_motion_keep_their_positions_and_colours() -> None:
+    """The Gaussian of a point has the point's colour from every direction and at any time."""
     scene, rng = tiny_scene(), np.random.default_rng(3)
     points, colors = rng.normal(size=(50, 3)), rng.integers(0, 256, (50, 3), dtype=np.uint8)
     model = initialise(scene, config(), np.random.default_rng(0), cloud_of(points, colors))
     np.testing.assert_allclose(model.parameters["mean"][:, :3], points, rtol=1e-6)
-    shown = 0.5 + sh_basis(torch.tensor([[0.6, 0.0, 0.8]]), 0)[0, 0] * model.parameters["sh"][:, 0]
-    np.testing.assert_allclose(shown, colors / 255, atol=1e-6)
+    color = 0.5 + sh_basis(torch.tensor([[0.6, 0.0, 0.8]]), 0)[0, 0] * model.parameters["sh"][:, 0]
+    np.testing.assert_allclose(color, colors / 255, atol=1e-6)
     assert not model.parameters["sh"][:, 1:].any()
     t = model.parameters["mean"][:, 3]
-    assert t.min() >= 0 and t.max() <= 1 and t.std() > 0.2  # over all of the duration
+    assert t.min() >= 0 and t.max() <= 1 and t.std() > 0.2  # over the whole duration
     assert model.sphere is None
 
 
-def test_the_sphere_stands_round_points_and_cameras_where_cameras_look() -> None:
-    scene = tiny_scene()  # cameras 4 before the origin, on an arc, looking along +z
+def test_the_sphere_surrounds_points_and_cameras_and_is_restricted_to_visible_directions() -> None:
+    scene = tiny_scene()  # cameras on an arc at distance 4 from the origin, looking along +z
     cfg = Config(
         scene=SceneConfig(init_points=50),
         init=InitConfig(sphere_points=4000, sphere_radius=5.0),
@@ -107,12 +107,12 @@ def test_the_sphere_stands_round_points_and_cameras_where_cameras_look() -> None
     model = initialise(scene, cfg, np.random.default_rng(0))
     labelled, xyz = model.sphere, model.parameters["mean"][:, :3].double().numpy()
     assert not labelled[:50].any() and labelled[50:].all()
-    places = np.concatenate([xyz[:50], [view.camera.position for view in scene.train]])
-    centre = (places.min(axis=0) + places.max(axis=0)) / 2
-    reach = np.linalg.norm(places - centre, axis=1).max()
-    np.testing.assert_allclose(np.linalg.norm(xyz[50:] - centre, axis=1), 5 * reach, rtol=1e-5)
-    # Of the whole sphere, those that one of the cameras has in its image, or beside it by a tenth; a naive loop.
-    whole = sphere_points(4000, centre, 5 * reach, _after_points(scene, cfg))
+    positions = np.concatenate([xyz[:50], [view.camera.position for view in scene.train]])
+    centre = (positions.min(axis=0) + positions.max(axis=0)) / 2
+    radius = np.linalg.norm(positions - centre, axis=1).max()
+    np.testing.assert_allclose(np.linalg.norm(xyz[50:] - centre, axis=1), 5 * radius, rtol=1e-5)
+    # Of the whole sphere, the points in at least one image enlarged by a tenth; a naive loop.
+    whole = sphere_points(4000, centre, 5 * radius, _after_points(scene, cfg))
     kept = []
     for point in whole:
         for view in scene.train:
@@ -126,8 +126,8 @@ def test_the_sphere_stands_round_points_and_cameras_where_cameras_look() -> None
 
 
 def _after_points(scene: Scene, cfg: Config) -> np.random.Generator:
-    """The generator as it is once the random points and their colours are drawn."""
-    generator = np.random.default_rng(0)
-    generator.uniform(size=(cfg.scene.init_points, 3))
-    generator.uniform(size=(cfg.scene.init_points, 3))
-    return generator
+    """The rng after the draws of the random points and their colours."""
+    rng = np.random.default_rng(0)
+    rng.uniform(size=(cfg.scene.init_points, 3))
+    rng.uniform(size=(cfg.scene.init_points, 3))
+    return rng

@@ -1,4 +1,4 @@
-"""The model's tensors follow its kind; .ply files hold all of it, and are 3DGS's where the model is 3DGS's."""
+"""Shapes of a model's tensors by its kind, its state, and .ply files, which for static models are those of 3DGS."""
 
 from __future__ import annotations
 
@@ -23,20 +23,16 @@ KINDS = [
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_gaussians_recognise_the_kind_from_the_shapes(kind: ModelKind) -> None:
+def test_the_kind_follows_from_the_shapes(kind: ModelKind) -> None:
     model = random_model(kind)
     gaussians = model.gaussians()
-    assert (gaussians.motion, gaussians.fourier_order, gaussians.sh_degree) == (
-        kind.motion,
-        kind.fourier_order,
-        kind.sh_degree,
-    )
+    assert ModelKind(gaussians.motion, gaussians.fourier_order, gaussians.sh_degree) == kind
     assert gaussians.mean is model.parameters["mean"], "tensors are shared, not copied"
     assert Model.from_gaussians(gaussians).kind == kind
 
 
-def test_size_counts_only_what_is_stored() -> None:
-    # full: 4 + 4 + 4 + 4 + 1 + 144 floats; a static one: 3 + 3 + 4 + 1 + 48
+def test_bytes_are_of_the_stored_parameters() -> None:
+    # full: 4 + 4 + 4 + 4 + 1 + 144 floats; static: 3 + 3 + 4 + 1 + 48
     assert random_model(ModelKind("full", 2, 3), 10).bytes == 10 * 161 * 4
     assert random_model(ModelKind("static", 0, 3), 10).bytes == 10 * 59 * 4
 
@@ -81,19 +77,19 @@ def test_ply_round_trip_is_exact(kind: ModelKind, tmp_path) -> None:
         assert torch.equal(back.parameters[name], tensor), name
 
 
-def test_ply_keeps_the_spheres_label(tmp_path) -> None:
+def test_ply_stores_the_sphere_label(tmp_path) -> None:
     model = random_model(KINDS[1])
     model.sphere = torch.arange(7) >= 4
     save_ply(tmp_path / "model.ply", model)
     assert torch.equal(load_ply(tmp_path / "model.ply").sphere, model.sphere)
     columns = PlyData.read(str(tmp_path / "model.ply"))["vertex"].data.dtype
-    assert {columns[name].str for name in columns.names} == {"<f4"}, "as everything in 3DGS's file"
+    assert {columns[name].str for name in columns.names} == {"<f4"}, "like every property of 3DGS's file"
     model.sphere = None
     save_ply(tmp_path / "model.ply", model)
     assert load_ply(tmp_path / "model.ply").sphere is None
 
 
-def test_a_copy_has_the_background_and_shares_nothing() -> None:
+def test_a_copy_has_the_background_model_and_shares_no_memory() -> None:
     model = random_model(KINDS[0])
     assert model.background_model == "none"
     model.sphere = torch.arange(7) >= 4
@@ -106,14 +102,14 @@ def test_a_copy_has_the_background_and_shares_nothing() -> None:
         assert torch.equal(tensor, model.state()[name]) and tensor.data_ptr() != model.state()[name].data_ptr(), name
 
 
-def test_a_label_that_does_not_fit_is_refused() -> None:
+def test_a_sphere_label_of_another_shape_or_type_is_refused() -> None:
     parameters = random_model(KINDS[0]).parameters
     for sphere in (torch.zeros(6, dtype=torch.bool), torch.zeros(7)):
         with pytest.raises(ValueError, match=r"sphere: expected bool \[7\], found"):
             Model(KINDS[0], parameters, sphere)
 
 
-def test_static_ply_is_that_of_3dgs(tmp_path) -> None:
+def test_static_ply_is_3dgs_format(tmp_path) -> None:
     """Property names and order of graphdeco's save_ply, and its channel-major f_rest."""
     model = random_model(ModelKind("static", 0, 3))
     save_ply(tmp_path / "model.ply", model)
@@ -132,7 +128,7 @@ def test_static_ply_is_that_of_3dgs(tmp_path) -> None:
     assert np.array_equal(np.stack([vertices[f"f_rest_{i}"] for i in range(45)], 1), features_rest)
 
 
-def test_unreadable_ply_is_one_line_with_its_name(tmp_path) -> None:
+def test_an_invalid_ply_is_refused_in_one_line_with_its_name(tmp_path) -> None:
     file = tmp_path / "broken.ply"
     file.write_text("no ply")
     with pytest.raises(ValueError, match="broken.ply: expected") as error:

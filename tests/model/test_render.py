@@ -1,4 +1,4 @@
-"""A model before its environment: composed as the float64 twin composes it, with the gradient of that."""
+"""Rendering with an environment map: image and gradient against the float64 reference implementation."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import pytest
 import torch
 from builders import generator, off_centre_camera, random_gaussians
 from builders import render as render_with
-from test_environment import naive_look_up
+from test_environment_map import naive_sample
 from torch import Tensor
 
 from pipeline.model.environment_map import EnvironmentMap
@@ -21,78 +21,87 @@ REQUEST = Request(off_centre_camera(), time=0.4, background=(0.2, 0.9, 0.1), out
 
 
 def example() -> tuple[Gaussians, Tensor, Tensor]:
-    """Gaussians (float64), a picture (3, h, 2h) float64 and ∂L/∂image (3, H, W), zero where the image jumps."""
+    """Gaussians (float64), an environment map (3, h, 2h) float64, and ∂L/∂image (3, H, W), zero at discontinuities."""
     gaussians = away_from_discontinuities(
         random_gaussians(60, "full", generator(0), opacity_logit=(-2.0, 1.0)), REQUEST
     )
-    picture = torch.rand(3, HEIGHT, 2 * HEIGHT, generator=generator(1)).double()
+    texels = torch.rand(3, HEIGHT, 2 * HEIGHT, generator=generator(1)).double()
     weights = torch.randn(3, 37, 45, generator=generator(2), dtype=torch.float64)
-    return gaussians, picture, weights * smooth_pixels(gaussians, REQUEST)
+    return gaussians, texels, weights * smooth_pixels(gaussians, REQUEST)
 
 
-def model_of(gaussians: Gaussians, picture: Tensor | None) -> Model:
+def model_of(gaussians: Gaussians, texels: Tensor | None) -> Model:
     model = Model.from_gaussians(gaussians.to(torch.float32))
-    model.environment_map = None if picture is None else EnvironmentMap(picture.to(torch.float32))
+    model.environment_map = None if texels is None else EnvironmentMap(texels.to(torch.float32))
     return model
 
 
-def true_image(gaussians: Gaussians, behind: Tensor) -> Tensor:
-    """(3, H, W) float64. behind: (3, H, W)."""
+def reference_image(gaussians: Gaussians, colors: Tensor) -> Tensor:
+    """(3, H, W) float64. colors: (3, H, W) of the environment map."""
     black = Request(REQUEST.camera, REQUEST.time, outputs=("color", "alpha"))
     out = render_with(reference, gaussians, black)
-    return out.color + (1 - out.alpha) * behind
+    return out.color + (1 - out.alpha) * colors
 
 
 @pytest.mark.parametrize("differentiable", [True, False])
-def test_without_an_environment_it_is_the_rasterizers_image_bit_for_bit(differentiable: bool) -> None:
-    model, frame = model_of(example()[0], None), Rasterizer(threads=1)
-    expected = frame.render(model.gaussians(), REQUEST).color
-    assert torch.equal(render(frame, model, REQUEST, differentiable).image, expected)
-    assert torch.equal(render_image(frame, model, REQUEST), expected)
+def test_without_an_environment_map_the_image_is_the_rasterizers(differentiable: bool) -> None:
+    model, rasterizer = model_of(example()[0], None), Rasterizer(threads=1)
+    expected = rasterizer.render(model.gaussians(), REQUEST).color
+    assert torch.equal(render(rasterizer, model, REQUEST, differentiable).image, expected)
+    assert torch.equal(render_image(rasterizer, model, REQUEST), expected)
 
 
-def test_the_image_is_the_gaussians_before_the_environment() -> None:
-    gaussians, picture, weights = example()
-    found = render_image(Rasterizer(threads=1), model_of(gaussians, picture), REQUEST)
-    expected = true_image(gaussians, naive_look_up(picture, REQUEST.camera))
+def test_the_image_is_composited_over_the_environment_map() -> None:
+    gaussians, texels, weights = example()
+    found = render_image(Rasterizer(threads=1), model_of(gaussians, texels), REQUEST)
+    expected = reference_image(gaussians, naive_sample(texels, REQUEST.camera))
     smooth = (weights != 0).all(0)
     assert smooth.float().mean() > 0.5
-    # 1e-5 for the look-up (test_environment), and as much for float32 blending of dozens of Gaussians
+    # 1e-5 for sampling (test_environment_map), and as much for float32 blending of dozens of Gaussians
     torch.testing.assert_close(found.double()[:, smooth], expected[:, smooth], rtol=0, atol=2e-5)
 
 
-def test_its_gradient_by_finite_differences_of_the_truth() -> None:
-    """Along a random direction for each field and for the environment, in float64."""
-    gaussians, picture, weights = example()
-    model, frame = model_of(gaussians, picture), Rasterizer(threads=1)
-    gradients, d_environment = Gradients.zeros_like(model.gaussians()), torch.zeros(3, HEIGHT, 2 * HEIGHT)
-    rendered = render(frame, model, REQUEST)
-    backward(frame, model, rendered, weights.to(torch.float32), gradients, d_environment)
-    found = {**gradients.dense(), "sh": gradients.sh(), "environment": d_environment}
+def test_the_gradient_equals_finite_differences_of_the_reference_implementation() -> None:
+    """Along a random direction for each field and for the environment map, in float64."""
+    gaussians, texels, weights = example()
+    model, rasterizer = model_of(gaussians, texels), Rasterizer(threads=1)
+    gradients, d_environment_map = Gradients.zeros_like(model.gaussians()), torch.zeros(3, HEIGHT, 2 * HEIGHT)
+    rendered = render(rasterizer, model, REQUEST)
+    backward(rasterizer, model, rendered, weights.to(torch.float32), gradients, d_environment_map)
+    found = {**gradients.dense(), "sh": gradients.sh(), "environment_map": d_environment_map}
 
-    tensors = {**gaussians.tensors(), "environment": picture}
-    behind = naive_look_up(picture, REQUEST.camera)
-    step = 1e-6  # the next jump is 1e-3 away
+    tensors = {**gaussians.tensors(), "environment_map": texels}
+    unchanged = naive_sample(texels, REQUEST.camera)
+    step = 1e-6  # the next discontinuity is at least 1e-3 away
     for name, gradient in found.items():
         direction = torch.randn(tensors[name].shape, generator=generator(3), dtype=torch.float64)
         sides = []
         for sign in (1, -1):
             moved = {**tensors, name: tensors[name] + sign * step * direction}
-            back = naive_look_up(moved.pop("environment"), REQUEST.camera) if name == "environment" else behind
-            moved.pop("environment", None)
-            sides.append((true_image(Gaussians(**moved), back) * weights).sum().item())
+            colors = (
+                naive_sample(moved.pop("environment_map"), REQUEST.camera) if name == "environment_map" else unchanged
+            )
+            moved.pop("environment_map", None)
+            sides.append((reference_image(Gaussians(**moved), colors) * weights).sum().item())
         products = gradient.double() * direction
-        # Float32 gradients: found up to 4e-6 of the size of what is summed
+        # float32 gradients; measured: up to 4e-6 of the norm of the summed terms
         size = products.square().sum().sqrt().item()
         assert (sides[0] - sides[1]) / (2 * step) == pytest.approx(products.sum().item(), abs=5e-5 * size), name
         assert size > 0.1, name
 
 
-def test_an_environment_that_is_not_trained_changes_no_other_gradient() -> None:
-    gaussians, picture, weights = example()
-    model, frame, found = model_of(gaussians, picture), Rasterizer(threads=1), []
-    for d_environment in (torch.zeros(3, HEIGHT, 2 * HEIGHT), None):
+def test_other_gradients_do_not_depend_on_training_the_environment_map() -> None:
+    gaussians, texels, weights = example()
+    model, rasterizer, found = model_of(gaussians, texels), Rasterizer(threads=1), []
+    for d_environment_map in (torch.zeros(3, HEIGHT, 2 * HEIGHT), None):
         found.append(Gradients.zeros_like(model.gaussians()))
-        backward(frame, model, render(frame, model, REQUEST), weights.to(torch.float32), found[-1], d_environment)
+        backward(
+            rasterizer,
+            model,
+            render(rasterizer, model, REQUEST),
+            weights.to(torch.float32),
+            found[-1],
+            d_environment_map,
+        )
     for name, gradient in found[0].dense().items():
         assert torch.equal(gradient, found[1].dense()[name]) and gradient.any(), name

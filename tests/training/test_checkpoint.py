@@ -1,4 +1,4 @@
-"""A checkpoint holds everything, and the name on disk never holds half of one."""
+"""Checkpoints: exact round trip, atomic writes, and errors for invalid files."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from pipeline.model.environment_map import EnvironmentMap
 from pipeline.model.model import ModelKind
 from pipeline.training import checkpoint
 from pipeline.training.checkpoint import Checkpoint
-from pipeline.training.density.densification import Statistics
+from pipeline.training.density.statistics import Statistics
 
-GENERATOR = json.dumps(np.random.default_rng(4).bit_generator.state)
+RNG_STATE = json.dumps(np.random.default_rng(4).bit_generator.state)
 
 
 def example(iteration: int = 7, **changes) -> Checkpoint:
@@ -29,10 +29,10 @@ def example(iteration: int = 7, **changes) -> Checkpoint:
         model=model,
         step_count=iteration,
         moments=moments,
-        environment_moments=None,
+        environment_map_moments=None,
         statistics={name: torch.rand(7) for name in Statistics.FIELDS},
-        sampler={"order": np.arange(5)[::-1].copy(), "position": 2, "generator": GENERATOR},
-        split_generator=torch.Generator().manual_seed(5).get_state(),
+        sampler={"order": np.arange(5)[::-1].copy(), "position": 2, "generator": RNG_STATE},
+        split_rng=torch.Generator().manual_seed(5).get_state(),
         best={"psnr": 1 / 3, "iteration": 5},
         best_model=random_model(model.kind),
     )
@@ -57,27 +57,27 @@ def test_round_trip_is_exact(tmp_path) -> None:
         assert_same(a, b)
     assert_same(loaded.statistics, saved.statistics)
     assert np.array_equal(loaded.sampler["order"], saved.sampler["order"])
-    assert (loaded.sampler["position"], loaded.sampler["generator"]) == (2, GENERATOR)
-    assert torch.equal(loaded.split_generator, saved.split_generator)
+    assert (loaded.sampler["position"], loaded.sampler["generator"]) == (2, RNG_STATE)
+    assert torch.equal(loaded.split_rng, saved.split_rng)
     assert [p.name for p in tmp_path.iterdir()] == [checkpoint.FILE_NAME], "no temporary file left"
 
 
-def test_the_background_is_kept_too(tmp_path) -> None:
-    """The sphere's label, the environment and its moments, of the model and of the best one."""
+def test_round_trip_of_background_models(tmp_path) -> None:
+    """The sphere label, the environment map and its moments, of the model and of the best one."""
     kind = ModelKind("full", 2, 3)
     models = [random_model(kind) for _ in range(2)]
     for model in models:
         model.sphere, model.environment_map = torch.rand(7) < 0.5, EnvironmentMap(torch.rand(3, 4, 8))
     moments = torch.rand(3, 4, 8), torch.rand(3, 4, 8)
-    checkpoint.save(tmp_path / "c", example(model=models[0], best_model=models[1], environment_moments=moments))
+    checkpoint.save(tmp_path / "c", example(model=models[0], best_model=models[1], environment_map_moments=moments))
     loaded = checkpoint.load(tmp_path / "c")
     assert_same(loaded.model.state(), models[0].state())
     assert_same(loaded.best_model.state(), models[1].state())
-    assert all(map(torch.equal, loaded.environment_moments, moments))
+    assert all(map(torch.equal, loaded.environment_map_moments, moments))
     assert_same(checkpoint.load_model(tmp_path / "c").state(), models[0].state())
 
 
-def test_same_state_same_bytes(tmp_path) -> None:
+def test_equal_checkpoints_have_equal_bytes(tmp_path) -> None:
     torch.manual_seed(0)
     saved = example()
     checkpoint.save(tmp_path / "a", saved)
@@ -85,21 +85,21 @@ def test_same_state_same_bytes(tmp_path) -> None:
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
 
 
-def test_without_moments_and_best(tmp_path) -> None:
+def test_round_trip_without_moments_and_best(tmp_path) -> None:
     checkpoint.save(tmp_path / "c", example(moments=None, best=None, best_model=None))
     loaded = checkpoint.load(tmp_path / "c")
     assert loaded.moments is None and loaded.best is None and loaded.best_model is None
-    assert loaded.environment_moments is None and loaded.model.background_model == "none"
+    assert loaded.environment_map_moments is None and loaded.model.background_model == "none"
 
 
-def test_model_alone(tmp_path) -> None:
+def test_load_model(tmp_path) -> None:
     saved = example()
     checkpoint.save(tmp_path / "c", saved)
     assert_same(checkpoint.load_model(tmp_path / "c").parameters, saved.model.parameters)
 
 
 @pytest.mark.parametrize("dies_in", ["save_file", "fsync", "replace"])
-def test_dying_while_writing_keeps_the_old_one(tmp_path, monkeypatch, dies_in: str) -> None:
+def test_an_interrupted_write_keeps_the_old_checkpoint(tmp_path, monkeypatch, dies_in: str) -> None:
     path = tmp_path / checkpoint.FILE_NAME
     checkpoint.save(path, example(iteration=7))
 
@@ -116,7 +116,7 @@ def test_dying_while_writing_keeps_the_old_one(tmp_path, monkeypatch, dies_in: s
 
 
 @pytest.mark.parametrize("content", [b"", b"not a checkpoint", None])
-def test_a_broken_file_is_named_in_one_line(tmp_path, content: bytes | None) -> None:
+def test_an_invalid_file_is_refused_in_one_line_with_its_name(tmp_path, content: bytes | None) -> None:
     path = tmp_path / checkpoint.FILE_NAME
     checkpoint.save(path, example())
     path.write_bytes(path.read_bytes()[:-100] if content is None else content)

@@ -1,4 +1,4 @@
-"""Adam against its formula, and rows of parameters and moments that stay together."""
+"""Adam against its formula, and adding and removing rows of parameters and moments."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ RATES = {
 FIELDS = RATES.keys() - {"sh", "environment_map"}
 
 
-def random_gradients(model: Model, generator: torch.Generator) -> Gradients:
-    """Of every field but sh, whose gradient only a rendered view can make."""
+def random_gradients(model: Model, rng: torch.Generator) -> Gradients:
+    """Of every field except sh, whose gradient only a rendered view has."""
     gradients = Gradients.zeros_like(model.gaussians())
     for name in FIELDS:
-        getattr(gradients, name).copy_(torch.randn(getattr(gradients, name).shape, generator=generator))
+        getattr(gradients, name).copy_(torch.randn(getattr(gradients, name).shape, generator=rng))
     return gradients
 
 
 def marked_optimiser(count: int = 6) -> Adam:
-    """Row i of every tensor holds i, in moments i + 100 and i + 200."""
+    """Row i of every parameter is i, of the moments i + 100 and i + 200."""
     model = random_model(KIND, count)
     optimiser = Adam(model)
     for offset, tensors in zip((0, 100, 200), (model.parameters, optimiser.first, optimiser.second)):
@@ -43,14 +43,14 @@ def marked_optimiser(count: int = 6) -> Adam:
 
 
 def test_steps_match_the_formula() -> None:
-    """Kingma and Ba, algorithm 1, in float64."""
-    model, generator = random_model(KIND, 20), torch.Generator().manual_seed(0)
+    """Kingma & Ba 2015, algorithm 1, in float64."""
+    model, rng = random_model(KIND, 20), torch.Generator().manual_seed(0)
     names = FIELDS - {"mean"}
     expected = {name: model.parameters[name].double() for name in names}
     first, second = ({name: torch.zeros_like(expected[name]) for name in names} for _ in range(2))
     optimiser = Adam(model)
     for step in range(1, 11):
-        gradients = random_gradients(model, generator)
+        gradients = random_gradients(model, rng)
         optimiser.step(gradients, RATES)
         for name in names:
             gradient = getattr(gradients, name).double()
@@ -59,54 +59,54 @@ def test_steps_match_the_formula() -> None:
             corrected = first[name] / (1 - 0.9**step), second[name] / (1 - 0.999**step)
             expected[name] = expected[name] - RATES[name] * corrected[0] / (corrected[1].sqrt() + 1e-15)
     for name in names:
-        # ten float32 updates of values of size 1, each rounded to 6e-8 and itself right to some 1e-6 of a rate <= 0.05
+        # ten float32 updates of values near 1: rounding of 6e-8 each, and about 1e-6 of a rate of at most 0.05
         assert torch.allclose(model.parameters[name].double(), expected[name], atol=3e-6), name
     assert optimiser.step_count == 10
 
 
-def test_the_means_columns_have_their_own_rates() -> None:
+def test_the_columns_of_the_mean_have_their_own_rates() -> None:
     model = random_model(KIND, 5)
     before = model.parameters["mean"].clone()
     gradients = Gradients.zeros_like(model.gaussians())
     gradients.mean.fill_(3.0)
     Adam(model).step(gradients, RATES)
-    # Adam's first step is the rate itself, whatever the gradient; 1e-6 is float32 rounding of values below 4
+    # The first step of Adam is the rate, for any gradient; 1e-6: float32 rounding of values below 4
     moved = before - model.parameters["mean"]
     assert torch.allclose(moved, torch.tensor(RATES["mean"]).expand(5, 4), atol=1e-6)
 
 
-def test_rows_left_out_keep_their_values_and_moments() -> None:
-    model, generator = random_model(KIND, 6), torch.Generator().manual_seed(0)
+def test_excluded_rows_keep_their_values_and_moments() -> None:
+    model, rng = random_model(KIND, 6), torch.Generator().manual_seed(0)
     optimiser = Adam(model)
     rows = torch.tensor([1, 0, 1, 0, 0, 1], dtype=torch.uint8)
     before = model.copy()
-    optimiser.step(random_gradients(model, generator), RATES, rows)
+    optimiser.step(random_gradients(model, rng), RATES, rows)
     for name in FIELDS:
         changed = (model.parameters[name] != before.parameters[name]).reshape(6, -1).any(dim=1)
         assert torch.equal(changed, rows.bool()), name
         assert not optimiser.first[name][~rows.bool()].any(), name
 
 
-def test_the_environment_is_stepped_by_adam_where_it_has_a_gradient() -> None:
-    """torch.optim.Adam in float64; a step without a gradient for it leaves it and its moments alone."""
-    model, generator = random_model(KIND, 5), torch.Generator().manual_seed(0)
-    model.environment_map = EnvironmentMap(torch.rand(3, 4, 8, generator=generator))
-    shadow = model.environment_map.image.double().requires_grad_()
-    optimiser, truth = Adam(model), torch.optim.Adam([shadow], lr=RATES["environment_map"], eps=1e-15)
+def test_the_environment_map_is_updated_only_with_a_gradient() -> None:
+    """Against torch.optim.Adam in float64; without a gradient the map and its moments are unchanged."""
+    model, rng = random_model(KIND, 5), torch.Generator().manual_seed(0)
+    model.environment_map = EnvironmentMap(torch.rand(3, 4, 8, generator=rng))
+    reference = model.environment_map.image.double().requires_grad_()
+    optimiser, reference_adam = Adam(model), torch.optim.Adam([reference], lr=RATES["environment_map"], eps=1e-15)
     for _ in range(5):
-        d_environment_map = torch.randn(3, 4, 8, generator=generator)
-        optimiser.step(random_gradients(model, generator), RATES, d_environment_map=d_environment_map)
-        shadow.grad = d_environment_map.double()
-        truth.step()
-    # five float32 updates of values up to 1, each rounded to 6e-8 and itself right to some 1e-6 of the rate
-    torch.testing.assert_close(model.environment_map.image.double(), shadow.detach(), rtol=0, atol=1e-6)
-    before = [model.environment_map.image.clone(), *(moment.clone() for moment in optimiser.environment_map)]
-    optimiser.step(random_gradients(model, generator), RATES)
-    assert all(map(torch.equal, before, (model.environment_map.image, *optimiser.environment_map)))
+        d_environment_map = torch.randn(3, 4, 8, generator=rng)
+        optimiser.step(random_gradients(model, rng), RATES, d_environment_map=d_environment_map)
+        reference.grad = d_environment_map.double()
+        reference_adam.step()
+    # five float32 updates of values up to 1: rounding of 6e-8 each, and about 1e-6 of the rate
+    torch.testing.assert_close(model.environment_map.image.double(), reference.detach(), rtol=0, atol=1e-6)
+    before = [model.environment_map.image.clone(), *(moment.clone() for moment in optimiser.environment_map_moments)]
+    optimiser.step(random_gradients(model, rng), RATES)
+    assert all(map(torch.equal, before, (model.environment_map.image, *optimiser.environment_map_moments)))
     assert optimiser.bytes == 2 * model.bytes
 
 
-def test_keep_keeps_rows_and_their_moments_in_order() -> None:
+def test_keep_selects_rows_and_their_moments_in_order() -> None:
     optimiser = marked_optimiser()
     optimiser.keep(torch.tensor([True, False, True, True, False, True]))
     for offset, tensors in zip((0, 100, 200), (optimiser.model.parameters, optimiser.first, optimiser.second)):
@@ -125,20 +125,22 @@ def test_append_adds_rows_with_zero_moments_at_the_end() -> None:
         assert torch.equal(tensor[6:], rows[name]), name
         for moments in (optimiser.first, optimiser.second):
             assert not moments[name][6:].any() and moments[name][:6].all(), name
-    optimiser.model.gaussians()  # shapes still fit each other
+    optimiser.model.gaussians()  # shapes are consistent
 
 
-def test_the_spheres_label_comes_and_goes_with_its_rows() -> None:
+def test_keep_and_append_update_the_sphere_label() -> None:
     optimiser = marked_optimiser()
     optimiser.keep(torch.ones(6, dtype=torch.bool))
     assert optimiser.model.sphere is None
     optimiser.model.sphere = torch.tensor([False, True, True, False, False, True])
     optimiser.keep(torch.tensor([True, False, True, True, False, True]))
     optimiser.append({name: tensor[:2] for name, tensor in optimiser.model.parameters.items()})
-    assert optimiser.model.sphere.tolist() == [False, True, False, True, False, False], "new ones are not of the sphere"
+    assert optimiser.model.sphere.tolist() == [False, True, False, True, False, False], (
+        "new Gaussians are not of the sphere"
+    )
 
 
-def test_append_of_other_fields_is_refused() -> None:
+def test_append_refuses_other_fields() -> None:
     with pytest.raises(ValueError, match="append: expected fields"):
         marked_optimiser().append({"mean": torch.zeros(1, 4)})
 

@@ -1,4 +1,4 @@
-"""Schedules at the points docs/method.md 2 names."""
+"""The schedule at the iterations given in docs/method.md 2."""
 
 from __future__ import annotations
 
@@ -7,33 +7,33 @@ from dataclasses import replace
 import pytest
 
 from pipeline.config.train_schema import LearningRates, ResolutionStep, TrainConfig
-from pipeline.training.schedule import clock, learning_rates, phase, shortened
+from pipeline.training.schedule import clock_at, learning_rates, phase, shortened
 
 EXTENT = 4.4
 
 
-def test_positional_rate_is_log_linear_over_the_extent_and_times_is_constant() -> None:
+def test_the_rate_of_positions_is_log_linear_and_that_of_time_constant() -> None:
     cfg = LearningRates()
     for now, expected in [(0, 1.6e-4), (15_000, 1.6e-5), (30_000, 1.6e-6), (40_000, 1.6e-6)]:
         x, y, z, t = learning_rates(now, 0.0, cfg, EXTENT)["mean"]
-        # A few float64 operations: relative 1e-12 is thousands of roundings
+        # 1e-12: thousands of float64 rounding errors
         assert x == y == z == pytest.approx(expected * EXTENT, rel=1e-12)
         assert t == pytest.approx(1.6e-4 * EXTENT, rel=1e-12)
 
 
-def test_constant_rates() -> None:
+def test_rates_without_decay() -> None:
     r = learning_rates(12_345, 0.4, LearningRates(), EXTENT)
     assert (r["log_scale"], r["quat_left"], r["quat_right"], r["opacity_logit"]) == ((5e-3,) * 4, 1e-3, 1e-3, 5e-2)
     assert r["sh"] == (2.5e-3, 1.25e-4, 1.25e-4, 1.25e-4)
 
 
-def test_what_view_time_and_both_do_to_a_colour_has_a_rate_each() -> None:
+def test_sh_coefficients_of_view_time_and_both_have_their_own_rates() -> None:
     cfg = LearningRates(sh_rest=1e-4, sh_time=1e-3, sh_view_time=3e-5)
     assert learning_rates(1, 0.0, cfg, EXTENT)["sh"] == (2.5e-3, 1e-4, 1e-3, 3e-5)
     assert learning_rates(1, 0.0, LearningRates(sh_rest=1e-4), EXTENT)["sh"] == (2.5e-3, 1e-4, 1e-4, 1e-4)
 
 
-def test_final_factor_reaches_every_rate_at_the_end() -> None:
+def test_the_final_factor_applies_to_every_rate() -> None:
     plain, decayed = (
         learning_rates(100, 1.0, LearningRates(), EXTENT),
         learning_rates(100, 1.0, LearningRates(final_factor=0.1), EXTENT),
@@ -44,26 +44,16 @@ def test_final_factor_reaches_every_rate_at_the_end() -> None:
 
 
 @pytest.mark.parametrize("fraction, factor", [(0.0, 1.0), (0.6, 1.0), (0.8, 0.1), (1.0, 0.01)])
-def test_rates_are_held_before_they_decay(fraction: float, factor: float) -> None:
+def test_rates_are_constant_before_decay_start(fraction: float, factor: float) -> None:
     held = learning_rates(100, fraction, LearningRates(final_factor=0.01, decay_start=0.6), EXTENT)
     assert held["opacity_logit"] == pytest.approx(factor * LearningRates().opacity, rel=1e-12)
 
 
 @pytest.mark.parametrize(
     "now, degree, order",
-    [
-        (1, 0, 0),
-        (999, 0, 0),
-        (1000, 1, 0),
-        (2000, 2, 0),
-        (3000, 3, 0),
-        (3999, 3, 0),
-        (4000, 3, 1),
-        (5000, 3, 2),
-        (29_999, 3, 2),
-    ],
+    [(1, 0, 0), (999, 0, 0), (1000, 1, 0), (2000, 2, 0), (3000, 3, 0), (3999, 3, 0), (4000, 3, 1), (5000, 3, 2)],
 )
-def test_coefficients_come_in_one_after_another(now: int, degree: int, order: int) -> None:
+def test_sh_degrees_and_fourier_orders_are_activated_in_steps(now: int, degree: int, order: int) -> None:
     found = phase(now, TrainConfig(), EXTENT, 3, 2)
     assert (found.sh_degree, found.fourier_order) == (degree, order)
     limited = phase(now, TrainConfig(), EXTENT, 1, 0)
@@ -74,41 +64,35 @@ def test_resolution_steps_are_fractions_of_the_schedule() -> None:
     cfg = TrainConfig(
         iterations=1000, resolution_scale=0.5, resolution_steps=[ResolutionStep(0.15, 0.25), ResolutionStep(0.5, 0.5)]
     )
-    assert [phase(now, cfg, 1.0, 3, 2).resolution for now in (1, 149, 150, 499, 500, 1000)] == [
-        0.125,
-        0.125,
-        0.25,
-        0.25,
-        0.5,
-        0.5,
-    ]
+    found = [phase(now, cfg, 1.0, 3, 2).resolution for now in (1, 149, 150, 499, 500, 1000)]
+    assert found == [0.125, 0.125, 0.25, 0.25, 0.5, 0.5]
     assert phase(1, TrainConfig(), 1.0, 3, 2).resolution == 1.0
 
 
-def test_backgrounds_are_trained_up_to_and_with_the_iteration_given() -> None:
+def test_background_models_are_trained_until_and_including_the_given_iteration() -> None:
     trained = {now: phase(now, TrainConfig(), EXTENT, 3, 2) for now in (5000.0, 5001.0, 10_000.0, 10_001.0)}
     assert [found.environment_map for found in trained.values()] == [True, False, False, False]
     assert [found.sphere for found in trained.values()] == [True, True, True, False]
 
 
-def test_clock_is_the_iteration_unless_a_budget_ends_first() -> None:
-    assert clock(123, 1e9, TrainConfig()) == 123.0
+def test_the_clock_is_the_iteration_unless_the_time_budget_ends_first() -> None:
+    assert clock_at(123, 1e9, TrainConfig()) == 123.0
     cfg = TrainConfig(iterations=1000, time_budget_s=60)
-    assert clock(100, 3, cfg) == 100.0, "ahead of its budget"
-    assert clock(100, 30, cfg) == 500.0, "half the budget gone: half the schedule"
-    assert clock(100, 90, cfg) == 1000.0
+    assert clock_at(100, 3, cfg) == 100.0, "ahead of its budget"
+    assert clock_at(100, 30, cfg) == 500.0, "half of the budget is half of the schedule"
+    assert clock_at(100, 90, cfg) == 1000.0
 
 
 @pytest.mark.parametrize("now", [1, 99, 1000, 3000, 4200, 5001, 12_000, 29_990])
-def test_a_shortened_schedule_is_the_whole_one_sooner(now: int) -> None:
+def test_a_shortened_schedule_is_the_whole_one_scaled(now: int) -> None:
     cfg = TrainConfig(resolution_steps=[ResolutionStep(0.15, 0.25), ResolutionStep(0.5, 0.5)], time_budget_s=9.0)
     short = shortened(cfg, 0.1)
     assert (short.iterations, short.time_budget_s) == (3000, None)
-    whole, sooner = phase(now, cfg, EXTENT, 3, 2), phase(0.1 * now, short, EXTENT, 3, 2)
-    assert whole.lr["mean"] == pytest.approx(sooner.lr["mean"], rel=1e-12)  # a few float64 operations
-    assert replace(whole, lr={}, clock=0.0) == replace(sooner, lr={}, clock=0.0)
+    whole, scaled = phase(now, cfg, EXTENT, 3, 2), phase(0.1 * now, short, EXTENT, 3, 2)
+    assert whole.lr["mean"] == pytest.approx(scaled.lr["mean"], rel=1e-12)  # a few float64 operations
+    assert replace(whole, lr={}, clock=0.0) == replace(scaled, lr={}, clock=0.0)
     assert (short.densify.start, short.densify.stop, short.densify.every) == (50, 1500, cfg.densify.every)
 
 
-def test_shortened_by_nothing_it_is_the_same() -> None:
+def test_shortening_to_1_changes_nothing() -> None:
     assert shortened(TrainConfig(), 1.0) == TrainConfig()

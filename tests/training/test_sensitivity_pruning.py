@@ -1,4 +1,4 @@
-"""Pruning by sensitivity: the estimate against removing each Gaussian in turn, closed forms, and the pruning itself."""
+"""Pruning by sensitivity: the estimate against removing each Gaussian in turn, closed forms, and the pruning."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from rasterizer.reference import rasterize
 
 
 def mean_sensitivity(model, scene, cfg, draws: int) -> torch.Tensor:
-    """(N,) float64, the mean over so many seeds of the signs."""
+    """(N,) float64, the mean over `draws` seeds of the signs."""
     found = [
         image_sensitivity(model, scene.train, scene, cfg, 1.0, np.random.default_rng(seed), 1) for seed in range(draws)
     ]
@@ -35,7 +35,7 @@ def mean_sensitivity(model, scene, cfg, draws: int) -> torch.Tensor:
 
 
 def random_model(scene, cfg, count: int) -> Model:
-    """Opacities from faint to nearly opaque, and colours that differ."""
+    """Random opacities from faint to nearly opaque, and random colours."""
     rng = np.random.default_rng(1)
     model = initialise(scene, cfg, np.random.default_rng(0))
     kept = torch.arange(0, len(model), len(model) // count)[:count]
@@ -47,7 +47,7 @@ def random_model(scene, cfg, count: int) -> Model:
 
 
 def test_sensitivity_is_the_squared_change_of_the_images():
-    """Truth: the float64 reference implementation renders three views without each Gaussian in turn."""
+    """Ground truth: the float64 reference implementation renders three views without each Gaussian in turn."""
     scene, cfg = tiny_scene(views=3), tiny_config()
     model = random_model(scene, cfg, 60)
     doubles = type(model.gaussians())(**{name: tensor.double() for name, tensor in model.gaussians().tensors().items()})
@@ -62,8 +62,9 @@ def test_sensitivity_is_the_squared_change_of_the_images():
     whole = images(everything)
     truth = torch.stack([(images(everything[everything != i]) - whole).square().sum() for i in range(len(model))])
     found = mean_sensitivity(model, scene, cfg, draws=400)
-    # The square of a sum with random signs has a standard deviation of at most √2 of its mean: 0.07 of it after 400
-    # draws, of one Gaussian (4.5 of these for sixty of them), and less of all. What is behind it may end earlier.
+    # The square of a sum with random signs has a standard deviation of at most √2 of its mean: 0.07 after 400 draws for
+    # one Gaussian (the tolerance is 4.5 of these, for sixty Gaussians), less for the sum. The estimate does not include
+    # the early termination of pixels.
     above = truth > 1e-3
     assert above.sum() > 40
     torch.testing.assert_close(found[above], truth[above], rtol=0.32, atol=0)
@@ -74,9 +75,9 @@ def test_a_gaussian_of_the_background_colour_has_no_sensitivity():
     scene, cfg = dataclasses.replace(tiny_scene(views=2), background=(1.0, 1.0, 1.0)), tiny_config()
     model = random_model(scene, cfg, 40)
     model.parameters["sh"].zero_()
-    model.parameters["sh"][:, 0] = 0.5 / 0.28209479177387814  # white, as what is behind
+    model.parameters["sh"][:, 0] = 0.5 / 0.28209479177387814  # white, the background
     found = mean_sensitivity(model, scene, cfg, draws=1)
-    assert float(found.max()) < 1e-8  # 3,072 products of float32, each wrong by 1e-7, of random signs, squared
+    assert float(found.max()) < 1e-8  # the square of 3,072 float32 errors of 1e-7 with random signs
     model.parameters["sh"][:20, 0] = 0.0  # grey
     assert float(mean_sensitivity(model, scene, cfg, draws=1).max()) > 1
 
@@ -101,11 +102,11 @@ def test_an_opaque_gaussian_has_the_sensitivity_of_opacity_098():
     translucent = mean_sensitivity(model, scene, cfg, draws=100)
     model.parameters["opacity_logit"].fill_(20.0)
     opaque = mean_sensitivity(model, scene, cfg, draws=100)
-    # (0.98/0.953)², and four standard deviations of a hundred draws
+    # (0.98/0.953)² ± four standard deviations of a hundred draws
     assert float(opaque / translucent) == pytest.approx((0.98 / 0.9526) ** 2, rel=4 * (2 / 100) ** 0.5)
 
 
-def test_it_depends_on_the_rng_and_not_on_the_threads():
+def test_sensitivity_depends_on_the_rng_and_not_on_the_number_of_threads():
     scene, cfg = tiny_scene(views=3), tiny_config()
     model = random_model(scene, cfg, 60)
     one, two = (
@@ -115,24 +116,24 @@ def test_it_depends_on_the_rng_and_not_on_the_threads():
     assert not torch.equal(one, image_sensitivity(model, scene.train, scene, cfg, 0.5, np.random.default_rng(6), 1))
 
 
-def test_scoring_views_are_whole_moments_of_many_cameras_and_every_view_of_one_camera():
+def test_scoring_views_are_all_views_or_all_cameras_of_evenly_spread_times():
     scene = tiny_scene(views=4)
     times, cameras = 300, 3
 
     def view(i, k):
         return dataclasses.replace(scene.train[0], time=i / (times - 1), name=f"{i}/{k}")
 
-    alone = dataclasses.replace(scene, train=tuple(view(i, 0) for i in range(2 * MAX_VIEWS)))
-    assert scoring_views(alone) == list(alone.train)
+    one_camera = dataclasses.replace(scene, train=tuple(view(i, 0) for i in range(2 * MAX_VIEWS)))
+    assert scoring_views(one_camera) == list(one_camera.train)
     many = dataclasses.replace(scene, train=tuple(view(i, k) for i in range(times) for k in range(cameras)))
     scoring = scoring_views(many)
     chosen = {v.time for v in scoring}
     assert len(scoring) == cameras * len(chosen) and 0.9 * MAX_VIEWS < len(scoring) <= MAX_VIEWS
-    assert {0.0, 1.0} <= chosen  # spread from first to last
+    assert {0.0, 1.0} <= chosen  # from first to last
     assert scoring_views(scene) == list(scene.train)
 
 
-def test_least_sensitive_takes_as_many_as_fit_into_the_share():
+def test_least_sensitive_is_the_largest_set_within_the_share():
     weight = torch.from_numpy(np.random.default_rng(0).pareto(1.0, 300).astype(np.float32))
     weight[::7] = 0.0
     for share in (0.0, 1e-3, 0.05, 0.5, 0.999):
@@ -145,46 +146,47 @@ def test_least_sensitive_takes_as_many_as_fit_into_the_share():
     assert least_sensitive(torch.ones(10), 0.35).tolist() == [True] * 3 + [False] * 7  # ties by index
 
 
-def test_images_change_less_than_by_removing_others():
+def test_pruning_changes_images_less_than_removing_random_gaussians():
     scene, cfg = tiny_scene(views=3), tiny_config()
     whole, rng = random_model(scene, cfg, 60), np.random.default_rng(2)
-    change, before, share = mean_sensitivity(whole, scene, cfg, draws=50), shown(whole, scene, cfg), 0.02
+    change, before, share = mean_sensitivity(whole, scene, cfg, draws=50), images_of(whole, scene, cfg), 0.02
 
     def changed(sensitivity: torch.Tensor, part: float) -> tuple[float, int]:
         model = whole.copy()
         removed = prune_by_sensitivity(Adam(model), sensitivity, part)
-        return sum(float((a - b).square().sum()) for a, b in zip(shown(model, scene, cfg), before)), removed
+        return sum(float((a - b).square().sum()) for a, b in zip(images_of(model, scene, cfg), before)), removed
 
     least_change, removed = changed(change, share)
     assert 10 < removed < 50
-    # Were the changes of several to add up, of n at worst by (Σ|Δ|)² <= n ΣΔ².
+    # Changes of n Gaussians add up to at most (Σ|Δ|)² <= n ΣΔ².
     assert least_change < removed * share * float(change.sum())
-    any_others = [changed(torch.from_numpy(rng.permutation(60) >= removed).float(), 0.0) for _ in range(10)]
-    assert all(number == removed and other > 3 * least_change for other, number in any_others)
+    random = [changed(torch.from_numpy(rng.permutation(60) >= removed).float(), 0.0) for _ in range(10)]
+    assert all(number == removed and other > 3 * least_change for other, number in random)
 
 
-def shown(model, scene, cfg) -> list[torch.Tensor]:
-    """Its images of the training views, (3, h, w) each."""
+def images_of(model, scene, cfg) -> list[torch.Tensor]:
+    """Renders of the training views, (3, h, w) each."""
     requests = [Request(v.camera, v.time, scene.duration, near=cfg.scene.near) for v in scene.train]
     return [Rasterizer(threads=1).render(model.gaussians(), request).color.clone() for request in requests]
 
 
-def test_moments_follow_the_pruning_the_sphere_stays_and_never_all_go():
+def test_pruning_updates_moments_keeps_the_sphere_and_never_removes_all():
     model = initialise(tiny_scene(), tiny_config(), np.random.default_rng(0))
     count = len(model)
     model = Model.restored(model.kind, model.state() | {"sphere": torch.arange(count) < 10})
     adam = Adam(model)
     adam.first["mean"][:, 0] = torch.arange(count)
     change = (torch.arange(count) % 2).float()
-    change[:10] = 1e6  # the sphere's, which has no part in what the share is of
-    assert prune_by_sensitivity(adam, change, 1e-3) == count // 2 - 5  # all of sensitivity 0; the share is less than one of the others
+    change[:10] = 1e6  # of the sphere, which is not part of the total
+    # All Gaussians of sensitivity 0; the share is less than the sensitivity of one of the others.
+    assert prune_by_sensitivity(adam, change, 1e-3) == count // 2 - 5
     kept = [i for i in range(count) if i % 2 or i < 10]
     assert adam.first["mean"][:, 0].tolist() == kept
     model.sphere = None
     assert prune_by_sensitivity(adam, torch.zeros(len(kept)), 0.5) == 0 and len(model) == len(kept)
 
 
-def test_sensitivity_0_is_pruned_only_where_all_views_scored():
+def test_sensitivity_0_is_pruned_only_if_all_views_are_scoring_views():
     model = initialise(tiny_scene(), tiny_config(), np.random.default_rng(0))
     count = len(model)
     change = torch.tensor([0.0, 1.0, 100.0, 100.0]).repeat(count // 4)
@@ -195,22 +197,23 @@ def test_sensitivity_0_is_pruned_only_where_all_views_scored():
 def test_training_prunes_by_sensitivity(tmp_path):
     cfg = tiny_config(60)
     cfg.train.densify = dataclasses.replace(cfg.train.densify, prune_sensitivity=0.01, prune_sensitivity_every=20)
-    model, free = train_tiny(tmp_path / "run", cfg).model, train_tiny(tmp_path / "free", tiny_config(60)).model
+    model, unpruned = train_tiny(tmp_path / "run", cfg).model, train_tiny(tmp_path / "free", tiny_config(60)).model
     scene = tiny_scene()
-    assert len(model) < 0.9 * len(free)  # most of the change is that of a few
-    idle, before = (
-        float(least_sensitive(mean_sensitivity(m, scene, cfg, draws=20), 0.01).float().mean()) for m in (model, free)
+    assert len(model) < 0.9 * len(unpruned)
+    share, share_unpruned = (
+        float(least_sensitive(mean_sensitivity(m, scene, cfg, draws=20), 0.01).float().mean())
+        for m in (model, unpruned)
     )
-    assert idle < before
+    assert share < share_unpruned
     done = [row for row in TinyRun(tmp_path / "run").rows("log.jsonl") if row["event"] == "prune_sensitivity"]
     assert [row["iteration"] for row in done] == [20, 40] and sum(row["pruned"] for row in done) > 0
     assert done[-1]["n_gaussians"] >= len(model)
 
 
-def test_when_it_is_due():
+def test_when_pruning_is_due():
     rules = DensifyConfig(prune_sensitivity=0.01, prune_sensitivity_every=100, start=150, stop=300)
     cfg = TrainConfig(iterations=580, densify=rules)
-    # On after the last densification; not at 500, after which there is less than a period to go.
+    # Also after the last densification; not at 500, less than a period before the end.
     assert [i for i in range(581) if due(i, cfg)] == [200, 300, 400]
     off = TrainConfig(densify=DensifyConfig(prune_sensitivity_every=1))
     assert not any(due(i, off) for i in range(1000))  # by default

@@ -1,1 +1,1 @@
-"""How the set of Gaussians changes: densification, opacity resets, pruning."""
+"""Adaptive density control: densification, pruning and opacity resets."""

@@ -1,9 +1,9 @@
-"""Adaptive density control in space and time (docs/method.md 2): who is cloned, split or removed, and when.
+"""Adaptive density control in space and time (docs/method.md 2): cloning, splitting, pruning and opacity resets.
 
-Gaussians whose place the loss keeps pulling at stand where the model is too coarse: a small one is cloned, a big one
-split. Two indicators say so, the gradient of the position on the screen and the gradient of the mean in time. The
-functions here are pure but for `densify` and `reset_opacity`, which apply their decisions through the optimiser.
-Gaussians on the sphere round the scene have rules of their own, see sphere.py.
+Gaussians with large positional gradients are where the model is too coarse: small ones are cloned, large ones split.
+There are two indicators: the gradient of the projected mean and the gradient of the mean in time. All functions are
+pure except `densify` and `reset_opacity`, which apply the decisions through the optimiser. Gaussians on the sphere
+around the scene follow the rules in model/sphere.py.
 """
 
 from __future__ import annotations
@@ -17,22 +17,21 @@ from pipeline.config.train_schema import DensifyConfig
 from pipeline.model.model import Model
 from pipeline.training.density.statistics import Statistics
 from pipeline.training.optimiser import Adam
-from rasterizer import Gaussians
 from rasterizer.covariance import scaled_axes
 
 
 @dataclass(frozen=True)
 class Growth:
-    """Decisions of one densification; (N,) bool masks."""
+    """The selection of one densification; (N,) bool masks."""
 
     clone: Tensor
     split: Tensor  # disjoint from clone
-    in_time: Tensor  # those whose temporal indicator selected them
+    by_time: Tensor  # selected by the temporal indicator
 
 
 @dataclass(frozen=True)
 class Densified:
-    """What one densification did; counts of Gaussians."""
+    """Counts of one densification, in Gaussians."""
 
     cloned: int
     split: int
@@ -40,71 +39,73 @@ class Densified:
     total: int
 
 
-def due(iteration: int, now: float, cfg: DensifyConfig) -> bool:
-    """Is there a densification after `iteration`? `now`: the schedule's clock, which ends the phase."""
-    return cfg.start < iteration and now < cfg.stop and iteration % cfg.every == 0
+def due(iteration: int, clock: float, cfg: DensifyConfig) -> bool:
+    """Whether the Gaussians are densified after `iteration`. clock: position in the schedule (schedule.py)."""
+    return cfg.start < iteration and clock < cfg.stop and iteration % cfg.every == 0
 
 
-def opacity_reset_due(iteration: int, now: float, cfg: DensifyConfig) -> bool:
-    return cfg.opacity_reset_every > 0 and now < cfg.stop and iteration % cfg.opacity_reset_every == 0
+def opacity_reset_due(iteration: int, clock: float, cfg: DensifyConfig) -> bool:
+    return cfg.opacity_reset_every > 0 and clock < cfg.stop and iteration % cfg.opacity_reset_every == 0
 
 
 def choose_growth(model: Model, statistics: Statistics, cfg: DensifyConfig, extent: float, time_split: bool) -> Growth:
-    """Who is cloned and who is split.
+    """Select the Gaussians to clone and to split.
 
-    Either indicator at its threshold selects; the temporal one only with `use_time_gradient` and `time_split`.
-    Those already too transparent to live are passed over. Where the cap binds, the largest ratio of indicator to
-    threshold goes first, ties by index. Neither the cap nor the choice knows the background's sphere.
+    A Gaussian is selected if one of its indicators reaches its threshold; the temporal one counts only with
+    `use_time_gradient` and `time_split`. Gaussians transparent enough to be pruned are not selected. At the cap
+    `max_gaussians`, the highest priority, the ratio of indicator to threshold, is selected first, ties by index. The
+    sphere's Gaussians are neither selected nor counted. extent: world units.
     """
     space, time = statistics.indicators()
-    urgency, in_time = space / cfg.space_gradient, torch.zeros(len(model), dtype=torch.bool)
+    priority, by_time = space / cfg.space_gradient, torch.zeros(len(model), dtype=torch.bool)
     if cfg.use_time_gradient and time_split and model.kind.dims == 4:
-        in_time = time >= cfg.time_gradient
-        urgency = torch.maximum(urgency, time / cfg.time_gradient)
+        by_time = time >= cfg.time_gradient
+        priority = torch.maximum(priority, time / cfg.time_gradient)
     transparent = _transparent(model, cfg)
     others = torch.ones_like(transparent) if model.sphere is None else ~model.sphere
-    selected = (urgency >= 1) & others & ~transparent
-    big = _spatial_scale(model) > cfg.split_scale * extent
-    added = torch.where(big, cfg.split_count - 1, 1)  # a split replaces its parent
+    selected = (priority >= 1) & others & ~transparent
+    large = _spatial_scale(model) > cfg.split_scale * extent
+    added = torch.where(large, cfg.split_count - 1, 1)  # a split replaces its parent
 
     room = cfg.max_gaussians - int((others & ~transparent).sum())
     if int(added[selected].sum()) > room:
-        order = torch.sort(urgency.masked_fill(~selected, -1.0), descending=True, stable=True).indices
+        order = torch.sort(priority.masked_fill(~selected, -1.0), descending=True, stable=True).indices
         order = order[: int(selected.sum())]
         selected = torch.zeros_like(selected)
         selected[order[torch.cumsum(added[order], 0) <= room]] = True
-    return Growth(clone=selected & ~big, split=selected & big, in_time=in_time)
+    return Growth(clone=selected & ~large, split=selected & large, by_time=by_time)
 
 
 def split_rows(
-    model: Model, mask: Tensor, cfg: DensifyConfig, time_split: bool, generator: torch.Generator
+    model: Model, mask: Tensor, cfg: DensifyConfig, time_split: bool, rng: torch.Generator
 ) -> dict[str, Tensor]:
-    """The `split_count` children of each Gaussian in `mask`, (count · split_count) rows, copies one after another.
+    """The `split_count` children of each Gaussian in `mask`, as (count · split_count, …) rows: all first children, then
+    all second ones.
 
-    With `time_split` new means are drawn from the whole 4D Gaussian, N(μ, R diag(s)² Rᵀ): space and time jointly;
-    all scales shrink. Without, μt and st stay, and the place is drawn from the Gaussian as it is at its own time μt,
-    the conditional N(μ_xyz, Σ(μt)) (not the spatial marginal, which is smeared along the path of a moving one).
+    With `time_split`, means are sampled from the 4D Gaussian N(μ, R diag(s)² Rᵀ), space and time jointly, and all
+    scales shrink. Without it, μt and st are kept, the spatial scales shrink, and positions are sampled from the
+    conditional N(μ_xyz, Σ(μt)), not from the spatial marginal, which is extended along the motion.
     """
     rows = {name: p[mask].repeat(cfg.split_count, *([1] * (p.dim() - 1))) for name, p in model.parameters.items()}
     dims = model.kind.dims
-    noise = torch.randn(len(rows["mean"]), dims, generator=generator)
-    axes = scaled_axes(Gaussians(**{"quat_right": None, **rows}))  # M = R diag(s), (n, dims, dims)
+    noise = torch.randn(len(rows["mean"]), dims, generator=rng)
+    axes = scaled_axes(Model(model.kind, rows).gaussians())  # M = R diag(s), (n, dims, dims)
     if dims == 3 or time_split:
         rows["mean"] = rows["mean"] + (axes @ noise[:, :, None])[:, :, 0]
-        shrinking = dims
+        shrunk = dims
     else:
         time_row = torch.nn.functional.normalize(axes[:, 3], dim=1)  # v of docs/method.md 1.1
         noise = noise - time_row * (time_row * noise).sum(dim=1, keepdim=True)  # (I - v vᵀ) ε
         rows["mean"][:, :3] += (axes[:, :3] @ noise[:, :, None])[:, :, 0]
-        shrinking = 3
-    rows["log_scale"][:, :shrinking] -= torch.log(torch.tensor(cfg.split_shrink))
+        shrunk = 3
+    rows["log_scale"][:, :shrunk] -= torch.log(torch.tensor(cfg.split_shrink))
     return rows
 
 
 def to_prune(
     model: Model, radius: Tensor, iteration: int, cfg: DensifyConfig, extent: float, train_sphere: bool = True
 ) -> Tensor:
-    """(N,) bool: too transparent, or, after `prune_big_after`, too big on the screen (`radius`, px) or in space."""
+    """(N,) bool: too transparent, or, after `prune_big_after`, too large in pixels (`radius` (N,)) or in space."""
     transparent = _transparent(model, cfg)
     prune = transparent
     if iteration > cfg.prune_big_after:
@@ -121,31 +122,31 @@ def densify(
     cfg: DensifyConfig,
     extent: float,
     time_split: bool,
-    generator: torch.Generator,
-    train_sphere: bool = True,  # False: the background's sphere is frozen
+    rng: torch.Generator,
+    train_sphere: bool = True,  # False: the sphere is frozen
 ) -> Densified:
-    """Clone, split, then prune, on the optimiser's model. `statistics` no longer fit it afterwards.
+    """Clone, split, then prune the optimiser's model. `statistics` are invalid afterwards.
 
-    New order: the parents that were not split, clones, children of splits. New Gaussians have no radius yet.
-    A prune that would leave nothing is not done: an empty model cannot recover.
+    New order: unsplit Gaussians, clones, children of splits. New Gaussians have radius 0. A pruning of all Gaussians is
+    skipped, because an empty model cannot recover.
     """
     model = optimiser.model
     growth = choose_growth(model, statistics, cfg, extent, time_split)
     clones = {name: p[growth.clone] for name, p in model.parameters.items()}
     if cfg.split_by_cause:
         parts = [
-            split_rows(model, growth.split & growth.in_time, cfg, time_split, generator),
-            split_rows(model, growth.split & ~growth.in_time, cfg, False, generator),
+            split_rows(model, growth.split & growth.by_time, cfg, time_split, rng),
+            split_rows(model, growth.split & ~growth.by_time, cfg, False, rng),
         ]
         children = {name: torch.cat([part[name] for part in parts]) for name in clones}
     else:
-        children = split_rows(model, growth.split, cfg, time_split, generator)
+        children = split_rows(model, growth.split, cfg, time_split, rng)
     optimiser.keep(~growth.split)
     optimiser.append({name: torch.cat([clones[name], children[name]]) for name in clones})
 
     radius = torch.zeros(len(model))
-    parents = statistics.radius[~growth.split]
-    radius[: len(parents)] = parents
+    unsplit = statistics.radius[~growth.split]
+    radius[: len(unsplit)] = unsplit
     prune = to_prune(model, radius, iteration, cfg, extent, train_sphere)
     pruned = int(prune.sum())
     if 0 < pruned < len(model):
@@ -156,8 +157,7 @@ def densify(
 
 
 def reset_opacity(optimiser: Adam, cfg: DensifyConfig, train_sphere: bool = True) -> None:
-    """Bring every opacity down to at most `opacity_reset_to` and forget its moments (3DGS), but those of a sphere that
-    is no longer trained."""
+    """Clamp every opacity to at most `opacity_reset_to` and zero its moments, as 3DGS; a frozen sphere is unchanged."""
     highest = torch.logit(torch.tensor(cfg.opacity_reset_to, dtype=torch.float64)).item()
     sphere, logit = optimiser.model.sphere, optimiser.model.parameters["opacity_logit"]
     rows = slice(None) if sphere is None or train_sphere else ~sphere
@@ -170,5 +170,5 @@ def _transparent(model: Model, cfg: DensifyConfig) -> Tensor:
 
 
 def _spatial_scale(model: Model) -> Tensor:
-    """(N,) the largest of the three first scales, world units."""
+    """(N,) the largest spatial scale, world units."""
     return model.parameters["log_scale"][:, :3].amax(dim=1).exp()

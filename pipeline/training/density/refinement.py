@@ -1,4 +1,4 @@
-"""What changes the set of Gaussians after a step, whatever is due: densification, pruning, opacity resets."""
+"""Changes of the set of Gaussians after an optimiser step: densification, pruning by sensitivity, opacity resets."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from pipeline.training.state import TrainState
 
 
 def refine(state: TrainState, phase: Phase, scoring: Sequence[View], scene: Scene, cfg: Config) -> list[dict]:
-    """Densify, prune by sensitivity and reset opacities where this iteration is due for it. Returns what was done, as
-    rows of log.jsonl. scoring: the views that sensitivity is measured on."""
+    """Densify, prune by sensitivity and reset opacities in the iterations scheduled for it. Returns the events as rows
+    of log.jsonl. scoring: the views that sensitivity is measured on."""
     events = []
     rules = cfg.train.densify
     if densification.due(state.iteration, phase.clock, rules):

@@ -1,12 +1,12 @@
 """Pruning by sensitivity: Gaussians whose removal changes the training images least are removed.
 
-A pixel C is affine in each opacity o (docs/method.md 1.3, but for its cut-offs), so that removing a Gaussian changes it
-by exactly -o ∂C/∂o. The sensitivity of a Gaussian is the sum of the squares of that over the pixels of the training
-views. It is small for a Gaussian that is hidden, faint, or of the colour of what stands behind it.
+A pixel C is affine in each opacity o (docs/method.md 1.3, except for the cut-offs), so that removing a Gaussian changes
+it by exactly -o ∂C/∂o. The sensitivity of a Gaussian is the sum of the squares of that over the pixels of the training
+views. It is small for a Gaussian that is hidden, faint, or of the colour behind it.
 
-One backward pass with an image s gives Σ s o ∂C/∂o of every Gaussian. With random signs for s, the expectation of its
+One backward pass with an image s gives Σ s o ∂C/∂o of every Gaussian. With random signs s, the expectation of its
 square is the sum of the squares: Hutchinson's estimate of the diagonal of JᵀJ (Bekas, Kokiopoulou & Saad 2007). One
-draw a view is enough.
+sample per view is enough.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from torch import Tensor
 from datasets.scene import Scene, View
 from pipeline.config.schema import Config
 from pipeline.config.train_schema import TrainConfig
-from pipeline.data.training_views import camera_at, spread
+from pipeline.data.training_views import camera_at, evenly_spaced
 from pipeline.model.model import Model
 from pipeline.model.render import backward, render
 from pipeline.training.optimiser import Adam
 from rasterizer import Gradients, Rasterizer, Request
 
-MAX_VIEWS = 400  # that score, where several cameras film each moment
+MAX_VIEWS = 400  # scoring views, where several cameras film each moment
 OPAQUE = 0.98  # a higher opacity counts as this: at α = 0.99 blending is clamped and has no derivative
 
 
@@ -40,8 +40,8 @@ def image_sensitivity(
     rng: np.random.Generator,
     threads: int,
 ) -> Tensor:
-    """(N,) by how much removing each Gaussian alone would change the images of `views` at `resolution` of their size:
-    the sum over pixels and channels of the squared change, estimated. 0: in none of the images. rng: of the signs.
+    """(N,) estimated squared change of the images of `views`, summed over pixels and channels, by removing each
+    Gaussian alone; 0 for a Gaussian in none of the images. resolution: × the size of the views. rng: for the signs.
     """
     rasterizer, change = Rasterizer(threads=threads), torch.zeros(len(model))
     limit = float(np.log(OPAQUE / (1 - OPAQUE)))
@@ -69,22 +69,22 @@ def image_sensitivity(
 
 
 def scoring_views(scene: Scene) -> list[View]:
-    """The views that sensitivity is measured on: all training views, or where several cameras film each moment and that
-    is more than MAX_VIEWS, those of evenly spread moments.
+    """The views that sensitivity is measured on: all training views; or, with more than MAX_VIEWS and several cameras
+    at each time, the views of evenly spread times.
 
-    A moment is taken whole: a Gaussian that lives there is then seen from as many places as there are cameras.
+    All views of a chosen time are used, so that its Gaussians are scored from every camera.
     """
     cameras = Counter(view.time for view in scene.train)
     if len(scene.train) <= MAX_VIEWS or min(cameras.values()) < 2:
         return list(scene.train)
     times = sorted(cameras)
-    chosen = {times[i] for i in spread(len(times), max(1, MAX_VIEWS * len(times) // len(scene.train)))}
+    chosen = {times[i] for i in evenly_spaced(len(times), max(1, MAX_VIEWS * len(times) // len(scene.train)))}
     return [view for view in scene.train if view.time in chosen]
 
 
 def due(iteration: int, cfg: TrainConfig) -> bool:
-    """Every `prune_sensitivity_every` iterations, also after the last densification, until so late that the remaining
-    Gaussians could not adapt."""
+    """Every `prune_sensitivity_every` iterations, also after the last densification, except for the last period, in
+    which the remaining Gaussians could not adapt."""
     rules = cfg.densify
     return (
         rules.prune_sensitivity > 0
@@ -97,18 +97,17 @@ def due(iteration: int, cfg: TrainConfig) -> bool:
 def least_sensitive(sensitivity: Tensor, share: float) -> Tensor:
     """(N,) bool: the Gaussians of lowest sensitivity that together have at most `share` of the total; ties by index."""
     order = torch.sort(sensitivity.double(), stable=True)
-    together = torch.cumsum(order.values, dim=0)
+    cumulative = torch.cumsum(order.values, dim=0)
     lowest = torch.zeros(len(sensitivity), dtype=torch.bool)
-    lowest[order.indices] = together <= share * together[-1]
+    lowest[order.indices] = cumulative <= share * cumulative[-1]
     return lowest
 
 
 def prune_by_sensitivity(optimiser: Adam, sensitivity: Tensor, share: float, all_scored: bool = True) -> int:
-    """Remove the Gaussians of lowest sensitivity, (N,), together `share` of the total. Returns how many.
+    """Remove the Gaussians of lowest sensitivity, (N,), together at most `share` of the total. Returns how many.
 
-    The background's sphere stays. all_scored: every training view scored, so that sensitivity 0 means in no image; else
-    a Gaussian of sensitivity 0 may live between the moments that scored, and stays. A pruning that would leave nothing
-    is not done.
+    The sphere around the scene is kept. all_scored: every training view was a scoring view. If not, a Gaussian of
+    sensitivity 0 is kept: it may be visible between the scoring views' times. A pruning of all Gaussians is skipped.
     """
     model, candidates = optimiser.model, torch.ones_like(sensitivity, dtype=torch.bool)
     if not all_scored:

@@ -1,1 +1,1 @@
-"""What the optimiser minimises: the photometric loss, and the terms some schedules add."""
+"""The training objective: the photometric loss, regularization, and the options of single schedules."""

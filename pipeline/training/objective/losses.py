@@ -11,14 +11,14 @@ from rasterizer.loss import L1Ssim, LossValue
 
 
 def view_loss(criterion: L1Ssim, image: Tensor, target: Tensor, batch: int) -> LossValue:
-    """The loss of one view of a batch of `batch`; its `d_image` is ∂(batch loss)/∂image. image, target: (3, H, W).
+    """The loss of one view of a batch of `batch` views; `d_image` is ∂(batch loss)/∂image. image, target: (3, H, W).
 
-    The image is not clamped: a pixel too bright must still be pulled back.
+    The image is not clamped, so that pixels above 1 have a gradient.
     """
     return criterion(image, target, share=1.0 / batch)
 
 
 def psnr(image: Tensor, target: Tensor) -> float:
-    """Of the clamped image, in dB; infinite where equal. For the progress bar; evaluation/metrics.py is what counts."""
+    """PSNR of the clamped image in dB, infinite for equal images; for the progress bar, not for results."""
     error = torch.mean((image.clamp(0.0, 1.0) - target) ** 2).item()
     return math.inf if error == 0 else -10.0 * math.log10(error)

@@ -1,7 +1,7 @@
-"""What is transparent in an image is trained over a new colour each time.
+"""Random background colours for training images with transparency.
 
-Over one background for good, Gaussians of its colour may stand where nothing is: no training image shows them, but
-from elsewhere they hide what is behind them.
+Over a constant background, Gaussians of its colour in empty space cost nothing: no training image shows them, but they
+occlude other views.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from datasets.composition import Color
 from pipeline.data.training_views import Target
 
 
-def over_random_background(target: Target, background: Color, generator: np.random.Generator) -> tuple[Target, Color]:
-    """The target over a colour drawn uniformly, and that colour; as it is, where nothing in it is transparent.
+def over_random_background(target: Target, background: Color, rng: np.random.Generator) -> tuple[Target, Color]:
+    """The target over a uniformly random colour, and that colour; unchanged for a target without transparency.
 
-    background: what the target's image is composed over.
+    background: the colour that the target's image is composed over.
     """
     if target.alpha is None:
         return target, background
-    drawn = tuple(generator.random(3).tolist())
-    change = torch.tensor(drawn) - torch.tensor(background)
-    return replace(target, image=target.image + (1 - target.alpha) * change[:, None, None]), drawn
+    red, green, blue = rng.random(3).tolist()
+    change = torch.tensor((red, green, blue)) - torch.tensor(background)
+    return replace(target, image=target.image + (1 - target.alpha) * change[:, None, None]), (red, green, blue)

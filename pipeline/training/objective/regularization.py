@@ -1,10 +1,9 @@
-"""Pulls towards the simpler model: each Gaussian stands still, lives long, is transparent and has one colour, unless the
-images say otherwise.
+"""Regularization towards a simpler model: static, long-lived, transparent Gaussians of constant colour.
 
-A monocular scene shows each moment once, so that a Gaussian that lives for one frame is seen by one camera: it can
-stand at any depth, move at any speed and have any colour from elsewhere. Each prior is the soft form of an ablation:
-an infinite `motion` is no_4drot, an infinite `color` no_4dsh with a colour that is the same from everywhere, an
-infinite `lifetime` a static scene. None is in the paper.
+A monocular scene has one view per time: a Gaussian that is visible in one frame only is constrained by one camera, and
+its depth, velocity and colour from other directions are arbitrary. Each term is a soft form of an ablation: an infinite
+`motion` weight is no_4drot, an infinite `color` weight is no_4dsh with SH degree 0, an infinite `lifetime` weight is a
+static scene. None is in the paper.
 """
 
 from __future__ import annotations
@@ -18,16 +17,17 @@ from pipeline.config.train_schema import RegularizationConfig
 from pipeline.model.model import Model
 from rasterizer import Gradients
 
-TILT_SOFTENING = 1e-3  # radians: the norm's slope is smooth within this of standing still
-DECAY_EVERY = 10  # iterations between decays of the coefficients, a pass over most of the model's bytes
+TILT_SOFTENING = 1e-3  # radians: smooths the norm at zero tilt
+DECAY_EVERY = 10  # iterations between decays of the coefficients, which are most of the model's bytes
 
 
 def add_regularization_gradients(gradients: Gradients, model: Model, cfg: RegularizationConfig, scene: Scene) -> None:
-    """Add ∂/∂parameters of the priors on motion, lifetime and opacity to `gradients`, in place."""
+    """Add ∂/∂parameters of the terms on motion, lifetime and opacity to `gradients`, in place."""
     p, share = model.parameters, 1.0 / len(model)
     if cfg.motion > 0 and model.kind.motion == "full":
         left, right = tilt_gradient(p["quat_left"], p["quat_right"])
         gradients.quat_left.add_(left, alpha=cfg.motion * share)
+        assert gradients.quat_right is not None
         gradients.quat_right.add_(right, alpha=cfg.motion * share)
     if cfg.lifetime > 0 and model.kind.dims == 4:
         short = torch.exp(-p["log_scale"][:, 3])
@@ -35,16 +35,16 @@ def add_regularization_gradients(gradients: Gradients, model: Model, cfg: Regula
     if cfg.opacity > 0:
         opacity = torch.sigmoid(p["opacity_logit"])
         gradients.opacity_logit.addcmul_(
-            opacity * lack_of_views(model, cfg, scene), 1 - opacity, value=cfg.opacity * share
+            opacity * opacity_weight(model, cfg, scene), 1 - opacity, value=cfg.opacity * share
         )
 
 
-def lack_of_views(model: Model, cfg: RegularizationConfig, scene: Scene) -> Tensor | float:
-    """(N,) or one for all, in (0, 1]: opacity_views / training views within a standard deviation of the lifetime.
+def opacity_weight(model: Model, cfg: RegularizationConfig, scene: Scene) -> Tensor | float:
+    """(N,), or one number for all, in (0, 1]: opacity_views / number of training views within one st, at most 1.
 
-    1 where there are fewer, where opacity_views is 0, and where several cameras film what moves: there Gaussians are
-    many for the cap, and the prior is what shares it out (synthetic/counter at 160 px: 27.91 dB with 1, 27.24 without).
-    A function of st that the prior does not pull at.
+    It is 1 if opacity_views is 0, and for dynamic scenes with several cameras. There the cap on the number of Gaussians
+    binds and the opacity term distributes it (synthetic/counter at 160 px: 27.91 dB with weight 1, 27.24 dB without the
+    term). The weight has no gradient.
     """
     views = len(scene.train)
     if cfg.opacity_views == 0:
@@ -53,16 +53,16 @@ def lack_of_views(model: Model, cfg: RegularizationConfig, scene: Scene) -> Tens
         return min(1.0, cfg.opacity_views / views)
     if views >= 2 * len(scene.train_times):
         return 1.0
-    shared = torch.exp(model.parameters["log_scale"][:, 3]).mul_(views / scene.duration)
-    return (cfg.opacity_views / shared).clamp_(max=1.0)
+    views_in_lifetime = torch.exp(model.parameters["log_scale"][:, 3]).mul_(views / scene.duration)
+    return (cfg.opacity_views / views_in_lifetime).clamp_(max=1.0)
 
 
 def tilt(quat_left: Tensor, quat_right: Tensor) -> Tensor:
-    """(N,) how far the rotation turns the time axis into space: 2 sin(θ/2), θ the angle; (N, 4) quaternions.
+    """(N,) 2 sin(θ/2), where θ is the angle by which the rotation tilts the time axis into space; (N, 4) quaternions.
 
-    With v = (x, y, z, t) = x + yi + zj + tk rotated to ql v qr (docs/method.md 1), time stays time where ql k qr = k,
-    that is where qr = (a, b, c, -d) for ql = (a, b, c, d), both of length 1. The tilt is the distance from that. A Gaussian
-    far longer in time than in space moves at tan θ.
+    With v = (x, y, z, t) = x + yi + zj + tk rotated to ql v qr (docs/method.md 1), the time axis is fixed if ql k qr =
+    k, which holds for qr = (a, b, c, -d) and ql = (a, b, c, d), both of unit length. The tilt is the distance of qr
+    from that. A Gaussian much longer in time than in space moves with velocity tan θ.
     """
     return _difference(quat_left, quat_right).norm(dim=1)
 
@@ -72,17 +72,16 @@ def tilt_gradient(quat_left: Tensor, quat_right: Tensor) -> tuple[Tensor, Tensor
     with torch.enable_grad():
         leaves = [q.detach().requires_grad_() for q in (quat_left, quat_right)]
         length = torch.sqrt(_difference(*leaves).square().sum(dim=1) + TILT_SOFTENING**2)
-        return torch.autograd.grad(length.sum(), leaves)
+        left, right = torch.autograd.grad(length.sum(), leaves)
+    return left, right
 
 
 def decay_colors(model: Model, strength: float, rate: float) -> None:
-    """Shrink all coefficients but the constant one by strength × rate, decoupled from Adam's moments; in place.
-
-    For DECAY_EVERY iterations at once. rate: the learning rate of these coefficients.
-    """
+    """Decoupled weight decay (Loshchilov & Hutter 2019) of all SH coefficients but the constant one, in place, for
+    DECAY_EVERY iterations at once. rate: the learning rate of these coefficients."""
     model.parameters["sh"][:, 1:].mul_((1.0 - min(1.0, strength * rate)) ** DECAY_EVERY)
 
 
 def _difference(quat_left: Tensor, quat_right: Tensor) -> Tensor:
-    still = F.normalize(quat_left, dim=1) * quat_left.new_tensor([1.0, 1.0, 1.0, -1.0])
-    return F.normalize(quat_right, dim=1) - still
+    untilted = F.normalize(quat_left, dim=1) * quat_left.new_tensor([1.0, 1.0, 1.0, -1.0])
+    return F.normalize(quat_right, dim=1) - untilted

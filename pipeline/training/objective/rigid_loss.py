@@ -1,6 +1,7 @@
-"""The release's rigid loss: neighbours should move alike. Only for models with 4D rotation, which alone can move.
+"""The rigid loss of the released program, not of the paper; train=release uses it for one scene, D-NeRF's lego.
 
-Not in the paper; the release uses it for D-NeRF's lego with weight 1. It costs a k-nearest-neighbour search a view.
+It penalises differences between the velocities of neighbouring Gaussians, and needs a k-nearest-neighbour search per
+view. It applies to models with 4D rotation only, because no others move.
 """
 
 from __future__ import annotations
@@ -14,9 +15,9 @@ from rasterizer import Gradients
 from rasterizer.covariance import rotation_4d
 
 NEIGHBOURS = 20
-FALLOFF = 100.0  # weight exp(-100 d²), d in world units: 0.1 away counts 1/e
-MIN_MARGINAL = 0.7  # only Gaussians well inside their time, p(t) above this
-# Velocity is a displacement over this part of the duration; the release moves 0.1 on D-NeRF's duration of 1.
+FALLOFF = 100.0  # weight exp(-100 d²), d in world units: 1/e at 0.1
+MIN_MARGINAL = 0.7  # only Gaussians with temporal marginal p(t) above this
+# Velocities are displacements per this fraction of the duration; the release uses 0.1 with D-NeRF's duration of 1.
 VELOCITY_STEP = 0.1
 
 
@@ -29,10 +30,10 @@ def rigid_loss(
     duration: float,
     threads: int = 1,
 ) -> Tensor:
-    """Mean over Gaussians alive at `time`, and their neighbours j, of exp(-100 d²) |u_i - u_j|; scalar.
+    """Mean of exp(-100 d²) |u_i - u_j| over the Gaussians i with p(t) > MIN_MARGINAL and their neighbours j; scalar.
 
-    u = Σ_xyz,t / Σtt × 0.1 duration, how far the conditional mean moves in a tenth of the duration (docs/method.md
-    1.1); d is the distance at `time`, held constant in the gradient. Differentiable in all four tensors, (N, 4) each.
+    u = Σ_xyz,t / Σtt × 0.1 duration is the displacement of the conditional mean in a tenth of the duration
+    (docs/method.md 1.1). d is the distance at `time`, constant in the gradient. All four tensors are (N, 4).
     """
     rotation = rotation_4d(quat_left, quat_right)
     axes = rotation * log_scale.exp()[:, None, :]  # M = R diag(s)
@@ -43,28 +44,27 @@ def rigid_loss(
     if int(alive.sum()) < 2:
         return mean.new_zeros(())
     velocity = (axes[alive, :3] @ time_row[alive, :, None])[:, :, 0] / variance[alive, None]
-    place = (mean[alive, :3] + velocity * elapsed[alive, None]).detach()
+    position = (mean[alive, :3] + velocity * elapsed[alive, None]).detach()
     step = velocity * (VELOCITY_STEP * duration)
 
-    points = place.double().numpy()
+    points = position.double().numpy()
     count = min(NEIGHBOURS, len(points) - 1)
     distance, index = cKDTree(points).query(points, k=count + 1, workers=threads)
-    weight = torch.exp(-FALLOFF * torch.from_numpy(distance[:, 1:]).to(mean.dtype) ** 2)  # column 0 is itself
+    weight = torch.exp(-FALLOFF * torch.from_numpy(distance[:, 1:]).to(mean.dtype) ** 2)  # column 0 is the point itself
     difference = step[torch.from_numpy(index[:, 1:])] - step[:, None]
-    # A square root at exactly 0 has an infinite slope, and unrotated Gaussians all have velocity 0.
-    speed = torch.sqrt((difference**2).sum(dim=2) + 1e-20)
-    return (weight * speed).mean()
+    # The gradient of a square root is infinite at 0, and unrotated Gaussians all have velocity 0.
+    relative_speed = torch.sqrt((difference**2).sum(dim=2) + 1e-20)
+    return (weight * relative_speed).mean()
 
 
 def add_rigid_gradient(
     gradients: Gradients, model: Model, time: float, duration: float, weight: float, threads: int
 ) -> float:
-    """Add weight × ∂(rigid loss)/∂parameters into `gradients`; returns weight × loss."""
+    """Add weight × ∂(rigid loss)/∂parameters to `gradients`, in place; returns weight × loss."""
     names = ("mean", "log_scale", "quat_left", "quat_right")
-    rendered = model.gaussians().tensors()
-    leaves = {name: rendered[name].detach().requires_grad_() for name in names}
+    leaves = {name: model.parameters[name].detach().requires_grad_() for name in names}
     with torch.enable_grad():
-        loss = weight * rigid_loss(*leaves.values(), time, duration, threads)
+        loss = weight * rigid_loss(**leaves, time=time, duration=duration, threads=threads)
     if not loss.requires_grad:
         return 0.0
     for name, grad in zip(names, torch.autograd.grad(loss, list(leaves.values()), allow_unused=True)):

@@ -18,7 +18,7 @@ from fuzz.models import model_of, require_model
 from fuzz.target import Changes, Files, Target, require, valid_or_refused
 from pipeline.training import checkpoint
 from pipeline.model.environment_map import EnvironmentMap
-from pipeline.training.density.densification import Statistics
+from pipeline.training.density.statistics import Statistics
 
 ROWS = 3
 KEYS = ("iteration", "train_seconds", "seed", "step_count")
@@ -27,7 +27,7 @@ KEYS = ("iteration", "train_seconds", "seed", "step_count")
 def example() -> Files:
     model, best = model_of("full", 1, 1, ROWS, 0), model_of("full", 1, 1, ROWS, 1)
     for each in (model, best):
-        each.sphere, each.environment = torch.arange(ROWS) == 1, EnvironmentMap(torch.full((3, 2, 4), 0.25))
+        each.sphere, each.environment_map = torch.arange(ROWS) == 1, EnvironmentMap(torch.full((3, 2, 4), 0.25))
     moments = tuple({name: torch.full_like(p, 0.5) for name, p in model.parameters.items()} for _ in range(2))
     saved = checkpoint.Checkpoint(
         iteration=7,
@@ -36,14 +36,14 @@ def example() -> Files:
         model=model,
         step_count=7,
         moments=moments,
-        environment_moments=(torch.zeros(3, 2, 4), torch.ones(3, 2, 4)),
+        environment_map_moments=(torch.zeros(3, 2, 4), torch.ones(3, 2, 4)),
         statistics={name: torch.ones(ROWS) for name in Statistics.FIELDS},
         sampler={
             "order": np.array([2, 0, 1]),
             "position": 1,
             "generator": json.dumps(np.random.default_rng(0).bit_generator.state),
         },
-        split_generator=torch.Generator().manual_seed(0).get_state(),
+        split_rng=torch.Generator().manual_seed(0).get_state(),
         best={"psnr": 20.0, "iteration": 5},
         best_model=best,
     )
@@ -93,7 +93,7 @@ def check(folder: Path) -> str:
             )
         statistics = Statistics.restored(found.statistics).state()
         require(all(statistics[name].shape == (count,) for name in Statistics.FIELDS), "statistics of another model")
-        torch.Generator().set_state(found.split_generator)
+        torch.Generator().set_state(found.split_rng)
         np.random.default_rng().bit_generator.state = json.loads(found.sampler["generator"])
         require(sorted(found.sampler["order"].tolist()) == list(range(len(found.sampler["order"]))), "no permutation")
         if found.best is not None:

@@ -1,4 +1,4 @@
-"""The environment map against a loop over pixels, its gradient against the definition of an adjoint."""
+"""The environment map against a loop over pixels, and its gradient against the definition of the adjoint."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from pipeline.model.environment_map import EnvironmentMap
 from rasterizer import Camera
 
 HEIGHT = 12
-# From anywhere: only the direction counts. The seam is at -z, the poles at ±y.
+# The position does not matter, only the direction. The seam is at -z, the poles are at ±y.
 CAMERAS = {
     target: camera_looking_at((0.3, -0.2, 0.5), target=target, focal=20.0)
     for target in [(0.0, 0.0, 9.0), (0.4, 0.1, -9.0), (9.0, 1.0, 1.0), (0.3, 9.0, 0.6), (0.2, -9.0, 0.4)]
 }
 
 
-def naive_look_up(image: Tensor, camera: Camera) -> Tensor:
-    """(3, H, W) float64: the docstring of environment_map.py, pixel by pixel."""
+def naive_sample(image: Tensor, camera: Camera) -> Tensor:
+    """(3, H, W) float64: the definition in environment_map.py's docstring, pixel by pixel."""
     image, out = image.double(), torch.zeros(3, camera.height, camera.width, dtype=torch.float64)
     height, width = image.shape[1:]
     for row in range(camera.height):
@@ -43,47 +43,47 @@ def random_map(seed: int, height: int = HEIGHT) -> EnvironmentMap:
 
 
 @pytest.mark.parametrize("camera", CAMERAS.values(), ids=[str(target) for target in CAMERAS])
-def test_look_up_is_bilinear_by_direction(camera: Camera) -> None:
+def test_sampling_is_bilinear_by_direction(camera: Camera) -> None:
     environment_map = random_map(0)
-    found = environment_map.look_up(environment_map.grid(camera))
-    # A pixel next to a pole is 0.05 from it: there float32 (6e-8) turns azimuth by 1e-6 rad or so, 5e-6 of a texel,
-    # and texels differ by up to 1.
-    torch.testing.assert_close(found.double(), naive_look_up(environment_map.image, camera), rtol=0, atol=1e-5)
+    found = environment_map.sample(environment_map.grid(camera))
+    # At 0.05 from a pole, float32 (6e-8) has an azimuth error of about 1e-6 rad, 5e-6 of a texel; texels differ by up
+    # to 1.
+    torch.testing.assert_close(found.double(), naive_sample(environment_map.image, camera), rtol=0, atol=1e-5)
 
 
-def test_where_the_axes_of_the_world_are() -> None:
-    picture = torch.zeros(3, 100, 200)
-    picture[0], picture[1] = torch.arange(200) + 0.5, (torch.arange(100) + 0.5)[:, None]  # column, row of each texel
-    environment_map = EnvironmentMap(picture)
+def test_the_world_axes_are_where_the_docstring_says() -> None:
+    image = torch.zeros(3, 100, 200)
+    image[0], image[1] = torch.arange(200) + 0.5, (torch.arange(100) + 0.5)[:, None]  # column, row of each texel
+    environment_map = EnvironmentMap(image)
 
-    def seen(*direction: float) -> list[float]:
+    def texel(*direction: float) -> list[float]:
         camera = camera_looking_at((0.0, 0.0, 0.0), width=1, height=1, target=direction)
-        return environment_map.look_up(environment_map.grid(camera))[:2, 0, 0].tolist()
+        return environment_map.sample(environment_map.grid(camera))[:2, 0, 0].tolist()
 
-    assert seen(0, 0, 1) == pytest.approx([100, 50], abs=1e-3)  # float32 of values up to 200
-    assert seen(1, 0, 0) == pytest.approx([150, 50], abs=1e-3)
-    assert seen(-1, 0, 0) == pytest.approx([50, 50], abs=1e-3)
-    assert seen(1, math.sqrt(2), 1) == pytest.approx([125, 75], abs=1e-3)
-    assert seen(1e-4, 1, 1e-4)[1] == pytest.approx(99.5, abs=1e-3), "clamped at the centre of the last row"
-    for side in (-1e-9, 1e-9):  # halfway between columns 199 and 0, where 1e-5 of a texel makes 0.002
-        assert seen(side, 0, -1)[0] == pytest.approx(100, abs=1e-2)
+    assert texel(0, 0, 1) == pytest.approx([100, 50], abs=1e-3)  # float32 of values up to 200
+    assert texel(1, 0, 0) == pytest.approx([150, 50], abs=1e-3)
+    assert texel(-1, 0, 0) == pytest.approx([50, 50], abs=1e-3)
+    assert texel(1, math.sqrt(2), 1) == pytest.approx([125, 75], abs=1e-3)
+    assert texel(1e-4, 1, 1e-4)[1] == pytest.approx(99.5, abs=1e-3), "clamped at the centre of the last row"
+    for x in (-1e-9, 1e-9):  # halfway between columns 199 and 0, where 1e-5 of a texel is a difference of 0.002
+        assert texel(x, 0, -1)[0] == pytest.approx(100, abs=1e-2)
 
 
 @pytest.mark.parametrize("camera", CAMERAS.values(), ids=[str(target) for target in CAMERAS])
-def test_the_gradient_is_the_adjoint_of_the_look_up(camera: Camera) -> None:
-    """⟨look_up(E), d⟩ = ⟨E, gradient(d)⟩ for any E, as looking up is linear in E; and it adds."""
+def test_the_gradient_is_the_adjoint_of_sampling(camera: Camera) -> None:
+    """⟨sample(E), d⟩ = ⟨E, gradient(d)⟩ for any E, because sampling is linear in E; gradients accumulate."""
     environment_map, other = random_map(1), random_map(2)
     d_colors = torch.rand(3, camera.height, camera.width, generator=generator(3))
     start = torch.randn(3, HEIGHT, 2 * HEIGHT, generator=generator(4))
     gradient = start.clone()
     environment_map.add_gradient(gradient, environment_map.grid(camera), d_colors)
-    left = (naive_look_up(other.image, camera) * d_colors).sum()
+    left = (naive_sample(other.image, camera) * d_colors).sum()
     right = (other.image.double() * (gradient - start)).sum()
-    # 5000 positive terms, each good to 1e-5 (see above)
+    # 5000 positive terms, each accurate to 1e-5 (see above)
     assert left.item() == pytest.approx(right.item(), rel=1e-5)
 
 
-def test_the_number_of_threads_does_not_matter() -> None:
+def test_bits_do_not_depend_on_the_number_of_threads() -> None:
     camera, before = camera_looking_at((0, 0, 0), 300, 300, target=(0, 0, 1)), torch.get_num_threads()
     d_colors, found = torch.randn(3, 300, 300, generator=generator(5)), []
     try:
@@ -92,21 +92,21 @@ def test_the_number_of_threads_does_not_matter() -> None:
             environment_map = random_map(6, 40)
             grid, gradient = environment_map.grid(camera), torch.zeros_like(environment_map.image)
             environment_map.add_gradient(gradient, grid, d_colors)
-            found.append((environment_map.look_up(grid), gradient))
+            found.append((environment_map.sample(grid), gradient))
     finally:
         torch.set_num_threads(before)
     for other in found[1:]:
         assert all(torch.equal(a, b) and a.any() for a, b in zip(found[0], other))
 
 
-def test_a_copy_is_its_own() -> None:
+def test_a_copy_shares_no_memory() -> None:
     environment_map = EnvironmentMap.grey(3)
     assert torch.equal(environment_map.image, torch.full((3, 3, 6), 0.5)) and environment_map.bytes == 3 * 3 * 6 * 4
     environment_map.copy().image.zero_()
     assert environment_map.image.all()
 
 
-def test_another_shape_is_refused() -> None:
+def test_another_shape_or_type_is_refused() -> None:
     for image in (torch.zeros(3, 4, 9), torch.zeros(4, 8), torch.zeros(3, 4, 8, dtype=torch.float64)):
-        with pytest.raises(ValueError, match=r"environment: expected float32 \[3, h, 2h\], found"):
+        with pytest.raises(ValueError, match=r"environment map: expected float32 \[3, h, 2h\], found"):
             EnvironmentMap(image)

@@ -1,4 +1,4 @@
-"""The rigid loss against a naive loop over Gaussians and their neighbours, written from its definition."""
+"""The rigid loss against its definition, a naive loop over Gaussians and their neighbours."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def tensors() -> dict[str, torch.Tensor]:
 
 
 def naive(mean, log_scale, quat_left, quat_right) -> torch.Tensor:
-    """With the textbook Σ, and every distance of every pair."""
+    """With the full Σ, and the distances of all pairs."""
     rotation = rotation_4d(quat_left, quat_right)
     covariance = rotation @ torch.diag_embed((2 * log_scale).exp()) @ rotation.transpose(1, 2)
     moving = []
@@ -30,30 +30,30 @@ def naive(mean, log_scale, quat_left, quat_right) -> torch.Tensor:
         if math.exp(-0.5 * float(dt.detach()) ** 2 / float(sigma[3, 3].detach())) > MIN_MARGINAL:
             moving.append(((mu[:3] + velocity * dt).detach(), velocity * VELOCITY_STEP * DURATION))
     terms = []
-    for place, step in moving:
-        others = [(float((place - p).norm()), s) for p, s in moving if p is not place]
+    for position, step in moving:
+        others = [(float((position - p).norm()), s) for p, s in moving if p is not position]
         others.sort(key=lambda pair: pair[0])
         terms += [math.exp(-FALLOFF * d**2) * (s - step).norm() for d, s in others[:NEIGHBOURS]]
     return torch.stack(terms).mean()
 
 
-def test_it_is_its_definition(tensors):
-    # float64 both; 1e-9: the loss's 1e-20 under the root shifts a speed of 1e-5 by 5e-16, sums differ in order.
+def test_the_loss_equals_its_definition(tensors):
+    # Both in float64; 1e-20 under the root changes a speed of 1e-5 by 5e-16, and sums differ in order.
     assert rigid_loss(*tensors.values(), TIME, DURATION).item() == pytest.approx(naive(**tensors).item(), rel=1e-9)
 
 
-def test_its_gradient_is_that_of_its_definition(tensors):
+def test_the_gradient_equals_that_of_the_definition(tensors):
     ours = {name: t.clone().requires_grad_() for name, t in tensors.items()}
     truth = {name: t.clone().requires_grad_() for name, t in tensors.items()}
     rigid_loss(*ours.values(), TIME, DURATION).backward()
     naive(**truth).backward()
-    for name in ("log_scale", "quat_left", "quat_right"):  # the mean acts only through detached places and p(t)
+    for name in ("log_scale", "quat_left", "quat_right"):  # the mean enters only through detached positions and p(t)
         torch.testing.assert_close(ours[name].grad, truth[name].grad, rtol=1e-7, atol=1e-12)
 
 
-def test_neighbours_that_move_alike_cost_nothing(tensors):
+def test_equal_velocities_have_no_loss(tensors):
     same = {name: t[:1].expand(30, -1).clone() for name, t in tensors.items() if name != "mean"}
     mean = tensors["mean"][:30].clone()
     mean[:, 3] = TIME
-    # 1e-10: the root of 1e-20, which keeps the slope finite.
+    # 1e-10: the root of 1e-20, which keeps the gradient finite.
     assert rigid_loss(mean, **same, time=TIME, duration=DURATION).item() <= 1.01e-10

@@ -1,4 +1,4 @@
-"""Density control: indicators against naive sums, decisions on Gaussians made for them, children's statistics."""
+"""Densification: indicators against naive sums, selection, the distribution of children, pruning, opacity resets."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import torch
 from pipeline.config.train_schema import DensifyConfig
 from pipeline.model.model import Model, ModelKind
 from pipeline.training.density.densification import (
-    Statistics,
     choose_growth,
     densify,
     due,
@@ -20,11 +19,12 @@ from pipeline.training.density.densification import (
     split_rows,
     to_prune,
 )
+from pipeline.training.density.statistics import Statistics
 from pipeline.training.optimiser import Adam
 from rasterizer import Camera, ViewGradient
 from rasterizer.covariance import rotation_4d
 
-EXTENT = 5.0  # so that clones end and splits begin at 0.05
+EXTENT = 5.0  # clones up to a scale of 0.05, splits above
 FULL = ModelKind("full", 0, 0)
 
 
@@ -42,7 +42,7 @@ def model_of(scales: list[float], opacity: float = 0.5, kind: ModelKind = FULL) 
 
 
 def statistics_of(space: list[float], time: list[float]) -> Statistics:
-    """One iteration seen, with these indicators."""
+    """Statistics of one iteration with these indicators."""
     statistics = Statistics(len(space))
     statistics.space += torch.tensor(space)
     statistics.time += torch.tensor(time)
@@ -51,19 +51,14 @@ def statistics_of(space: list[float], time: list[float]) -> Statistics:
 
 
 def test_indicators_against_a_naive_sum() -> None:
-    generator = torch.Generator().manual_seed(0)
+    rng = torch.Generator().manual_seed(0)
     count, batch, width, height, duration = 9, 3, 40, 20, 2.5
     statistics = Statistics(count)
     space, time, seen, radius = [0.0] * count, [0.0] * count, [0] * count, [0.0] * count
     for _ in range(6):
-        views = [sorted(torch.randperm(count, generator=generator)[:4].tolist()) for _ in range(batch)]
+        views = [sorted(torch.randperm(count, generator=rng)[:4].tolist()) for _ in range(batch)]
         by_view = [
-            (
-                ids,
-                torch.randn(4, 2, generator=generator),
-                torch.randn(4, generator=generator),
-                torch.rand(4, generator=generator) * 9,
-            )
+            (ids, torch.randn(4, 2, generator=rng), torch.randn(4, generator=rng), torch.rand(4, generator=rng) * 9)
             for ids in views
         ]
         statistics.begin()
@@ -86,7 +81,7 @@ def test_indicators_against_a_naive_sum() -> None:
     assert torch.allclose(statistics.radius, torch.tensor(radius))
 
 
-def test_small_are_cloned_big_are_split_by_either_indicator() -> None:
+def test_small_gaussians_are_cloned_and_large_ones_split_by_either_indicator() -> None:
     model = model_of([0.01, 0.2, 0.01, 0.2, 0.01])
     statistics = statistics_of([3e-4, 3e-4, 0, 0, 1e-4], [0, 0, 2e-4, 2e-4, 5e-5])
     growth = choose_growth(model, statistics, DensifyConfig(), EXTENT, time_split=True)
@@ -97,13 +92,13 @@ def test_small_are_cloned_big_are_split_by_either_indicator() -> None:
         assert (growth.clone | growth.split).tolist() == [True, True, False, False, False]
 
 
-def test_cap_takes_the_most_urgent_first_and_is_never_exceeded() -> None:
+def test_at_the_cap_the_highest_priority_is_selected_first() -> None:
     model = model_of([0.01] * 6)
     statistics = statistics_of([3e-4, 9e-4, 3e-4, 0, 5e-4, 0], [0, 0, 0, 6e-4, 0, 0])
     growth = choose_growth(model, statistics, DensifyConfig(max_gaussians=9), EXTENT, True)
     assert growth.clone.tolist() == [False, True, False, True, True, False], "ratios 1.5 4.5 1.5 6 2.5 0"
     growth = choose_growth(model, statistics, DensifyConfig(max_gaussians=10), EXTENT, True)
-    assert growth.clone.tolist() == [True, True, False, True, True, False], "equal: the lower index"
+    assert growth.clone.tolist() == [True, True, False, True, True, False], "ties by index"
     growth = choose_growth(model, statistics, DensifyConfig(max_gaussians=5), EXTENT, True)
     assert not growth.clone.any()
 
@@ -125,14 +120,14 @@ def covariance(model: Model) -> torch.Tensor:
     return axes @ axes.T
 
 
-# 40,000 samples: a variance is known to √(2/40000) = 0.7 %; 5 % of the largest entry is seven such errors.
+# 40,000 samples: the standard error of a variance is √(2/40000) = 0.7 %; the tolerance of 5 % is seven of them.
 SAMPLES = 20_000
 
 
 def test_split_samples_space_and_time_jointly() -> None:
     model = rotated(SAMPLES)
-    everyone = torch.ones(SAMPLES, dtype=torch.bool)
-    rows = split_rows(model, everyone, DensifyConfig(), True, torch.Generator().manual_seed(0))
+    mask = torch.ones(SAMPLES, dtype=torch.bool)
+    rows = split_rows(model, mask, DensifyConfig(), True, torch.Generator().manual_seed(0))
     assert len(rows["mean"]) == 2 * SAMPLES
     expected = covariance(model)
     assert (torch.cov(rows["mean"].T.double()) - expected).abs().max() < 0.05 * expected.max()
@@ -145,16 +140,16 @@ def test_split_samples_space_and_time_jointly() -> None:
 
 def test_split_in_space_only_keeps_time_and_samples_the_conditional() -> None:
     model = rotated(SAMPLES)
-    everyone = torch.ones(SAMPLES, dtype=torch.bool)
-    rows = split_rows(model, everyone, DensifyConfig(), False, torch.Generator().manual_seed(0))
+    mask = torch.ones(SAMPLES, dtype=torch.bool)
+    rows = split_rows(model, mask, DensifyConfig(), False, torch.Generator().manual_seed(0))
     assert torch.equal(rows["mean"][:, 3], torch.full((2 * SAMPLES,), 0.4))
     assert torch.equal(rows["log_scale"][:, 3], torch.full((2 * SAMPLES,), math.log(0.5)))
     assert torch.allclose(rows["log_scale"][:, :3], (model.parameters["log_scale"][0, :3] - math.log(1.6)))
     sigma = covariance(model)
-    conditional = sigma[:3, :3] - torch.outer(sigma[:3, 3], sigma[3, :3]) / sigma[3, 3]  # the textbook formula
+    conditional = sigma[:3, :3] - torch.outer(sigma[:3, 3], sigma[3, :3]) / sigma[3, 3]  # the Schur complement
     found = torch.cov(rows["mean"][:, :3].T.double())
     assert (found - conditional).abs().max() < 0.05 * conditional.max()
-    assert (conditional - sigma[:3, :3]).abs().max() > 0.1 * conditional.max(), "the marginal would not pass"
+    assert (conditional - sigma[:3, :3]).abs().max() > 0.1 * conditional.max(), "the marginal differs"
 
 
 @pytest.mark.parametrize("kind", [ModelKind("separable", 0, 0), ModelKind("static", 0, 0)])
@@ -164,7 +159,7 @@ def test_split_of_models_without_4d_rotation(kind: ModelKind) -> None:
     assert rows["mean"].shape == (20, kind.dims) and (rows["mean"] != model.parameters["mean"].repeat(2, 1)).all()
 
 
-def test_prune_opacity_always_size_only_later() -> None:
+def test_transparent_gaussians_are_always_pruned_and_large_ones_only_later() -> None:
     model = model_of([0.01, 0.6, 0.01, 0.01])
     model.parameters["opacity_logit"][3] = -6.0  # 0.0025
     radius = torch.tensor([1.0, 1.0, 21.0, 1.0])
@@ -172,7 +167,7 @@ def test_prune_opacity_always_size_only_later() -> None:
     assert to_prune(model, radius, 3001, DensifyConfig(), EXTENT).tolist() == [False, True, True, True]
 
 
-def test_densify_puts_it_together() -> None:
+def test_densify_clones_splits_prunes_and_updates_moments() -> None:
     model = model_of([0.01, 0.2, 0.02, 0.03])
     model.parameters["opacity_logit"][2] = -6.0
     model.parameters["mean"] += torch.arange(4)[:, None]
@@ -193,28 +188,28 @@ def test_densify_puts_it_together() -> None:
     # parent 0, parent 3, the clone of 0, two children of 1
     assert torch.allclose(model.parameters["log_scale"][:, 0].exp(), torch.tensor([0.01, 0.03, 0.01, 0.125, 0.125]))
     assert torch.equal(model.parameters["mean"][:3, 0], torch.tensor([0.0, 3.0, 0.0]))
-    assert optimiser.first["sh"].reshape(5, -1)[:, 0].tolist() == [1, 1, 0, 0, 0], "new ones have no past"
+    assert optimiser.first["sh"].reshape(5, -1)[:, 0].tolist() == [1, 1, 0, 0, 0], "new Gaussians have zero moments"
 
 
 @pytest.mark.parametrize("by_cause", [False, True])
-def test_a_split_that_space_asked_for_keeps_the_lifetime_only_by_cause(by_cause: bool) -> None:
+def test_with_split_by_cause_a_split_by_space_keeps_the_temporal_scale(by_cause: bool) -> None:
     model = model_of([0.2, 0.2, 0.2])
     cfg = DensifyConfig(split_by_cause=by_cause, prune_big_after=10**9)
     statistics = statistics_of([1e-3, 0.0, 1e-3], [0.0, 1e-3, 1e-3])  # space, time, both
     densify(Adam(model), statistics, 600, cfg, EXTENT, True, torch.Generator().manual_seed(0))
     lifetimes = model.parameters["log_scale"][:, 3].exp().tolist()
     shrunk, kept = pytest.approx(0.2 / 1.6), pytest.approx(0.2)
-    # By cause those that time asked for, alone or too, come first.
+    # With split_by_cause the children of splits by time come first.
     assert lifetimes == ([shrunk] * 4 + [kept] * 2 if by_cause else [shrunk] * 6)
 
 
-def test_a_prune_of_everything_is_not_done() -> None:
+def test_a_pruning_of_all_gaussians_is_skipped() -> None:
     optimiser = Adam(model_of([0.01, 0.02], opacity=0.001))
     done = densify(optimiser, Statistics(2), 600, DensifyConfig(), EXTENT, True, torch.Generator())
     assert done.total == 2 and done.pruned == 0
 
 
-def test_opacity_reset_lowers_only_and_zeroes_moments() -> None:
+def test_opacity_reset_only_lowers_and_zeroes_moments() -> None:
     model = model_of([0.01, 0.01])
     model.parameters["opacity_logit"][1] = -5.5  # 0.0041, already lower
     optimiser = Adam(model)
@@ -231,16 +226,16 @@ def sphere_model(scales: list[float], sphere: list[bool], opacity: float = 0.5) 
     return model
 
 
-def test_the_sphere_is_not_grown_and_the_cap_does_not_count_it() -> None:
+def test_the_sphere_is_not_densified_and_not_counted_by_the_cap() -> None:
     sphere = [False, False, True, True, True, True]
     model = sphere_model([0.01, 0.2, 0.01, 0.2, 0.2, 0.2], sphere)
     growth = choose_growth(model, statistics_of([9e-4] * 6, [9e-4] * 6), DensifyConfig(), EXTENT, True)
     assert growth.clone.tolist() == [True] + [False] * 5 and growth.split.tolist() == [False, True] + [False] * 4
     growth = choose_growth(model, statistics_of([9e-4] * 6, [0] * 6), DensifyConfig(max_gaussians=3), EXTENT, True)
-    assert growth.clone.any() != growth.split.any(), "two are not of the sphere, so there is room for one more"
+    assert growth.clone.any() != growth.split.any(), "two are not of the sphere, so one more fits under the cap"
 
 
-def test_the_sphere_is_pruned_for_transparency_alone_and_only_until_it_is_frozen() -> None:
+def test_the_sphere_is_pruned_only_for_transparency_and_until_it_is_frozen() -> None:
     model = sphere_model([0.6, 0.6, 0.01, 0.01, 0.01], [True, False, True, False, True])
     model.parameters["opacity_logit"][2:4] = -6.0  # 0.0025
     radius = torch.tensor([99.0, 1.0, 1.0, 1.0, 99.0])
@@ -250,7 +245,7 @@ def test_the_sphere_is_pruned_for_transparency_alone_and_only_until_it_is_frozen
     assert frozen.tolist() == [False, True, False, True, False]
 
 
-def test_a_frozen_sphere_goes_through_densification_and_opacity_reset_unchanged() -> None:
+def test_densification_and_opacity_reset_do_not_change_a_frozen_sphere() -> None:
     model = sphere_model([0.01, 0.2, 0.6, 0.2, 0.6], [True, False, True, False, True], opacity=0.9)
     model.parameters["opacity_logit"][4] = -6.0  # 0.0025
     model.parameters["mean"] += torch.arange(5)[:, None]
@@ -276,11 +271,11 @@ def test_a_frozen_sphere_goes_through_densification_and_opacity_reset_unchanged(
         assert (optimiser.first[name][model.sphere] == 1).all(), name
     assert (torch.sigmoid(model.parameters["opacity_logit"][~model.sphere]) < 0.0101).all()
     reset_opacity(optimiser, DensifyConfig())
-    assert (torch.sigmoid(model.parameters["opacity_logit"]) < 0.0101).all(), "reset like the others until then"
+    assert (torch.sigmoid(model.parameters["opacity_logit"]) < 0.0101).all(), "before it is frozen"
 
 
-def test_when() -> None:
+def test_when_densification_and_opacity_resets_are_due() -> None:
     cfg = DensifyConfig()
     assert [i for i in range(1, 16_000) if due(i, float(i), cfg)] == list(range(600, 15_000, 100))
     assert [i for i in range(1, 31_000) if opacity_reset_due(i, float(i), cfg)] == [3000, 6000, 9000, 12_000]
-    assert not due(600, 15_000.0, cfg), "the clock of a time budget ends densification too"
+    assert not due(600, 15_000.0, cfg), "the clock of a time budget ends densification"

@@ -1,4 +1,4 @@
-"""The priors against what they say they are: finite differences, closed forms, and the rotation they penalise."""
+"""Regularization: gradients against autograd, closed forms, and the tilt of the rotation."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from pipeline.training.objective.regularization import (
     TILT_SOFTENING,
     add_regularization_gradients,
     decay_colors,
-    lack_of_views,
+    opacity_weight,
     tilt,
 )
 from rasterizer import Gradients
 from rasterizer.covariance import rotation_4d
 
-SCENE = tiny_scene(views=51)  # one camera, 51 moments of one second
+SCENE = tiny_scene(views=51)  # one view at each of 51 times in one second
 SPACING = 0.02
 
 
@@ -37,12 +37,12 @@ def model(motion: str = "full") -> Model:
 
 
 def penalty(p: dict[str, torch.Tensor], cfg: RegularizationConfig) -> torch.Tensor:
-    """The sum of the priors as the configuration words them, written out; any dtype."""
-    turned = torch.sqrt(tilt(p["quat_left"], p["quat_right"]) ** 2 + TILT_SOFTENING**2)
+    """The sum of the terms as defined in the configuration; any dtype."""
+    softened = torch.sqrt(tilt(p["quat_left"], p["quat_right"]) ** 2 + TILT_SOFTENING**2)
     lifetime = p["log_scale"][:, 3].exp()
     weight = (cfg.opacity_views / (51 * lifetime.detach())).clamp(max=1) if cfg.opacity_views else 1.0
     return (
-        cfg.motion * turned.mean()
+        cfg.motion * softened.mean()
         + cfg.lifetime * (SPACING / lifetime).mean()
         + cfg.opacity * (weight * p["opacity_logit"].sigmoid()).mean()
     )
@@ -51,7 +51,7 @@ def penalty(p: dict[str, torch.Tensor], cfg: RegularizationConfig) -> torch.Tens
 @pytest.mark.parametrize(
     "keys", [{"motion": 0.7}, {"lifetime": 0.7}, {"opacity": 0.7}, {"opacity": 0.7, "opacity_views": 20.0}]
 )
-def test_the_gradient_is_that_of_the_penalty(keys):
+def test_the_gradient_equals_autograd_of_the_penalty(keys):
     found, cfg = model(), RegularizationConfig(**keys)
     gradients = Gradients.zeros_like(found.gaussians())
     add_regularization_gradients(gradients, found, cfg, SCENE)
@@ -59,31 +59,31 @@ def test_the_gradient_is_that_of_the_penalty(keys):
     penalty(leaves, cfg).backward()
     for key, mine in gradients.dense().items():
         truth = leaves[key].grad if leaves[key].grad is not None else torch.zeros_like(leaves[key])
-        # float32 against float64: a few roundings of 6e-8 each, relative to the field's largest
+        # float32 against float64: a few rounding errors of 6e-8, relative to the largest of the field
         torch.testing.assert_close(mine.double(), truth, rtol=1e-5, atol=1e-6 * float(truth.abs().max()) + 1e-12)
 
 
-def test_opacity_is_let_be_where_many_views_share_a_lifetime():
-    """20 of 51 views: all of the pull on what lives for 0.1 s, half of it on 0.784, 20/51 where nothing moves."""
+def test_the_opacity_weight_falls_with_the_number_of_views_in_a_lifetime():
+    """opacity_views = 20 of 51 views: weight 1 for st = 0.1 s, ½ for 0.784 s, 20/51 for a static model."""
     found, cfg = model(), RegularizationConfig(opacity=1.0, opacity_views=20.0)
     found.parameters["log_scale"][:2, 3] = torch.tensor([0.1, 40 / 51]).log()
-    weight = lack_of_views(found, cfg, SCENE)
+    weight = opacity_weight(found, cfg, SCENE)
     torch.testing.assert_close(weight[:2], torch.tensor([1.0, 0.5]))
-    assert lack_of_views(model("static"), cfg, SCENE) == pytest.approx(20 / 51)
-    assert lack_of_views(model("static"), RegularizationConfig(opacity=1.0, opacity_views=60.0), SCENE) == 1.0
+    assert opacity_weight(model("static"), cfg, SCENE) == pytest.approx(20 / 51)
+    assert opacity_weight(model("static"), RegularizationConfig(opacity=1.0, opacity_views=60.0), SCENE) == 1.0
 
 
-def test_opacity_is_pulled_at_alike_where_several_cameras_film_what_moves():
+def test_the_opacity_weight_is_1_for_dynamic_scenes_with_several_cameras():
     twice, cfg = replace(SCENE, train=SCENE.train + SCENE.train), RegularizationConfig(opacity=1.0, opacity_views=20.0)
     assert twice.train_times == SCENE.train_times and len(twice.train) == 2 * len(twice.train_times)
-    assert lack_of_views(model(), cfg, twice) == 1.0
+    assert opacity_weight(model(), cfg, twice) == 1.0
 
 
 def test_tilt_is_twice_the_sine_of_half_the_angle_of_the_time_axis():
-    generator = torch.Generator().manual_seed(0)
-    left, right = (torch.randn(50, 4, generator=generator, dtype=torch.float64) for _ in range(2))
-    along = rotation_4d(left, right)[:, 3, 3]  # how much of the time axis stays in time: cos θ
-    # Closed form, float64: 1e-12 is rounding.
+    rng = torch.Generator().manual_seed(0)
+    left, right = (torch.randn(50, 4, generator=rng, dtype=torch.float64) for _ in range(2))
+    along = rotation_4d(left, right)[:, 3, 3]  # cos θ of the time axis
+    # 1e-12: float64 rounding
     torch.testing.assert_close(tilt(left, right) ** 2, 2 - 2 * along, rtol=1e-12, atol=1e-12)
 
 
@@ -95,7 +95,7 @@ def test_a_rotation_of_space_alone_has_no_tilt():
     assert tilt(left, right).max() < 1e-14
 
 
-def test_no_prior_changes_nothing():
+def test_without_weights_there_are_no_gradients():
     found = model()
     gradients = Gradients.zeros_like(found.gaussians())
     add_regularization_gradients(gradients, found, RegularizationConfig(), SCENE)
@@ -103,7 +103,7 @@ def test_no_prior_changes_nothing():
 
 
 @pytest.mark.parametrize("motion", ["static", "separable"])
-def test_models_without_the_part_get_no_such_pull(motion):
+def test_terms_of_missing_parameters_have_no_gradients(motion):
     found = model(motion)
     gradients = Gradients.zeros_like(found.gaussians())
     add_regularization_gradients(gradients, found, RegularizationConfig(motion=1.0, lifetime=1.0), SCENE)
@@ -111,12 +111,12 @@ def test_models_without_the_part_get_no_such_pull(motion):
     assert gradients.log_scale[:, 3:].any() == (motion == "separable")
 
 
-def test_colours_decay_but_the_constant_one():
+def test_all_coefficients_but_the_constant_one_decay():
     found = model()
     before = found.parameters["sh"].clone()
     decay_colors(found, strength=4.0, rate=1e-3)
     assert torch.equal(found.parameters["sh"][:, 0], before[:, 0])
-    # One float32 rounding a coefficient.
+    # One float32 rounding error per coefficient.
     torch.testing.assert_close(
         found.parameters["sh"][:, 1:], before[:, 1:] * math.pow(1 - 4e-3, DECAY_EVERY), rtol=1e-6, atol=0
     )

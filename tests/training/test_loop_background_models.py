@@ -1,4 +1,4 @@
-"""Training with a background: it learns what is far away, and stands still once it is frozen."""
+"""Training of the background models: they learn what is far away, and do not change once they are frozen."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from test_train import assert_same_state, batch_losses
+from test_loop import assert_same_state, batch_losses
 from tiny import tiny_config, tiny_scene, train_tiny
 
 from datasets.scene import Scene
@@ -21,7 +21,7 @@ from pipeline.training.schedule import phase
 from pipeline.training.step import Batch
 from rasterizer import Gradients
 
-BACKGROUNDS = ("sphere", "envmap")
+BACKGROUND_MODELS = ("sphere", "envmap")
 
 
 def final(path: Path) -> checkpoint.Checkpoint:
@@ -29,7 +29,7 @@ def final(path: Path) -> checkpoint.Checkpoint:
 
 
 @pytest.mark.parametrize("optimiser", ["adam", "sparse_adam"])
-def test_a_frozen_sphere_is_the_same_bits_to_the_end(tmp_path, optimiser: str) -> None:
+def test_a_frozen_sphere_does_not_change(tmp_path, optimiser: str) -> None:
     """Frozen after 20 of 60 iterations; densification at 30 and 40, an opacity reset at 25."""
     for iterations in (20, 60):
         train_tiny(tmp_path / str(iterations), tiny_config(iterations, "sphere", optimiser=optimiser))
@@ -42,25 +42,25 @@ def test_a_frozen_sphere_is_the_same_bits_to_the_end(tmp_path, optimiser: str) -
         for moments_20, moments_60 in zip(at_20.moments, at_60.moments):
             assert torch.equal(moments_60[name][after], moments_20[name][before]), name
     moved = at_20.model.parameters["opacity_logit"][before] != start.parameters["opacity_logit"][start.sphere]
-    assert moved.any(), "trained until then"
+    assert moved.any(), "trained before it was frozen"
     others = at_20.model.parameters["opacity_logit"][~before]
-    assert at_60.model.parameters["opacity_logit"][~after].max() != others.max(), "the others go on"
+    assert at_60.model.parameters["opacity_logit"][~after].max() != others.max(), "the others are still trained"
 
 
-def test_the_environment_stands_still_after_its_time(tmp_path) -> None:
+def test_a_frozen_environment_map_does_not_change(tmp_path) -> None:
     for iterations in (20, 60):
         train_tiny(tmp_path / str(iterations), tiny_config(iterations, "envmap"))
     at_20, at_60 = (final(tmp_path / run) for run in ("20", "60"))
     assert torch.equal(at_20.model.environment_map.image, at_60.model.environment_map.image)
-    assert all(map(torch.equal, at_20.environment_moments, at_60.environment_moments))
-    assert at_20.model.environment_map.image.min() < 0.5, "trained until then, on a black background"
+    assert all(map(torch.equal, at_20.environment_map_moments, at_60.environment_map_moments))
+    assert at_20.model.environment_map.image.min() < 0.5, "trained on a black background before it was frozen"
     assert at_60.best_model.environment_map is not None
 
 
 def waves(scene: Scene) -> Scene:
-    """Instead of black behind the disc: colours that are a function of the direction in the world."""
+    """The scene with colours that are a function of the world direction, instead of black, behind the disc."""
 
-    def over_waves(view):
+    def with_waves(view):
         camera = view.camera
         y, x = np.mgrid[: camera.height, : camera.width] + 0.5
         ray = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones_like(x)], -1)
@@ -69,11 +69,11 @@ def waves(scene: Scene) -> Scene:
         empty = ~view.image.any(axis=-1, keepdims=True)
         return replace(view, image=np.where(empty, np.round(255 * color).astype(np.uint8), view.image))
 
-    return replace(scene, train=tuple(map(over_waves, scene.train)), test=tuple(map(over_waves, scene.test)))
+    return replace(scene, train=tuple(map(with_waves, scene.train)), test=tuple(map(with_waves, scene.test)))
 
 
-def test_the_environment_learns_what_is_behind(tmp_path) -> None:
-    """A few Gaussians that do not multiply cannot: the environment has to."""
+def test_the_environment_map_learns_the_background(tmp_path) -> None:
+    """20 Gaussians without densification cannot."""
     keys = dict(
         eval_every=1000,
         checkpoint_every=1000,
@@ -84,18 +84,18 @@ def test_the_environment_learns_what_is_behind(tmp_path) -> None:
         lr=LearningRates(environment_map=0.01),
     )
     losses = {
-        background: batch_losses(tmp_path / background, waves(tiny_scene()), tiny_config(150, background, **keys))
-        for background in ("none", "envmap")
+        name: batch_losses(tmp_path / name, waves(tiny_scene()), tiny_config(150, name, **keys))
+        for name in ("none", "envmap")
     }
     first, last = losses["envmap"]
-    assert last < 0.5 * first, "half is far from what noise between batches does"
+    assert last < 0.5 * first, "noise between batches is much less than half"
     assert last < 0.5 * losses["none"][1]
 
 
-@pytest.mark.parametrize("background", BACKGROUNDS)
+@pytest.mark.parametrize("background_model", BACKGROUND_MODELS)
 @pytest.mark.parametrize("stop", [14, 31])
-def test_resuming_before_and_after_it_is_frozen(tmp_path, background: str, stop: int, monkeypatch) -> None:
-    original, cfg = finite_checks.check_gradients, tiny_config(60, background)
+def test_resuming_before_and_after_the_freeze(tmp_path, background_model: str, stop: int, monkeypatch) -> None:
+    original, cfg = finite_checks.check_gradients, tiny_config(60, background_model)
 
     def die(gradients, iteration, *rest) -> None:
         original(gradients, iteration, *rest)
@@ -111,38 +111,40 @@ def test_resuming_before_and_after_it_is_frozen(tmp_path, background: str, stop:
     assert_same_state(tmp_path / "whole", tmp_path / "stopped")
 
 
-@pytest.mark.parametrize("background", BACKGROUNDS)
-def test_the_number_of_threads_does_not_matter(tmp_path, background: str) -> None:
+@pytest.mark.parametrize("background_model", BACKGROUND_MODELS)
+def test_bits_do_not_depend_on_the_number_of_threads(tmp_path, background_model: str) -> None:
     before = torch.get_num_threads()
     try:
         for threads in (1, 2):
             torch.set_num_threads(threads)
-            train_tiny(tmp_path / str(threads), replace(tiny_config(60, background), threads=threads))
+            train_tiny(tmp_path / str(threads), replace(tiny_config(60, background_model), threads=threads))
     finally:
         torch.set_num_threads(before)
     assert_same_state(tmp_path / "1", tmp_path / "2")
 
 
-def test_a_checkpoint_with_another_background_is_refused(tmp_path) -> None:
+def test_a_checkpoint_with_another_background_model_is_refused(tmp_path) -> None:
     train_tiny(tmp_path, tiny_config(10, "envmap"))
     with pytest.raises(ValueError, match="and background none, found .* and background envmap"):
         train_tiny(tmp_path, tiny_config(20))
 
 
-def test_a_broken_environment_never_replaces_a_good_checkpoint(tmp_path) -> None:
+def test_an_environment_map_with_nan_is_not_written(tmp_path) -> None:
     model = train_tiny(tmp_path, tiny_config(7, "envmap")).model
     model.environment_map.image[1, 2, 3] = float("nan")
-    with pytest.raises(finite_checks.NonFiniteError, match="iteration 5: .* NaN or Inf in the environment map; not written"):
+    with pytest.raises(
+        finite_checks.NonFiniteError, match="iteration 5: .* NaN or Inf in the environment map; not written"
+    ):
         finite_checks.check_model(model, 5)
     with pytest.raises(finite_checks.NonFiniteError, match="found nan; NaN or Inf in the environment map"):
         finite_checks.check_loss(float("nan"), 5, "train/r_0", model)
 
 
-@pytest.mark.parametrize("unit, sees", [(1.0, True), (100.0, False)])
-def test_the_near_plane_is_in_the_scenes_unit(unit: float, sees: bool) -> None:
-    """0.2 units: 0.2 or, beyond everything 4 away, 20 in the world."""
+@pytest.mark.parametrize("unit, visible", [(1.0, True), (100.0, False)])
+def test_the_near_plane_is_in_the_scenes_unit(unit: float, visible: bool) -> None:
+    """0.2 units are 0.2 or 20 in the world; all Gaussians are nearer than 20."""
     scene, cfg = replace(tiny_scene(), unit=unit), tiny_config()
     model = initialise(scene, cfg, np.random.default_rng(0))
     batch = Batch(model, scene, cfg, Kernels(0.2, 1), phase(1.0, cfg.train, scene.extent, 3, 2), 1)
-    seen = batch.backward(target_of(scene.train[0], 1.0), scene.background, Gradients.zeros_like(model.gaussians()))
-    assert (len(seen.gradient.visible) > 0) == sees
+    view = batch.backward(target_of(scene.train[0], 1.0), scene.background, Gradients.zeros_like(model.gaussians()))
+    assert (len(view.gradient.visible) > 0) == visible

@@ -1,0 +1,47 @@
+"""Images and videos of an evaluation: render, ground truth and difference as PNG, and a bullet-time video."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from datasets.files.atomic_write import atomic_file
+from pipeline.data.training_views import camera_at
+from pipeline.evaluation.camera_path import FRAME_RATE, bullet_time, ellipse_among, median_depth
+from pipeline.evaluation.films import video
+from pipeline.evaluation.renderer import Renderer
+
+DIFFERENCE_GAIN = 4  # brightness of a difference image relative to |render - truth|, clipped at white
+
+SaveImages = Callable[[str, np.ndarray, np.ndarray], None]  # (view name, render, truth), images (H, W, 3) in [0, 1]
+
+
+def png_saver(folder: Path) -> SaveImages:
+    """A function that writes <view>_render.png, <view>_truth.png and <view>_difference.png into `folder`.
+
+    Slashes in the view's name become _. The difference is |render - truth| × DIFFERENCE_GAIN, clipped.
+    """
+    folder.mkdir(exist_ok=True)
+
+    def save(name: str, image: np.ndarray, truth: np.ndarray) -> None:
+        difference = np.clip(np.abs(image - truth) * DIFFERENCE_GAIN, 0.0, 1.0)
+        for kind, picture in (("render", image), ("truth", truth), ("difference", difference)):
+            with atomic_file(folder / f"{name.replace('/', '_')}_{kind}.png") as temporary:
+                Image.fromarray(np.round(picture * 255.0).astype(np.uint8)).save(temporary)
+
+    return save
+
+
+def write_bullet_time(path: Path, renderer: Renderer) -> None:
+    """A video along camera_path's ellipse among the training cameras, with the intrinsics of the first test camera."""
+    scene, scale = renderer.scene, renderer.cfg.train.resolution_scale
+    cameras, intrinsics = [view.camera for view in scene.train], camera_at(scene.test[0].camera, scale)
+    points, sphere = renderer.model.parameters["mean"][:, :3], renderer.model.sphere
+    depth = median_depth((points if sphere is None else points[~sphere]).numpy(), intrinsics)
+    ellipse = ellipse_among(cameras, default_depth=depth or scene.extent)
+    with video(path, intrinsics.width, intrinsics.height, FRAME_RATE) as send:
+        for frame in bullet_time(ellipse, intrinsics, scene.time_start, scene.duration):
+            send(renderer.image(frame.camera, frame.time))

@@ -1,0 +1,47 @@
+"""Evaluation in about the time of rendering: PSNR, SSIM and loss, for use during training and validation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from datasets.scene import Scene, View
+from pipeline.config.schema import Config
+from pipeline.data.training_views import evenly_spaced, target_of
+from pipeline.evaluation.metrics import mean, psnr
+from pipeline.evaluation.renderer import Renderer
+from pipeline.model.model import Model
+from rasterizer import Rasterizer
+from rasterizer.loss import l1_ssim
+
+
+def quick_evaluate(model: Model, scene: Scene, cfg: Config, rasterizer: Rasterizer) -> dict[str, float | None]:
+    """{psnr, ssim, test_loss} over `train.eval_views` evenly spread test views, and train_psnr over as many training
+    views.
+
+    Renders have the final resolution, also while training is at a coarser one, so that the numbers of a run can be
+    compared. SSIM is the loss's (zero padding at the border, as 3DGS), which differs from metrics.ssim in the third
+    decimal.
+    """
+    renderer = Renderer(model, scene, cfg, rasterizer)
+
+    def means(views: Sequence[View]) -> dict[str, float | None]:
+        rows = []
+        for index in evenly_spaced(len(views), cfg.train.eval_views):
+            target = target_of(views[index], cfg.train.resolution_scale)
+            image = renderer.tensor(target.camera, target.time).clamp_(0.0, 1.0)
+            loss, _, ssim, _ = l1_ssim(image, target.image, cfg.train.ssim_weight, rasterizer.threads)
+            rows.append({"psnr": psnr(image.numpy(), target.image.numpy()), "ssim": ssim, "test_loss": loss})
+        return {name: mean(rows, name) for name in ("psnr", "ssim", "test_loss")}
+
+    return {**means(scene.test), "train_psnr": means(scene.train)["psnr"]}
+
+
+def held_out_psnr(model: Model, scene: Scene, cfg: Config, threads: int) -> np.ndarray:
+    """(test views,) PSNR in dB at the final resolution, the same numbers as in metrics.json."""
+    renderer, found = Renderer(model, scene, cfg, Rasterizer(threads=threads)), []
+    for view in scene.test:
+        target = target_of(view, cfg.train.resolution_scale)
+        found.append(psnr(renderer.image(target.camera, target.time), target.image.numpy().transpose(1, 2, 0)))
+    return np.array(found)

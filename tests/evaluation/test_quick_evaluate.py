@@ -1,0 +1,40 @@
+"""The quick evaluation against the full one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tiny import evaluation_config, tiny_config, tiny_scene
+from tiny_film import tiny_film
+
+from pipeline.evaluation.evaluate import evaluate
+from pipeline.evaluation.quick_evaluate import held_out_psnr, quick_evaluate
+from pipeline.model.initialise import initialise
+from pipeline.model.model import Model
+from rasterizer import Rasterizer
+
+
+@pytest.fixture(scope="module")
+def model() -> Model:
+    return initialise(tiny_scene(), tiny_config(), np.random.default_rng(0))
+
+
+def test_psnr_equals_that_of_the_full_evaluation(model: Model) -> None:
+    scene, cfg = tiny_scene(), evaluation_config()
+    full = evaluate(model, scene, cfg, 1)
+    quick = quick_evaluate(model, scene, cfg, Rasterizer(threads=1))
+    # The same renders; float32 sums in another order.
+    assert quick["psnr"] == pytest.approx(full.metrics["psnr"], abs=1e-4)
+    assert 0 < quick["ssim"] < 1 and 0 < quick["test_loss"] < 1
+    assert held_out_psnr(model, scene, cfg, 1).tolist() == [row["psnr"] for row in full.per_image]
+
+
+def test_views_are_evenly_spread(model: Model) -> None:
+    scene, cfg = tiny_film(frames=5, held_out=("cam00",)), evaluation_config()
+    few = replace(cfg, train=replace(cfg.train, eval_views=3))
+    found = quick_evaluate(model, scene, few, Rasterizer(threads=1))
+    spread = replace(scene, test=scene.test[::2], train=[scene.train[i] for i in (0, len(scene.train) // 2, -1)])
+    assert found == quick_evaluate(model, spread, cfg, Rasterizer(threads=1))
+    assert found != quick_evaluate(model, scene, cfg, Rasterizer(threads=1))

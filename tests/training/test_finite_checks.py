@@ -1,0 +1,76 @@
+"""Finite checks: a NaN or Inf stops training with its iteration, view, field and Gaussian."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tiny import tiny_config, tiny_scene, train_tiny
+
+from pipeline.model.initialise import initialise
+from pipeline.training import checkpoint, finite_checks, step
+
+
+def insert_nan(monkeypatch, at_call: int, row: int) -> None:
+    """The view of the `at_call`-th backward pass has a NaN in the gradient of the mean from then on."""
+    original, names = step.Batch.backward, []
+
+    def backward(self, target, background, gradients):
+        view = original(self, target, background, gradients)
+        names.append(target.name)
+        if target.name == names[min(at_call, len(names) - 1)] and len(names) > at_call:
+            gradients.mean[row, 1] = float("nan")
+        return view
+
+    monkeypatch.setattr(step.Batch, "backward", backward)
+
+
+def test_non_finite_gradient_names_iteration_view_and_gaussian(tmp_path, monkeypatch) -> None:
+    insert_nan(monkeypatch, at_call=2 * 8 + 1, row=13)  # the second view of the ninth batch
+    with pytest.raises(
+        finite_checks.NonFiniteError, match=r"iteration 9, view train/r_\d: .* mean of Gaussian 13"
+    ) as error:
+        train_tiny(tmp_path)
+    assert "\n" not in str(error.value)
+    saved = checkpoint.load(tmp_path / checkpoint.FILE_NAME)
+    assert saved.iteration == 7 and saved.model.first_non_finite() is None, "the last checkpoint is kept"
+
+
+def test_the_search_for_the_faulty_view_uses_the_same_random_backgrounds(tmp_path, monkeypatch) -> None:
+    """Only views over some colours are faulty."""
+    original = step.Batch.backward
+
+    def backward(self, target, background, gradients):
+        view = original(self, target, background, gradients)
+        if background[0] > 0.9:
+            gradients.mean[13, 1] = float("nan")
+        return view
+
+    monkeypatch.setattr(step.Batch, "backward", backward)
+    scene = tiny_scene()
+    views = tuple(replace(view, coverage=np.uint8(255) * (view.image[..., 0] > 0)) for view in scene.train)
+    with pytest.raises(finite_checks.NonFiniteError, match=r"iteration \d+, view train/r_\d: .* mean of Gaussian 13"):
+        train_tiny(tmp_path, tiny_config(random_background=True), replace(scene, train=views))
+
+
+def test_non_finite_loss_names_iteration_and_view(tmp_path, monkeypatch) -> None:
+    original, calls = step.view_loss, []
+
+    def view_loss(criterion, image, *rest):
+        calls.append(1)
+        return original(criterion, image * float("nan") if len(calls) == 6 else image, *rest)
+
+    monkeypatch.setattr(step, "view_loss", view_loss)
+    with pytest.raises(
+        finite_checks.NonFiniteError, match=r"iteration 3, view train/r_\d: expected a finite loss, found nan"
+    ):
+        train_tiny(tmp_path)
+
+
+def test_a_model_with_inf_is_not_written() -> None:
+    model = initialise(tiny_scene(), tiny_config(), np.random.default_rng(0))
+    finite_checks.check_model(model, 5)
+    model.parameters["log_scale"][17, 2] = float("inf")
+    with pytest.raises(finite_checks.NonFiniteError, match="iteration 5: .* log_scale of Gaussian 17"):
+        finite_checks.check_model(model, 5)
