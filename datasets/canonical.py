@@ -87,7 +87,7 @@ class Canonical:
             return world
         return tuple(tuple(self.points(np.broadcast_to(corner, 3)).tolist()) for corner in world)
 
-    def described(self) -> dict:
+    def to_dict(self) -> dict:
         """The content of canonical.json."""
         return {
             **asdict(self),

@@ -1,4 +1,4 @@
-"""A folder in the D-NeRF layout, of a few small random images."""
+"""Writes and reads a folder in the D-NeRF layout with a few small random images."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ SIZE = 8
 ANGLE_X = 0.7
 
 
-def pose(x: float, z: float = 4.0) -> list[list[float]]:
-    """Camera-to-world, Blender axes, unrotated: looks along -z from (x, 0, z)."""
-    return [[1.0, 0.0, 0.0, x], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, z], [0.0, 0.0, 0.0, 1.0]]
+def blender_pose(x: float, z: float = 4.0) -> list[list[float]]:
+    """Camera-to-world, Blender axes: position (x, 0, z), viewing direction -z."""
+    return [[1.0, 0.0, 0.0, float(x)], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, z], [0.0, 0.0, 0.0, 1.0]]
 
 
 def write_split(root: Path, split: str, count: int, *, timed: bool = True, seed: int = 0) -> None:
@@ -28,7 +28,9 @@ def write_split(root: Path, split: str, count: int, *, timed: bool = True, seed:
     for index in range(count):
         name = f"r_{index:03d}" if split == "test" else f"r_{index}"
         Image.fromarray(rng.integers(0, 256, (SIZE, SIZE, 4), dtype=np.uint8)).save(root / split / f"{name}.png")
-        frames.append({"file_path": f"./{split}/{name}", "rotation": 0.1, "transform_matrix": pose(float(index))})
+        frames.append(
+            {"file_path": f"./{split}/{name}", "rotation": 0.1, "transform_matrix": blender_pose(float(index))}
+        )
         if timed:
             frames[-1]["time"] = index / max(count - 1, 1)
     write_json(root / f"transforms_{split}.json", {"camera_angle_x": ANGLE_X, "frames": frames})

@@ -1,4 +1,4 @@
-"""Folders in the Plenoptic Video layout, small enough to be encoded while a test runs."""
+"""Writes folders in the Plenoptic Video layout with small videos."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ NEAR, FAR = 2.0, 10.0
 
 
 def picture(camera: int, frame: int, width: int = WIDTH, height: int = HEIGHT) -> np.ndarray:
-    """(height, width, 3) uint8 RGB: blocks of 16 × 16 pixels, their colours another in each camera and frame."""
+    """(height, width, 3) uint8 RGB: blocks of 16 × 16 pixels in colours that depend on camera and frame."""
     rng = np.random.default_rng([camera, frame])
     colours = rng.integers(40, 216, (-(-height // BLOCK), -(-width // BLOCK), 3), dtype=np.uint8)
     return colours.repeat(BLOCK, axis=0).repeat(BLOCK, axis=1)[:height, :width]
 
 
 def inside(image: np.ndarray, downscale: int = 1) -> np.ndarray:
-    """The middle quarter of each block: video stores colour at half resolution, so that edges bleed."""
+    """The middle quarter of each block: chroma subsampling blurs the edges."""
     side = BLOCK // downscale
     rows, columns = (np.arange(n) % side for n in image.shape[:2])
     kept = [(side // 4 <= part) & (part < 3 * side // 4) for part in (rows, columns)]
@@ -33,40 +33,11 @@ def inside(image: np.ndarray, downscale: int = 1) -> np.ndarray:
 
 
 def write_video(path: Path, frames: Sequence[np.ndarray], rate: float = RATE, *options: str) -> None:
-    """H.264, near lossless, every frame on its own, the index before the frames: what a cut leaves can be decoded."""
+    """H.264, nearly lossless, only key frames, index first, so that a truncated file can be decoded."""
     height, width = frames[0].shape[:2]
-    command = [
-        get_ffmpeg_exe(),
-        "-v",
-        "error",
-        "-y",
-        "-f",
-        "rawvideo",
-        "-pix_fmt",
-        "rgb24",
-        "-s",
-        f"{width}x{height}",
-        "-r",
-        str(rate),
-        "-i",
-        "-",
-        "-c:v",
-        "libx264",
-        "-preset",
-        "ultrafast",
-        "-threads",
-        "1",
-        "-crf",
-        "1",
-        "-g",
-        "1",
-        "-pix_fmt",
-        "yuv420p",
-        "-movflags",
-        "+faststart",
-        *options,
-        str(path),
-    ]
+    raw = f"-v error -y -f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {rate} -i -"
+    encoded = "-c:v libx264 -preset ultrafast -threads 1 -crf 1 -g 1 -pix_fmt yuv420p -movflags +faststart"
+    command = [get_ffmpeg_exe(), *raw.split(), *encoded.split(), *options, str(path)]
     subprocess.run(command, input=b"".join(frame.tobytes() for frame in frames), check=True)
 
 
@@ -83,13 +54,13 @@ def write_camera(
 
 
 def pose_row(x: float, size: tuple[int, int] = (WIDTH, HEIGHT), focal: float = FOCAL) -> np.ndarray:
-    """LLFF's row (17,) of a camera at (x, 0, -4) that looks along +z, its right +x and its down +y."""
+    """LLFF's row (17,) of a camera at (x, 0, -4) with viewing direction +z, right +x and down +y."""
     columns = [[0, 1, 0], [1, 0, 0], [0, 0, -1], [x, 0, -4], [size[1], size[0], focal]]  # down, right, back, …
     return np.concatenate([np.array(columns, dtype=float).T.ravel(), [NEAR, FAR]])
 
 
 def write_folder(root: Path, numbers: Sequence[int] = (0, 1, 2)) -> Path:
-    """cam00.mp4 … and poses_bounds.npy; camera n stands at x = n."""
+    """cam00.mp4 … and poses_bounds.npy; camera n is at x = n."""
     root.mkdir(parents=True, exist_ok=True)
     for number in numbers:
         write_camera(root / f"cam{number:02d}.mp4", number)

@@ -1,4 +1,4 @@
-"""A scene that cameras filmed, as tiny as tiny.py's; two of them are held out."""
+"""A tiny multi-camera video scene, with the cameras of tiny.py; two of them are held out."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ RATE = 10.0  # frames a second
 
 
 def tiny_film(frames: int = 4, height: int = SIZE, held_out: tuple[str, ...] = ("cam00", "cam05")) -> Scene:
-    """Three training cameras and those `held_out` film a red disc that moves to the right."""
+    """A red disc that moves to the right, in three training cameras and those `held_out`."""
     cameras = [replace(view.camera, height=height, cy=height / 2) for view in tiny_scene().train[:4]]
 
     def filmed(split: str, name: str, camera: int) -> list[View]:
@@ -28,7 +28,7 @@ def tiny_film(frames: int = 4, height: int = SIZE, held_out: tuple[str, ...] = (
 
     train = [view for i in (0, 1, 2) for view in filmed("train", f"cam{i + 1:02d}", i)]
     test = [view for i, name in enumerate(held_out) for view in filmed("test", name, 3 - 2 * i)]
-    # Frame by frame, cameras taking turns: the order of a reader that opens all videos at once.
+    # Sorted by time, with the cameras in turn.
     test.sort(key=lambda view: view.time)
     return Scene(
         "tiny_film",

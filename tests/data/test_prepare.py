@@ -1,4 +1,4 @@
-"""What a run works on: which scenes get points from structure from motion, and what refined poses change."""
+"""prepare(): points from structure from motion, refined poses, canonical coordinates."""
 
 from __future__ import annotations
 
@@ -34,15 +34,15 @@ def prepared(folder: Path, **init) -> Prepared:
     return prepare(cfg, lambda line: None)
 
 
-def test_points_come_from_whole_frames_whatever_size_is_trained_at(folder: Path) -> None:
+def test_points_come_from_full_size_frames(folder: Path) -> None:
     data = prepared(folder)
     assert data.scene.train[0].camera.width == 80
-    assert all(lens.camera.width == 160 for lens in data.cloud.lenses.values())
-    assert set(data.cloud.lenses) == {"cam01", "cam02", "cam03", "cam04"}  # cam00 is held out
+    assert all(found.camera.width == 160 for found in data.cloud.cameras.values())
+    assert set(data.cloud.cameras) == {"cam01", "cam02", "cam03", "cam04"}  # cam00 is held out
     assert (data.sfm_folder / "sfm.png").is_file()
 
 
-def test_structure_from_motion_gets_the_first_frames_of_the_training_cameras(folder: Path) -> None:
+def test_training_photographs(folder: Path) -> None:
     posed = open_plenoptic(folder, name="counter", downscale=1, cache=folder.parent / "cache")
     photographs = training_photographs(posed)
     assert [p.name for p in photographs] == ["cam01", "cam02", "cam03", "cam04"]  # cam00 is held out
@@ -51,19 +51,19 @@ def test_structure_from_motion_gets_the_first_frames_of_the_training_cameras(fol
         assert photograph.camera is posed.cameras[photograph.name]
 
 
-def test_random_points_need_none_of_it(folder: Path) -> None:
+def test_random_points_skip_structure_from_motion(folder: Path) -> None:
     data = prepared(folder, source="random")
     assert data.cloud is None and data.sfm_folder is None and len(data.scene.train) == 8
 
 
-def test_refined_poses_are_what_is_trained_with(folder: Path) -> None:
+def test_refined_poses_replace_training_poses(folder: Path) -> None:
     given, refined = prepared(folder), prepared(folder, refine_poses=True)
     for before, after in zip(given.scene.train, refined.scene.train):
         name = after.name.removeprefix("train/")[:5]
-        pose = refined.cloud.lenses[name].camera.world_to_cam
+        pose = refined.cloud.cameras[name].camera.world_to_cam
         np.testing.assert_array_equal(after.camera.world_to_cam, pose)
         assert 0 < np.abs(pose - before.camera.world_to_cam).max() < 0.05
-    for before, after in zip(given.scene.test, refined.scene.test):  # no image of theirs may move them in the world
+    for before, after in zip(given.scene.test, refined.scene.test):  # held-out poses are not refined
         np.testing.assert_array_equal(after.camera.world_to_cam[:3, :3], before.camera.world_to_cam[:3, :3])
         np.testing.assert_allclose(
             refined.canonical.inverse.points(after.camera.position),
@@ -72,23 +72,23 @@ def test_refined_poses_are_what_is_trained_with(folder: Path) -> None:
         )
 
 
-def test_it_is_all_in_canonical_coordinates(folder: Path) -> None:
+def test_result_is_in_canonical_coordinates(folder: Path) -> None:
     data = prepared(folder)
-    assert not data.canonical.is_identity  # its rig stands 3 from what it looks at
+    assert not data.canonical.is_identity  # the rig is at distance 3
     positions = np.unique([view.camera.position for view in data.scene.train], axis=0)
     assert np.linalg.norm(positions, axis=1).mean() == pytest.approx(4.0)
-    for camera in (lens.camera for lens in data.cloud.lenses.values()):  # points and cameras belong together
+    for camera in (found.camera for found in data.cloud.cameras.values()):  # points in front of all cameras
         depths = data.cloud.points @ camera.world_to_cam[2, :3] + camera.world_to_cam[2, 3]
         assert 1 < np.median(depths) < 10 and (depths > 0).all()
     assert canonical_of(data.scene).is_identity
 
 
 @pytest.mark.parametrize(("scale", "shift"), [(1e3, 0.0), (1e-3, 0.0), (1.0, 1e4)])
-def test_another_unit_or_origin_gives_the_same_points(folder: Path, tmp_path: Path, scale: float, shift: float) -> None:
-    """What COLMAP finds too, whose solvers stop at differences that are small in no unit but theirs."""
+def test_result_is_independent_of_unit_and_origin(folder: Path, tmp_path: Path, scale: float, shift: float) -> None:
+    """Also the result of COLMAP, whose solvers have absolute tolerances."""
     other = shutil.copytree(folder, tmp_path / "other")
     rows = np.load(other / "poses_bounds.npy")
-    rows[:, 3:15:5] = rows[:, 3:15:5] * scale + shift  # the matrix's fourth column of five, row by row
+    rows[:, 3:15:5] = rows[:, 3:15:5] * scale + shift  # the position: the fourth column of five
     rows[:, 15:] *= scale
     np.save(other / "poses_bounds.npy", rows)
     one, two = prepared(folder), prepared(other)
@@ -100,13 +100,13 @@ def test_another_unit_or_origin_gives_the_same_points(folder: Path, tmp_path: Pa
     np.testing.assert_array_equal(two.cloud.colors, one.cloud.colors)
 
 
-def test_photographs_of_one_camera_have_no_structure_from_motion() -> None:
+def test_sfm_is_refused_for_photographs_of_one_camera() -> None:
     cfg = Config(scene=SceneConfig(name="dnerf", reader="dnerf", path="anywhere"), init=InitConfig(source="sfm"))
     with pytest.raises(ValueError, match="init.source: expected auto or random for dnerf"):
         prepare(cfg, print)
 
 
-def test_the_near_depth_is_the_one_a_twentieth_of_the_points_lie_before() -> None:
+def test_near_depth_is_the_5_percent_quantile() -> None:
     points = np.stack([np.zeros(101), np.zeros(101), np.linspace(1, 101, 101)], axis=1)
-    points = np.concatenate([points, [[0, 0, -5]]])  # behind the camera: not seen
+    points = np.concatenate([points, [[0, 0, -5]]])  # behind the camera, not counted
     assert near_depth(points, [Camera(8, 8, 8, 8, 4, 4, np.eye(4))]) == pytest.approx(6.0)

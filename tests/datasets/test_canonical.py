@@ -1,4 +1,4 @@
-"""Canonical coordinates: the same scene from any unit and origin, and none of what obeys the convention is touched."""
+"""Canonical coordinates: independence of the data's units and origin; the identity for scenes within the tolerance."""
 
 from __future__ import annotations
 
@@ -19,8 +19,7 @@ from rasterizer import Camera
 
 DOWN = np.array([0.0, 1.0, 0.0])
 SCALES, SHIFTS = (1e3, 1e-3, 0.7, 25.4), ((0.0, 0.0, 0.0), (1e4, -2e4, 5e3))
-# float64: a number near 2e4 is good to 4e-12, which is 4e-9 of a rig that is a thousandth of a unit; a pose, its
-# inverse and a mean are some ten such roundings.
+# float64: rounding near 2e4 is 4e-12, which is 4e-9 of a rig scaled by 1e-3; about ten roundings add up.
 EXACT = 1e-7
 
 
@@ -29,7 +28,7 @@ def camera(position: np.ndarray, target: np.ndarray) -> Camera:
 
 
 def grid(distance: float = 5.0) -> list[Camera]:
-    """5 × 3 cameras on a plane that look at about one point."""
+    """5 × 3 cameras on a plane, with optical axes that nearly intersect."""
     generator = np.random.default_rng(0)
     return [
         camera((x, y, 2.0), np.array([0.3, -0.2, 2.0 + distance]) + 0.1 * generator.standard_normal(3))
@@ -39,7 +38,7 @@ def grid(distance: float = 5.0) -> list[Camera]:
 
 
 def ring(outwards: bool = False) -> list[Camera]:
-    """On a circle of radius 3 about (1, 2, 3), looking at that or away from it."""
+    """On a circle of radius 3 around (1, 2, 3), looking at its centre or away from it."""
     places = [3 * np.array([np.cos(a), 0.1, np.sin(a)]) for a in np.linspace(0, 2 * np.pi, 9)[:-1]]
     return [camera(p + (1, 2, 3), (3 * p if outwards else 0 * p) + (1, 2, 3)) for p in places]
 
@@ -51,8 +50,8 @@ def parallel() -> list[Camera]:
 RIGS = {"grid": grid(), "ring": ring(), "outwards": ring(outwards=True), "parallel": parallel()}
 
 
-def moved(c: Camera, scale: float, shift: np.ndarray) -> Camera:
-    """The camera in a world of which a point x is at scale x + shift."""
+def transformed_camera(c: Camera, scale: float, shift: np.ndarray) -> Camera:
+    """The camera in a world where point x is at scale x + shift."""
     pose = c.world_to_cam.copy()
     pose[:3, 3] = scale * pose[:3, 3] - pose[:3, :3] @ shift
     return replace(c, world_to_cam=pose)
@@ -76,11 +75,11 @@ def scene_of(cameras: list[Camera], unit: float = 0.8, **changes: object) -> Sce
     return replace(made, **changes)
 
 
-def in_another_world(scene: Scene, scale: float, shift: np.ndarray, clock=lambda t: t) -> Scene:
-    """The scene as files in other units would give it."""
+def in_other_units(scene: Scene, scale: float, shift: np.ndarray, clock=lambda t: t) -> Scene:
+    """The scene as read from files in other units."""
 
     def view_of(view: View) -> View:
-        return replace(view, camera=moved(view.camera, scale, shift), time=clock(view.time))
+        return replace(view, camera=transformed_camera(view.camera, scale, shift), time=clock(view.time))
 
     start, end = clock(scene.time_start), clock(scene.time_end)
     return replace(
@@ -96,11 +95,11 @@ def in_another_world(scene: Scene, scale: float, shift: np.ndarray, clock=lambda
     )
 
 
-def normalised(scene: Scene) -> Scene:
+def canonicalised(scene: Scene) -> Scene:
     return canonicalise(scene, canonical_of(scene))
 
 
-def assert_same(one: Scene, two: Scene, tolerance: float = EXACT) -> None:
+def assert_equal_scenes(one: Scene, two: Scene, tolerance: float = EXACT) -> None:
     for a, b in zip(one.train + one.test, two.train + two.test, strict=True):
         np.testing.assert_allclose(b.camera.world_to_cam, a.camera.world_to_cam, atol=tolerance)
         assert b.time == pytest.approx(a.time, abs=tolerance) and b.image is a.image and b.name == a.name
@@ -112,38 +111,40 @@ def assert_same(one: Scene, two: Scene, tolerance: float = EXACT) -> None:
     np.testing.assert_allclose(*box_of, atol=tolerance)
 
 
-# --- space ----------------------------------------------------------------------------------------------------------
+# --- space ------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("rig", RIGS)
 @pytest.mark.parametrize("scale", SCALES)
 @pytest.mark.parametrize("shift", SHIFTS)
-def test_every_unit_and_origin_gives_the_same_scene(rig: str, scale: float, shift: tuple) -> None:
+def test_result_is_independent_of_unit_and_origin(rig: str, scale: float, shift: tuple) -> None:
     scene = scene_of(RIGS[rig])
-    other = in_another_world(scene, scale, np.array(shift))
+    other = in_other_units(scene, scale, np.array(shift))
     assert not canonical_of(scene).is_identity
-    one, two = normalised(scene), normalised(other)
-    assert_same(one, two)
+    one, two = canonicalised(scene), canonicalised(other)
+    assert_equal_scenes(one, two)
     assert validate_scene(two) is two
 
 
 @pytest.mark.parametrize("rig", RIGS)
-def test_the_same_without_a_known_unit(rig: str) -> None:
-    """What readers of files without bounds ask: their unit is the canonical one."""
-    frame = canonical_space(RIGS[rig])
+def test_canonical_space_without_unit_is_independent_of_unit_and_origin(rig: str) -> None:
+    """Readers of files without depth bounds take the canonical unit as Scene.unit."""
+    transform = canonical_space(RIGS[rig])
     for scale in SCALES:
         for shift in SHIFTS:
-            other = canonical_space([moved(c, scale, np.array(shift)) for c in RIGS[rig]])
-            assert other.unit == pytest.approx(scale * frame.unit, rel=EXACT)
-            np.testing.assert_allclose(other.points(scale * np.ones(3) + shift), frame.points(np.ones(3)), atol=EXACT)
+            other = canonical_space([transformed_camera(c, scale, np.array(shift)) for c in RIGS[rig]])
+            assert other.unit == pytest.approx(scale * transform.unit, rel=EXACT)
+            np.testing.assert_allclose(
+                other.points(scale * np.ones(3) + shift), transform.points(np.ones(3)), atol=EXACT
+            )
 
 
 @pytest.mark.parametrize(("rig", "centre"), [("grid", None), ("ring", (1, 2, 3))])
-def test_cameras_look_at_the_origin_from_four_units_away(rig: str, centre: tuple | None) -> None:
-    frame = canonical_space(RIGS[rig], unit=123.0)  # known, but not needed
-    cameras = [frame.camera(c) for c in RIGS[rig]]
+def test_origin_is_the_intersection_of_axes_at_mean_distance_4(rig: str, centre: tuple | None) -> None:
+    transform = canonical_space(RIGS[rig], unit=123.0)  # not used: the axes intersect
+    cameras = [transform.camera(c) for c in RIGS[rig]]
     assert np.mean([np.linalg.norm(c.position) for c in cameras]) == pytest.approx(DISTANCE)
-    # Naively: no point near the origin is nearer to all optical axes.
+    # Random search: no point near the origin has a smaller sum of squared distances.
     positions = np.stack([c.position for c in cameras])
     axes = np.stack([c.world_to_cam[2, :3] for c in cameras])
 
@@ -153,58 +154,62 @@ def test_cameras_look_at_the_origin_from_four_units_away(rig: str, centre: tuple
     steps = np.random.default_rng(1).standard_normal((50, 3))
     assert all(squared(np.zeros(3)) < squared(1e-2 * step) for step in steps)
     if centre is not None:
-        np.testing.assert_allclose(frame.centre, centre, atol=EXACT)
+        np.testing.assert_allclose(transform.centre, centre, atol=EXACT)
 
 
-def test_parallel_axes_look_four_units_ahead() -> None:
-    frame = canonical_space(parallel(), unit=0.5)
-    assert frame.unit == 0.5
-    np.testing.assert_allclose(frame.centre, (0.25, 0.025, 1.0 + 4 * 0.5), atol=EXACT)
+def test_parallel_axes_put_the_origin_4_units_ahead() -> None:
+    transform = canonical_space(parallel(), unit=0.5)
+    assert transform.unit == 0.5
+    np.testing.assert_allclose(transform.centre, (0.25, 0.025, 1.0 + 4 * 0.5), atol=EXACT)
     assert canonical_space(parallel()).unit == pytest.approx(camera_extent(parallel()))
 
 
-def test_cameras_that_look_all_around_stand_round_the_origin() -> None:
+def test_outward_cameras_put_the_origin_at_their_mean() -> None:
     np.testing.assert_allclose(canonical_space(ring(outwards=True), unit=0.5).centre, (1, 2.3, 3), atol=EXACT)
 
 
-def test_frames_of_one_camera_do_not_pull_the_origin_to_it() -> None:
+def test_repeated_cameras_count_once() -> None:
     once, often = canonical_space(grid()), canonical_space(grid() + 50 * [grid()[0]])
     assert once == often
 
 
-def test_what_is_seen_stays_where_it_is_in_the_image_and_depths_scale() -> None:
-    frame = Canonical((1e4, 20.0, -3.0), 0.25)
-    points = np.random.default_rng(2).normal(size=(20, 3)) + frame.centre
-    c = moved(grid()[0], 1.0, np.array(frame.centre))
+def test_projections_are_kept_and_depths_scale() -> None:
+    transform = Canonical((1e4, 20.0, -3.0), 0.25)
+    points = np.random.default_rng(2).normal(size=(20, 3)) + transform.centre
+    c = transformed_camera(grid()[0], 1.0, np.array(transform.centre))
     before = c.world_to_cam[:3, :3] @ points.T + c.world_to_cam[:3, 3:]
-    after = frame.camera(c).world_to_cam[:3, :3] @ frame.points(points).T + frame.camera(c).world_to_cam[:3, 3:]
-    np.testing.assert_allclose(after, frame.scale * before, atol=EXACT)
-    np.testing.assert_allclose(frame.camera(c).position, frame.points(c.position), atol=EXACT)
-    np.testing.assert_allclose(frame.inverse.points(frame.points(points)), points, atol=1e-11)
-    np.testing.assert_allclose(frame.inverse.camera(frame.camera(c)).world_to_cam, c.world_to_cam, atol=1e-11)
+    after = (
+        transform.camera(c).world_to_cam[:3, :3] @ transform.points(points).T + transform.camera(c).world_to_cam[:3, 3:]
+    )
+    np.testing.assert_allclose(after, transform.scale * before, atol=EXACT)
+    np.testing.assert_allclose(transform.camera(c).position, transform.points(c.position), atol=EXACT)
+    np.testing.assert_allclose(transform.inverse.points(transform.points(points)), points, atol=1e-11)
+    np.testing.assert_allclose(transform.inverse.camera(transform.camera(c)).world_to_cam, c.world_to_cam, atol=1e-11)
 
 
-def test_a_cube_comes_back_from_the_world() -> None:
-    frame = Canonical((1e4, 20.0, -3.0), 0.25)
-    world = frame.inverse.box((-1.2, 1.2))
+def test_box_round_trip() -> None:
+    transform = Canonical((1e4, 20.0, -3.0), 0.25)
+    world = transform.inverse.box((-1.2, 1.2))
     np.testing.assert_allclose(world, [(9995.2, 15.2, -7.8), (10004.8, 24.8, 1.8)])
-    np.testing.assert_allclose(frame.box(world), [3 * (-1.2,), 3 * (1.2,)], atol=EXACT)
+    np.testing.assert_allclose(transform.box(world), [3 * (-1.2,), 3 * (1.2,)], atol=EXACT)
     assert Canonical(time_scale=2.0).box((-1.2, 1.2)) == (-1.2, 1.2)
 
 
-def test_the_inverse_leads_back() -> None:
-    frame = Canonical((1e4, 20.0, -3.0), 0.25, 1.7e9, 0.2)
-    assert frame.inverse.time(frame.time(1.7e9 + 3)) == pytest.approx(1.7e9 + 3, abs=1e-6)
+def test_inverse() -> None:
+    transform = Canonical((1e4, 20.0, -3.0), 0.25, 1.7e9, 0.2)
+    assert transform.inverse.time(transform.time(1.7e9 + 3)) == pytest.approx(1.7e9 + 3, abs=1e-6)
     assert Canonical().inverse.is_identity
 
 
-def test_metres_of_a_map_are_no_reason_to_refuse_a_scene() -> None:
+def test_map_coordinates_are_accepted() -> None:
     scene = scene_of(grid())
-    far = validate_scene(in_another_world(scene, 1.0, np.array([5e5, 5e6, 100.0])))
-    assert_same(normalised(scene), normalised(far), tolerance=1e-6)  # positions of 5e6 are good to 1e-9
+    far = validate_scene(in_other_units(scene, 1.0, np.array([5e5, 5e6, 100.0])))
+    assert_equal_scenes(
+        canonicalised(scene), canonicalised(far), tolerance=1e-6
+    )  # rounding of positions near 5e6 is 1e-9
 
 
-# --- time -----------------------------------------------------------------------------------------------------------
+# --- time -------------------------------------------------------------------------------------------------------------
 
 CLOCKS = {
     "frames": lambda s: 30 * s,
@@ -215,46 +220,46 @@ CLOCKS = {
 
 
 @pytest.mark.parametrize("clock", CLOCKS)
-def test_photographs_take_the_unit_interval_whatever_the_clock(clock: str) -> None:
+def test_times_of_photographs_become_the_unit_interval(clock: str) -> None:
     scene = scene_of(ring())
-    other = in_another_world(scene, 1.0, np.zeros(3), lambda t: CLOCKS[clock](5 * t))
-    # A stamp of 1.7e9 s is good to 1.2e-7 s, of 5 s.
-    assert_same(normalised(scene), normalised(other), tolerance=1e-7)
+    other = in_other_units(scene, 1.0, np.zeros(3), lambda t: CLOCKS[clock](5 * t))
+    # Rounding of times near 1.7e9 s is 1.2e-7 s, of 5 s.
+    assert_equal_scenes(canonicalised(scene), canonicalised(other), tolerance=1e-7)
 
 
 @pytest.mark.parametrize("clock", CLOCKS)
-def test_thirty_frames_of_a_film_are_a_unit_whatever_the_clock(clock: str) -> None:
+def test_30_video_frames_become_one_unit(clock: str) -> None:
     film = tiny_film(frames=6)
-    other = in_another_world(film, 1.0, np.zeros(3), CLOCKS[clock])
-    one, two = normalised(film), normalised(other)
-    assert_same(one, two, tolerance=1e-6)  # 1.2e-7 of the film's half second
+    other = in_other_units(film, 1.0, np.zeros(3), CLOCKS[clock])
+    one, two = canonicalised(film), canonicalised(other)
+    assert_equal_scenes(one, two, tolerance=1e-6)  # rounding of 1.2e-7 s, of half a second
     assert one.frame_rate == pytest.approx(30.0) and one.time_start == 0.0
     assert one.train[1].time - one.train[0].time == pytest.approx(1 / 30)
 
 
-def test_thirty_frames_a_second_are_seconds_exactly() -> None:
+def test_30_frames_a_second_give_the_identity() -> None:
     film = replace(tiny_film(), frame_rate=30.0, duration=1.0)
-    assert canonical_of(film).is_identity and normalised(film) is film
-    # A rate told from times: 30 but for rounding.
+    assert canonical_of(film).is_identity and canonicalised(film) is film
+    # A rate computed from times: 30 up to rounding.
     assert canonical_of(replace(film, frame_rate=30.0 * (1 + 1e-13))).is_identity
     assert canonical_of(tiny_film()).time_scale == RATE / 30
 
 
-# --- what obeys the convention --------------------------------------------------------------------------------------
+# --- the identity -----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", PHOTOGRAPHED)
-def test_the_photographed_synthetic_scenes_are_left_as_they_are(name: str, tmp_path: Path) -> None:
+def test_photographed_synthetic_scenes_give_the_identity(name: str, tmp_path: Path) -> None:
     scene = read_dnerf(
         build_scene(tmp_path / name, scene=name, seed=0, size=16, train_views=8, test_views=2), name=name, downscale=1
     )
-    assert canonical_of(scene).is_identity and normalised(scene) is scene
+    assert canonical_of(scene).is_identity and canonicalised(scene) is scene
     assert (scene.unit, scene.init_box, scene.time_start, scene.duration) == (1.0, (-1.2, 1.2), 0.0, 1.0)
 
 
-def test_only_what_is_near_the_convention_is_left() -> None:
-    tiny = tiny_scene()  # cameras 4 from the origin, looking at it
-    for scale, shift, left in (
+def test_tolerance_of_the_identity() -> None:
+    tiny = tiny_scene()  # cameras at distance 4 that look at the origin
+    for scale, shift, expected in (
         (1.0, 0.0, True),
         (1.09, 0.0, True),
         (1.12, 0.0, False),
@@ -262,13 +267,13 @@ def test_only_what_is_near_the_convention_is_left() -> None:
         (1.0, 0.2, True),
         (1.0, 0.3, False),
     ):  # 0.3 √3 > 0.4
-        cameras = [moved(view.camera, scale, np.full(3, shift)) for view in tiny.train]
-        assert canonical_space(cameras).is_identity == left
+        cameras = [transformed_camera(view.camera, scale, np.full(3, shift)) for view in tiny.train]
+        assert canonical_space(cameras).is_identity == expected
 
 
-def test_it_says_what_it_does_in_one_line() -> None:
-    frame = Canonical((1e4, 0.0, -2.5), 0.001, 1.7e9, 1 / 3)
-    assert str(frame) == "x → (x - (10000, 0, -2.5)) × 0.001, t → (t - 1700000000) × 0.333333"
-    assert str(replace(frame, centre=(0.0, 0.0, 0.0), scale=1.0)) == "t → (t - 1700000000) × 0.333333"
-    assert str(replace(frame, time_origin=0.0, time_scale=1.0)) == "x → (x - (10000, 0, -2.5)) × 0.001"
-    assert frame.described()["centre"] == (1e4, 0.0, -2.5) and "canonical t" in frame.described()["meaning"]
+def test_str_and_to_dict() -> None:
+    transform = Canonical((1e4, 0.0, -2.5), 0.001, 1.7e9, 1 / 3)
+    assert str(transform) == "x → (x - (10000, 0, -2.5)) × 0.001, t → (t - 1700000000) × 0.333333"
+    assert str(replace(transform, centre=(0.0, 0.0, 0.0), scale=1.0)) == "t → (t - 1700000000) × 0.333333"
+    assert str(replace(transform, time_origin=0.0, time_scale=1.0)) == "x → (x - (10000, 0, -2.5)) × 0.001"
+    assert transform.to_dict()["centre"] == (1e4, 0.0, -2.5) and "canonical t" in transform.to_dict()["meaning"]

@@ -1,4 +1,4 @@
-"""The D-NeRF reader: pixels, cameras and times against values worked out by hand, and every bad input."""
+"""The D-NeRF reader: pixels, cameras and times against hand-computed values, and every kind of invalid input."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dnerf_folder import ANGLE_X, SIZE, edit, pose, read, write_folder, write_json, write_split
+from dnerf_folder import ANGLE_X, SIZE, blender_pose, edit, read, write_folder, write_json, write_split
 from PIL import Image
 
 from datasets.composition import compose
-from datasets.scene import SceneError
+from datasets.files.errors import SceneError
 
 
 @pytest.fixture
@@ -20,71 +20,71 @@ def folder(tmp_path: Path) -> Path:
     return write_folder(tmp_path)
 
 
-# --- pixels ---------------------------------------------------------------------------------------------------------
+# --- pixels -----------------------------------------------------------------------------------------------------------
 
 
-def test_alpha_is_applied_exactly_once() -> None:
+def test_alpha_is_applied_once() -> None:
     rgba = np.full((1, 1, 4), (200, 100, 0, 128), dtype=np.uint8)
     # 200 · 128/255 = 100.4 and 100 · 128/255 = 50.2; white adds 255 - 128 = 127. Twice would give 50 over black.
     assert compose(rgba, (0.0, 0.0, 0.0)).tolist() == [[[100, 50, 0]]]
     assert compose(rgba, (1.0, 1.0, 1.0)).tolist() == [[[227, 177, 127]]]
 
 
-def test_colour_under_transparent_pixels_does_not_leak_into_edges() -> None:
+def test_colour_of_transparent_pixels_is_ignored() -> None:
     rgba = np.zeros((2, 2, 4), dtype=np.uint8)
-    rgba[..., :3] = 255  # white everywhere, …
-    rgba[0, 0] = (255, 0, 0, 255)  # … but only one red pixel is opaque
+    rgba[..., :3] = 255  # white everywhere
+    rgba[0, 0] = (255, 0, 0, 255)  # only one pixel is opaque: red
     assert compose(rgba, (0.0, 0.0, 0.0), 2).tolist() == [[[64, 0, 0]]]  # 255 / 4 = 63.75
 
 
 @pytest.mark.parametrize("background", [(0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (0.2, 0.5, 0.9)])
-def test_half_resolution_is_the_mean_of_premultiplied_colour_and_alpha(background: tuple) -> None:
+def test_downscale_averages_premultiplied_colour_and_alpha(background: tuple) -> None:
     rgba = np.random.default_rng(0).integers(0, 256, (SIZE, SIZE, 4), dtype=np.uint8)
     straight, alpha = rgba[..., :3] / 255, rgba[..., 3:] / 255
     blocks = [values.reshape(SIZE // 2, 2, SIZE // 2, 2, -1).mean(axis=(1, 3)) for values in (straight * alpha, alpha)]
     expected = 255 * (blocks[0] + np.array(background) * (1 - blocks[1]))
-    # Rounded once: half a grey level, and float32 noise.
+    # Rounded once: half a level, and float32 rounding.
     np.testing.assert_allclose(compose(rgba, background, 2), expected, atol=0.5 + 1e-3)
 
 
-def test_pixels_that_fill_no_block_are_left_out_and_the_camera_knows(folder: Path) -> None:
+def test_incomplete_blocks_are_cropped_from_image_and_camera(folder: Path) -> None:
     scene = read(folder, downscale=3)  # 8 = 2 · 3 + 2
     camera = scene.train[0].camera
     assert scene.train[0].image.shape == (2, 2, 3) and (camera.width, camera.height) == (2, 2)
-    assert (camera.cx, camera.cy) == pytest.approx((SIZE / 2 / 3, SIZE / 2 / 3))  # not the middle of what is left
+    assert (camera.cx, camera.cy) == pytest.approx((SIZE / 2 / 3, SIZE / 2 / 3))  # not the centre of the cropped image
     assert camera.fx == pytest.approx(0.5 * SIZE / math.tan(0.5 * ANGLE_X) / 3)
     rgba = np.asarray(Image.open(folder / "train" / "r_0.png"))[:3, :3] / 255
     expected = 255 * (rgba[..., :3] * rgba[..., 3:]).mean(axis=(0, 1))
     np.testing.assert_allclose(scene.train[0].image[0, 0], expected, atol=0.501)  # rounded once
 
 
-def test_an_image_smaller_than_the_downscale_is_refused(folder: Path) -> None:
+def test_image_smaller_than_downscale_is_refused(folder: Path) -> None:
     with pytest.raises(SceneError, match="at least 16 pixels a side .* found 8 x 8"):
         read(folder, downscale=16)
 
 
-def test_an_image_without_alpha_is_opaque(folder: Path) -> None:
+def test_image_without_alpha_is_opaque(folder: Path) -> None:
     Image.fromarray(np.full((SIZE, SIZE, 3), 77, dtype=np.uint8)).save(folder / "train" / "r_1.png")
     assert (read(folder, background=(1.0, 1.0, 1.0)).train[1].image == 77).all()
 
 
-# --- cameras, times, splits -----------------------------------------------------------------------------------------
+# --- cameras, times, splits -------------------------------------------------------------------------------------------
 
 
-def test_cameras_are_the_files_at_half_resolution(folder: Path) -> None:
+def test_cameras_at_half_resolution(folder: Path) -> None:
     scene = read(folder)
     camera = scene.train[2].camera
     focal = 0.5 * (SIZE / 2) / math.tan(0.5 * ANGLE_X)
     assert (camera.width, camera.height, camera.cx, camera.cy) == (SIZE // 2, SIZE // 2, SIZE / 4, SIZE / 4)
     assert camera.fx == pytest.approx(focal, rel=1e-12) and camera.fy == pytest.approx(focal, rel=1e-12)
     np.testing.assert_allclose(camera.position, [2.0, 0.0, 4.0], atol=1e-12)
-    # The world's origin lies 4 ahead and 2 to the left; what is above it is up, that is at smaller y.
+    # The world's origin lies 4 in front and 2 to the left; world y points up, towards smaller image y.
     np.testing.assert_allclose(camera.world_to_cam @ [0.0, 0.0, 0.0, 1.0], [-2.0, 0.0, 4.0, 1.0], atol=1e-12)
     np.testing.assert_allclose(camera.world_to_cam @ [0.0, 1.0, 0.0, 1.0], [-2.0, -1.0, 4.0, 1.0], atol=1e-12)
     assert scene.extent == pytest.approx(1.1 * 1.0, rel=1e-12)
 
 
-def test_times_and_names(folder: Path) -> None:
+def test_times_and_view_names(folder: Path) -> None:
     scene = read(folder)
     assert [view.time for view in scene.train] == [0.0, 0.5, 1.0]
     assert [view.name for view in scene.train + scene.test] == [
@@ -97,45 +97,45 @@ def test_times_and_names(folder: Path) -> None:
     assert (scene.time_start, scene.duration, scene.is_static) == (0.0, 1.0, False)
 
 
-def test_val_can_be_held_out_and_then_test_is_not_needed(folder: Path) -> None:
+def test_val_as_the_held_out_split(folder: Path) -> None:
     (folder / "transforms_test.json").unlink()
     assert [view.name for view in read(folder, test_split="val").test] == ["val/r_0", "val/r_1"]
 
 
-def test_file_names_may_end_in_png(folder: Path) -> None:
+def test_file_path_with_suffix(folder: Path) -> None:
     before = read(folder)
-    edit(folder, lambda content: [frame.update(file_path=frame["file_path"] + ".png") for frame in content["frames"]])
+    edit(folder, lambda content: [entry.update(file_path=entry["file_path"] + ".png") for entry in content["frames"]])
     after = read(folder)
     assert [view.name for view in after.train] == [view.name for view in before.train]
     assert all((a.image == b.image).all() for a, b in zip(after.train, before.train))
 
 
 @pytest.mark.parametrize(("step", "start"), [(149.0, 0.0), (5000.0, -200.0), (5.0, 1.7e9), (0.4, 0.1), (1.0, 3.0)])
-def test_times_in_another_unit_keep_it_and_say_how_long_the_scene_is(folder: Path, step: float, start: float) -> None:
+def test_times_in_other_units_set_start_and_duration(folder: Path, step: float, start: float) -> None:
     for split in ("train", "test"):
-        edit(folder, lambda c: [f.update(time=start + step * f["time"]) for f in c["frames"]], split)
+        edit(folder, lambda c: [e.update(time=start + step * e["time"]) for e in c["frames"]], split)
     scene = read(folder)
     assert [view.time for view in scene.train] == [start, start + 0.5 * step, start + step]
     assert (scene.time_start, scene.duration) == (start, pytest.approx(step)) and not scene.is_static
 
 
-def test_times_in_most_of_the_unit_interval_are_the_layouts_own(folder: Path) -> None:
+def test_times_over_most_of_the_unit_interval_keep_duration_1(folder: Path) -> None:
     for split in ("train", "test"):
-        edit(folder, lambda c: [f.update(time=0.2 + 0.6 * f["time"]) for f in c["frames"]], split)
+        edit(folder, lambda c: [e.update(time=0.2 + 0.6 * e["time"]) for e in c["frames"]], split)
     assert (read(folder).time_start, read(folder).duration) == (0.0, 1.0)
 
 
-def test_without_any_time_the_scene_is_static(tmp_path: Path) -> None:
+def test_scene_without_times_is_static(tmp_path: Path) -> None:
     for split in ("train", "test"):
         write_split(tmp_path, split, 2, timed=False)
     scene = read(tmp_path)
     assert scene.is_static and {view.time for view in scene.train + scene.test} == {0.0}
 
 
-# --- bad input ---------------------------------------------------------------------------------------------
+# --- invalid input ----------------------------------------------------------------------------------------------------
 
 
-def frame(content: dict, **changes: object) -> None:
+def entry(content: dict, **changes: object) -> None:
     content["frames"][1].update(changes)
 
 
@@ -159,7 +159,7 @@ def transforms(change: Callable[[dict], None]) -> Callable[[Path], None]:
     return lambda folder: edit(folder, change)
 
 
-BAD_INPUT: dict[str, tuple[Callable[[Path], object], str]] = {
+INVALID_INPUT: dict[str, tuple[Callable[[Path], object], str]] = {
     "json missing": (lambda f: (f / "transforms_test.json").unlink(), r"transforms_test\.json: expected a file"),
     "json invalid": (
         lambda f: (f / "transforms_train.json").write_text('{"frames": ['),
@@ -184,10 +184,10 @@ BAD_INPUT: dict[str, tuple[Callable[[Path], object], str]] = {
         "frames: expected .* at least one frame, found an empty",
     ),
     "frames not a list": (transforms(lambda c: c.update(frames={})), "frames: expected a list .* found dict"),
-    "frame not an object": (transforms(lambda c: c.update(frames=[3])), r"frames\[0\]: expected an object, found int"),
+    "entry not an object": (transforms(lambda c: c.update(frames=[3])), r"frames\[0\]: expected an object, found int"),
     "no file_path": (transforms(drop("file_path")), r"frames\[1\]: expected the key file_path"),
     "no pose": (transforms(drop("transform_matrix")), r"frames\[1\]: expected the key transform_matrix"),
-    "file_path empty": (transforms(lambda c: frame(c, file_path="")), "file_path: expected a file name, found ''"),
+    "file_path empty": (transforms(lambda c: entry(c, file_path="")), "file_path: expected a file name, found ''"),
     "image missing": (
         lambda f: (f / "train" / "r_1.png").unlink(),
         r"r_1: expected an image, named by .*frames\[1\], found no such file, nor with \.png, ",
@@ -212,50 +212,50 @@ BAD_INPUT: dict[str, tuple[Callable[[Path], object], str]] = {
         r"4 x 4 numbers, found shape \(3, 4\)",
     ),
     "pose ragged": (transforms(lambda c: c["frames"][1]["transform_matrix"][0].pop()), "4 x 4 numbers, found ragged"),
-    "pose of words": (transforms(lambda c: frame(c, transform_matrix="identity")), "4 x 4 numbers, found"),
+    "pose a string": (transforms(lambda c: entry(c, transform_matrix="identity")), "4 x 4 numbers, found"),
     "pose scaled": (transforms(with_pose(0, 0, 1.2)), r"a rigid pose .* up to 0\.44"),
     "pose mirrored": (transforms(with_pose(0, 0, -1.0)), "a rigid pose .* det R -1"),
     "pose projective": (transforms(with_pose(3, 0, 0.5)), r"a rigid pose .* last row \[0.5"),
-    "time of another clock": (
-        transforms(lambda c: frame(c, time=1.7e9 + 0.25)),
+    "time in another unit": (
+        transforms(lambda c: entry(c, time=1.7e9 + 0.25)),
         r"train/r_1: expected a time in \[0, 1\], as the other frames have, found 1700000000\.25",
     ),
     "time after the end": (
-        transforms(lambda c: frame(c, time=1.5)),
+        transforms(lambda c: entry(c, time=1.5)),
         r"train/r_1: expected a time in \[0, 1\].* found 1.5",
     ),
-    "time far before": (transforms(lambda c: frame(c, time=-20.0)), r"train/r_1: .* found -20"),
+    "time far before": (transforms(lambda c: entry(c, time=-20.0)), r"train/r_1: .* found -20"),
     "time infinite": (
-        transforms(lambda c: frame(c, time=float("inf"))),
+        transforms(lambda c: entry(c, time=float("inf"))),
         r"frames\[1\]: time: expected a finite time, found inf",
     ),
-    "time NaN": (transforms(lambda c: frame(c, time=float("nan"))), "time: expected a finite time, found nan"),
-    "time null": (transforms(lambda c: frame(c, time=None)), "time: expected a number, found None"),
-    "time in some frames only": (transforms(drop("time")), "train/r_1: expected a time in every frame or in none"),
+    "time NaN": (transforms(lambda c: entry(c, time=float("nan"))), "time: expected a finite time, found nan"),
+    "time null": (transforms(lambda c: entry(c, time=None)), "time: expected a number, found None"),
+    "time in some entries only": (transforms(drop("time")), "train/r_1: expected a time in every frame or in none"),
     "time in train only": (
         lambda f: edit(f, lambda c: [x.pop("time") for x in c["frames"]], "test"),
         "in 2 of 5 frames",
     ),
     "one camera position": (
-        transforms(lambda c: [x.update(transform_matrix=pose(0.0)) for x in c["frames"]]),
+        transforms(lambda c: [x.update(transform_matrix=blender_pose(0.0)) for x in c["frames"]]),
         "two places or more .* found 3 at one place",
     ),
-    "the same frame twice": (transforms(lambda c: frame(c, file_path="./train/r_0")), "train/r_0 twice"),
+    "the same image twice": (transforms(lambda c: entry(c, file_path="./train/r_0")), "train/r_0 twice"),
 }
 
 
-@pytest.mark.parametrize("case", BAD_INPUT)
-def test_bad_input_is_refused_with_one_line(folder: Path, case: str) -> None:
-    damage, message = BAD_INPUT[case]
+@pytest.mark.parametrize("case", INVALID_INPUT)
+def test_invalid_input_is_refused_in_one_line(folder: Path, case: str) -> None:
+    damage, message = INVALID_INPUT[case]
     damage(folder)
     with pytest.raises(SceneError, match=message) as caught:
         read(folder)
     assert "\n" not in str(caught.value)
-    assert str(folder) in str(caught.value)  # the file is named in full
+    assert str(folder) in str(caught.value)  # the message has the full path
 
 
 @pytest.mark.parametrize(("make", "found"), [(lambda p: None, "nothing there"), (lambda p: p.write_text(""), "a file")])
-def test_the_path_must_be_a_folder(tmp_path: Path, make: Callable[[Path], object], found: str) -> None:
+def test_path_must_be_a_folder(tmp_path: Path, make: Callable[[Path], object], found: str) -> None:
     make(tmp_path / "scene")
     with pytest.raises(SceneError, match=f"expected a folder in the D-NeRF layout, found {found}"):
         read(tmp_path / "scene")

@@ -1,4 +1,4 @@
-"""The D-NeRF reader on what converters write: images without alpha, a split too few, other endings of files."""
+"""The D-NeRF reader on the output of converters: images without alpha, missing splits, other file suffixes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from dnerf_folder import SIZE, read, write_folder
 from PIL import Image
 
-from datasets.scene import SceneError
+from datasets.files.errors import SceneError
 
 
 @pytest.fixture
@@ -17,11 +17,11 @@ def folder(tmp_path: Path) -> Path:
     return write_folder(tmp_path)
 
 
-# --- the background of images without alpha ------------------------------------------------------------------------
+# --- the background of images without alpha ---------------------------------------------------------------------------
 
 
-def opaque_disc(root: Path, border: int, inside: int = 60) -> Path:
-    """Every image RGB: one level all over, a smaller square of another in it that reaches the lower edge."""
+def write_opaque_images(root: Path, border: int, inside: int = 60) -> Path:
+    """Makes all images RGB of level `border`, with a square of level `inside` at the lower edge."""
     for split in ("train", "test"):
         for path in (root / split).iterdir():
             image = np.full((SIZE, SIZE, 3), border, np.uint8)
@@ -30,36 +30,36 @@ def opaque_disc(root: Path, border: int, inside: int = 60) -> Path:
     return root
 
 
-def test_the_background_of_opaque_images_is_the_colour_of_their_borders(folder: Path) -> None:
-    told: list[str] = []
-    scene = read(opaque_disc(folder, 255), background=None, downscale=1, log=told.append)
+def test_background_of_opaque_images_is_their_border_colour(folder: Path) -> None:
+    logged: list[str] = []
+    scene = read(write_opaque_images(folder, 255), background=None, downscale=1, log=logged.append)
     assert scene.background == (1.0, 1.0, 1.0)
-    assert told == ["scene.background: white, the colour of the images' borders; scene.background=black overrides"]
-    assert read(opaque_disc(folder, 253), background=None, downscale=1).background == (1.0, 1.0, 1.0)
-    assert read(opaque_disc(folder, 3), background=None, downscale=1).background == (0.0, 0.0, 0.0)
-    assert read(opaque_disc(folder, 102), background=None, downscale=1).background == (0.4, 0.4, 0.4)
+    assert logged == ["scene.background: white, the border colour of the images; scene.background=black overrides"]
+    assert read(write_opaque_images(folder, 253), background=None, downscale=1).background == (1.0, 1.0, 1.0)
+    assert read(write_opaque_images(folder, 3), background=None, downscale=1).background == (0.0, 0.0, 0.0)
+    assert read(write_opaque_images(folder, 102), background=None, downscale=1).background == (0.4, 0.4, 0.4)
 
 
-def test_a_background_that_is_asked_for_stays_and_is_remarked_on(folder: Path) -> None:
-    told: list[str] = []
-    scene = read(opaque_disc(folder, 255), background=(0.0, 0.0, 0.0), downscale=1, log=told.append)
+def test_background_setting_overrides_the_border_colour(folder: Path) -> None:
+    logged: list[str] = []
+    scene = read(write_opaque_images(folder, 255), background=(0.0, 0.0, 0.0), downscale=1, log=logged.append)
     assert scene.background == (0.0, 0.0, 0.0)
-    assert told == ["scene.background: black, as asked for, though the images' borders are white"]
+    assert logged == ["scene.background: black as set, but the images' borders are white"]
 
 
-def test_images_with_alpha_and_photographs_stay_over_black(folder: Path) -> None:
-    told: list[str] = []
-    assert read(folder, background=None, log=told.append).background == (0.0, 0.0, 0.0)  # random, with alpha
+def test_background_of_alpha_images_and_photographs_is_black(folder: Path) -> None:
+    logged: list[str] = []
+    assert read(folder, background=None, log=logged.append).background == (0.0, 0.0, 0.0)  # random, with alpha
     for path in (folder / "train").iterdir():
-        Image.open(path).convert("RGB").save(path)  # random, opaque: borders of many colours
-    assert read(folder, background=None, log=told.append).background == (0.0, 0.0, 0.0)
-    assert told == []
+        Image.open(path).convert("RGB").save(path)  # random, opaque: no common border colour
+    assert read(folder, background=None, log=logged.append).background == (0.0, 0.0, 0.0)
+    assert logged == []
 
 
-# --- layouts that converters write ----------------------------------------------------------------------------------
+# --- other layouts ----------------------------------------------------------------------------------------------------
 
 
-def test_a_missing_split_says_what_makes_do_without_it(folder: Path) -> None:
+def test_message_about_a_missing_split_suggests_settings(folder: Path) -> None:
     (folder / "transforms_test.json").unlink()
     with pytest.raises(
         SceneError,
@@ -75,7 +75,7 @@ def test_a_missing_split_says_what_makes_do_without_it(folder: Path) -> None:
     assert (len(scene.train), scene.test) == (3, ())
 
 
-def test_a_single_transforms_file_is_the_training_split(folder: Path) -> None:
+def test_single_transforms_file_is_the_training_split(folder: Path) -> None:
     expected = read(folder, test_split=None)
     (folder / "transforms_train.json").rename(folder / "transforms.json")
     found = read(folder, test_split=None)
@@ -85,9 +85,9 @@ def test_a_single_transforms_file_is_the_training_split(folder: Path) -> None:
         read(folder)
 
 
-@pytest.mark.parametrize("ending", ["jpg", "jpeg", "JPG", "PNG"])
-def test_other_endings_may_be_left_out_too(folder: Path, ending: str) -> None:
+@pytest.mark.parametrize("suffix", ["jpg", "jpeg", "JPG", "PNG"])
+def test_file_path_without_suffix(folder: Path, suffix: str) -> None:
     for path in list((folder / "train").iterdir()):
-        Image.open(path).convert("RGB").save(path.with_suffix(f".{ending}"))
+        Image.open(path).convert("RGB").save(path.with_suffix(f".{suffix}"))
         path.unlink()
     assert [view.name for view in read(folder).train] == ["train/r_0", "train/r_1", "train/r_2"]

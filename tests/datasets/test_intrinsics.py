@@ -1,4 +1,4 @@
-"""Intrinsics of transforms files: every key that converters write counts, or the file is refused."""
+"""Intrinsics of transforms files: every key of converters is used, or the file is refused."""
 
 from __future__ import annotations
 
@@ -8,30 +8,27 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from dnerf_folder import blender_pose
 from PIL import Image
 
 from datasets.dnerf import read_dnerf
-from datasets.scene import SceneError
+from datasets.files.errors import SceneError
 
 WIDTH, HEIGHT = 64, 48
 FX, FY, CX, CY = 70.0, 72.0, 30.0, 26.0
 LENS = {"k1": -0.4, "k2": 0.05, "p1": 0.01, "p2": -0.005}
 
 
-def pose(x: float) -> list[list[float]]:
-    """Camera-to-world, Blender axes: stands at (x, 0, 4), looks along -z."""
-    return [[1.0, 0.0, 0.0, x], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 4.0], [0.0, 0.0, 0.0, 1.0]]
-
-
-def write(root: Path, intrinsics: dict, image: np.ndarray | None = None, **of_second_frame: float) -> Path:
+def write(root: Path, intrinsics: dict, image: np.ndarray | None = None, **of_second_entry: float) -> Path:
     """Two splits of two opaque images."""
     image = np.full((HEIGHT, WIDTH, 3), 90, np.uint8) if image is None else image
     for split in ("train", "test"):
         (root / split).mkdir(parents=True, exist_ok=True)
         frames = [
-            {"file_path": f"./{split}/r_{i}", "time": float(i), "transform_matrix": pose(float(i))} for i in range(2)
+            {"file_path": f"./{split}/r_{i}", "time": float(i), "transform_matrix": blender_pose(float(i))}
+            for i in range(2)
         ]
-        frames[1].update(of_second_frame)
+        frames[1].update(of_second_entry)
         for i in range(2):
             Image.fromarray(image).save(root / split / f"r_{i}.png")
         (root / f"transforms_{split}.json").write_text(json.dumps({**intrinsics, "frames": frames}))
@@ -42,7 +39,7 @@ def read(root: Path, **options: object):
     return read_dnerf(root, name="toy", **{"downscale": 1, **options})
 
 
-def test_pixels_are_read_beside_the_angle(tmp_path: Path) -> None:
+def test_pixel_intrinsics_override_the_centred_default(tmp_path: Path) -> None:
     angle = 2 * math.atan(WIDTH / (2 * FX))
     write(tmp_path, {"camera_angle_x": angle, "fl_x": FX, "fl_y": FY, "cx": CX, "cy": CY, "w": WIDTH, "h": HEIGHT})
     camera = read(tmp_path).train[0].camera
@@ -51,16 +48,16 @@ def test_pixels_are_read_beside_the_angle(tmp_path: Path) -> None:
     assert (half.fx, half.fy, half.cx, half.cy) == (FX / 2, FY / 2, CX / 2, CY / 2)
 
 
-def test_a_point_falls_where_the_intrinsics_say(tmp_path: Path) -> None:
+def test_projection_of_a_point(tmp_path: Path) -> None:
     write(tmp_path, {"fl_x": FX, "fl_y": FY, "cx": CX, "cy": CY})
     camera = read(tmp_path).test[1].camera  # at (1, 0, 4)
-    x, y, z, _ = camera.world_to_cam @ [1.5, 0.25, 1.0, 1.0]  # half a unit right of it, a quarter up, 3 ahead
+    x, y, z, _ = camera.world_to_cam @ [1.5, 0.25, 1.0, 1.0]  # offset 0.5 right, 0.25 up, 3 in front
     assert (camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy) == pytest.approx(
         (FX * 0.5 / 3 + CX, -FY * 0.25 / 3 + CY)
     )
 
 
-def test_what_is_missing_is_what_a_renderer_means(tmp_path: Path) -> None:
+def test_defaults_of_missing_keys(tmp_path: Path) -> None:
     write(tmp_path, {"camera_angle_x": 0.7, "camera_angle_y": 0.5, "cx": CX})
     camera = read(tmp_path).train[0].camera
     assert camera.fx == pytest.approx(0.5 * WIDTH / math.tan(0.35))
@@ -71,7 +68,7 @@ def test_what_is_missing_is_what_a_renderer_means(tmp_path: Path) -> None:
     assert (camera.fx, camera.fy, camera.cx, camera.cy) == (FX, FX, WIDTH / 2, HEIGHT / 2)
 
 
-def test_a_frames_own_intrinsics_go_before_the_files(tmp_path: Path) -> None:
+def test_intrinsics_of_an_entry_override_the_files(tmp_path: Path) -> None:
     write(tmp_path, {"camera_angle_x": 0.7}, fl_x=FX, cy=CY)
     first, second = (view.camera for view in read(tmp_path).train)
     assert (first.fx, first.cy) == (pytest.approx(0.5 * WIDTH / math.tan(0.35)), HEIGHT / 2)
@@ -85,8 +82,10 @@ def test_intrinsics_of_a_larger_image_are_scaled(tmp_path: Path) -> None:
 
 
 def distorted_positions() -> np.ndarray:
-    """(H, W, 2) where in a pinhole's image each pixel of the distorted one looks: x_d = x (1 + k1 r² + k2 r⁴) + 2 p1 x y
-    + p2 (r² + 2 x²), likewise y_d, solved for x, y by fixed-point iteration (a contraction for so weak a lens)."""
+    """(H, W, 2) position in the pinhole image of each pixel of the distorted image.
+
+    Solves x_d = x (1 + k1 r² + k2 r⁴) + 2 p1 x y + p2 (r² + 2 x²), and likewise y_d, by fixed-point iteration.
+    """
     columns, rows = np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5)
     xd, yd = (columns - CX) / FX, (rows - CY) / FY
     x, y = xd.copy(), yd.copy()
@@ -100,26 +99,26 @@ def distorted_positions() -> np.ndarray:
 
 
 def gradient(positions: np.ndarray) -> np.ndarray:
-    """A smooth picture (H, W, 3) at pixel positions (H, W, 2): two ramps, so that each pixel says where it comes from."""
+    """An image (H, W, 3) of two ramps at pixel positions (H, W, 2): values encode positions."""
     values = np.stack([2 * positions[..., 0] + 50, 3 * positions[..., 1] + 50, np.full(positions.shape[:2], 128)], -1)
     return np.clip(np.rint(values), 0, 255).astype(np.uint8)
 
 
-def test_a_distorted_lens_is_straightened(tmp_path: Path) -> None:
-    bent = gradient(distorted_positions())
-    write(tmp_path, {"fl_x": FX, "fl_y": FY, "cx": CX, "cy": CY, **LENS, "camera_model": "OPENCV"}, bent)
-    straight = np.asarray(read(tmp_path).train[0].image).astype(float)
+def test_distorted_image_is_undistorted(tmp_path: Path) -> None:
+    distorted = gradient(distorted_positions())
+    write(tmp_path, {"fl_x": FX, "fl_y": FY, "cx": CX, "cy": CY, **LENS, "camera_model": "OPENCV"}, distorted)
+    undistorted = np.asarray(read(tmp_path).train[0].image).astype(float)
     columns, rows = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
     truth = gradient(np.stack([columns, rows], axis=-1).astype(float)).astype(float)
-    inner = np.s_[8:-8, 8:-8]  # nearer to the edge the straight image reaches beyond what was seen
+    inner = np.s_[8:-8, 8:-8]  # outside, the undistorted image shows pixels beyond the original border
     # Two roundings to levels and OpenCV's 1/32 pixel: 0.5 + 0.5 + 3/32 levels.
-    assert np.abs(straight - truth)[inner].max() <= 2
-    assert np.abs(bent.astype(float) - truth)[inner].max() > 4, "without straightening it shows"
+    assert np.abs(undistorted - truth)[inner].max() <= 2
+    assert np.abs(distorted.astype(float) - truth)[inner].max() > 4, "the distortion must be visible"
 
 
-def test_transparent_colour_does_not_leak_into_a_straightened_image(tmp_path: Path) -> None:
+def test_undistortion_ignores_colour_of_transparent_pixels(tmp_path: Path) -> None:
     rgba = np.zeros((HEIGHT, WIDTH, 4), np.uint8)
-    rgba[..., 1] = 255  # green under what is transparent
+    rgba[..., 1] = 255  # green in transparent pixels
     rgba[12:36, 16:48] = (200, 0, 0, 255)
     write(tmp_path, {"fl_x": FX, "fl_y": FY, **LENS}, rgba)
     image = np.asarray(read(tmp_path).train[0].image)
@@ -129,10 +128,7 @@ def test_transparent_colour_does_not_leak_into_a_straightened_image(tmp_path: Pa
 @pytest.mark.parametrize(
     ("intrinsics", "message"),
     [
-        (
-            {"camera_angle_x": 0.7, "fl_x": 2 * FX},
-            r"fl_x: expected the focal length that camera_angle_x says too, 87\.6",
-        ),
+        ({"camera_angle_x": 0.7, "fl_x": 2 * FX}, r"fl_x: expected the focal length of camera_angle_x, 87\.6"),
         ({"fl_x": FX, "camera_model": "OPENCV_FISHEYE"}, "camera_model: expected PINHOLE, .* found 'OPENCV_FISHEYE'"),
         ({"fl_x": FX, "is_fisheye": True}, "camera_model: expected PINHOLE, .* found a fisheye"),
         ({"fl_x": FX, "k4": 0.1}, r"k4: expected 0: .* undistort the images first .* found 0\.1"),
@@ -142,7 +138,7 @@ def test_transparent_colour_does_not_leak_into_a_straightened_image(tmp_path: Pa
         ({"fl_y": FY}, "expected the key camera_angle_x, or fl_x, found only"),
     ],
 )
-def test_what_cannot_be_read_is_refused_in_one_line(tmp_path: Path, intrinsics: dict, message: str) -> None:
+def test_invalid_intrinsics_are_refused_in_one_line(tmp_path: Path, intrinsics: dict, message: str) -> None:
     with pytest.raises(SceneError, match=message) as caught:
         read(write(tmp_path, intrinsics))
     assert "\n" not in str(caught.value) and "transforms_train.json" in str(caught.value)

@@ -1,4 +1,4 @@
-"""Decoding into the store: once, resumable, one process at a time, never onto a full disk; lenses straightened."""
+"""Decoding into the store: caching, resuming, locking, full disks, display, undistortion."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
-from plenoptic_folder import FRAMES, write_camera, write_folder
+from plenoptic_folder import FRAMES, write_camera
 from rich.console import Console
 
 from datasets import Scene, SceneError
@@ -32,19 +32,14 @@ from datasets.plenoptic.videos import Video
 from rasterizer.camera import Camera
 
 
-@pytest.fixture(scope="session")
-def filmed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_folder(tmp_path_factory.mktemp("filmed"))
-
-
 @pytest.fixture
-def folder(filmed: Path, tmp_path: Path) -> Path:
-    return shutil.copytree(filmed, tmp_path / "scene")
+def folder(video_folder: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(video_folder, tmp_path / "scene")
 
 
 def read(folder: Path, cache: str = "cache", **options: object) -> Scene:
-    given = dict(name="plenoptic/toy", cache=folder.parent / cache, threads=1, log=lambda text: None)
-    return read_plenoptic(folder, **{**given, **options})
+    defaults = dict(name="plenoptic/toy", cache=folder.parent / cache, threads=1, log=lambda text: None)
+    return read_plenoptic(folder, **{**defaults, **options})
 
 
 def pixels(scene: Scene) -> np.ndarray:
@@ -56,24 +51,26 @@ def store_of(folder: Path, cache: str = "cache") -> Path:
     return store
 
 
-def written(store: Path) -> dict[str, int]:
+def modification_times(store: Path) -> dict[str, int]:
     return {path.name: path.stat().st_mtime_ns for path in store.glob("cam*")}
 
 
-# --- once -----------------------------------------------------------------------------------------------------------
+# --- caching ----------------------------------------------------------------------------------------------------------
 
 
-def test_the_second_time_nothing_is_decoded(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_second_read_decodes_nothing(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     first = pixels(read(folder))
-    monkeypatch.setattr(Video, "read", None)  # whoever decodes now fails
+    monkeypatch.setattr(Video, "read", None)  # decoding would fail
     assert np.array_equal(pixels(read(folder)), first)
     assert store_of(folder).name.startswith("plenoptic_toy-")
 
 
-def test_a_copied_data_set_finds_its_frames_and_other_content_does_not(folder: Path) -> None:
+def test_store_depends_on_content_not_on_path(folder: Path) -> None:
     read(folder)
     store = store_of(folder)
-    copy = Path(shutil.copytree(folder, folder.parent / "copy", copy_function=shutil.copyfile))  # with new dates
+    copy = Path(
+        shutil.copytree(folder, folder.parent / "copy", copy_function=shutil.copyfile)
+    )  # with new modification times
     read(copy)
     assert [store] == list((folder.parent / "cache").iterdir())
     write_camera(copy / "cam02.mp4", 7)
@@ -82,20 +79,20 @@ def test_a_copied_data_set_finds_its_frames_and_other_content_does_not(folder: P
 
 
 @pytest.mark.parametrize("option", [{"downscale": 4}, {"first_frame": 1}, {"frames": FRAMES - 1}, {"name": "other"}])
-def test_what_frames_follow_from_names_the_store(folder: Path, option: dict) -> None:
+def test_store_depends_on_settings_of_frames(folder: Path, option: dict) -> None:
     read(folder)
     read(folder, **option)
     assert len(list((folder.parent / "cache").iterdir())) == 2
 
 
-def test_poses_and_splits_do_not_name_the_store(folder: Path) -> None:
+def test_store_does_not_depend_on_poses_and_splits(folder: Path) -> None:
     read(folder)
     np.save(folder / "poses_bounds.npy", np.load(folder / "poses_bounds.npy") * ([1] * 15 + [1.5, 2]))
     read(folder, test_cameras=[1])
-    store_of(folder)  # there is one
+    store_of(folder)  # exactly one
 
 
-def test_the_fingerprint_sees_both_ends_the_name_and_the_size(tmp_path: Path) -> None:
+def test_fingerprint_covers_name_size_and_both_ends(tmp_path: Path) -> None:
     path = tmp_path / "a"
     found = set()
     for content in (b"0123456789", b"x123456789", b"012345678x", b"01234x56789"):
@@ -107,7 +104,7 @@ def test_the_fingerprint_sees_both_ends_the_name_and_the_size(tmp_path: Path) ->
         fingerprint([tmp_path / "a"], 2)
 
 
-# --- interruptions --------------------------------------------------------------------------------------------------
+# --- interruptions ----------------------------------------------------------------------------------------------------
 
 KILLED = """
 import sys, time
@@ -125,7 +122,7 @@ read_plenoptic(sys.argv[1], name="plenoptic/toy", cache=sys.argv[2], threads=1, 
 """
 
 
-def test_a_killed_run_goes_on_where_it_stopped(folder: Path) -> None:
+def test_killed_run_is_resumed(folder: Path) -> None:
     process = subprocess.Popen(
         [sys.executable, "-c", KILLED, str(folder), str(folder.parent / "cache")], stdout=subprocess.PIPE, text=True
     )
@@ -135,71 +132,72 @@ def test_a_killed_run_goes_on_where_it_stopped(folder: Path) -> None:
     process.stdout.close()
     store = store_of(folder)
     assert (store / ".tmp-cam01.npy").exists() and not (store / "cam01.json").exists()
-    before = written(store)
+    before = modification_times(store)
     assert set(before) == {"cam00.npy", "cam00.json"}
     scene = read(folder)
-    assert {name: date for name, date in written(store).items() if name in before} == before
+    assert {name: date for name, date in modification_times(store).items() if name in before} == before
     assert not list(store.glob(".tmp-*"))
-    assert np.array_equal(pixels(scene), pixels(read(folder, "afresh")))
+    assert np.array_equal(pixels(scene), pixels(read(folder, "other_cache")))
 
 
-def test_an_error_stops_the_other_threads_and_keeps_what_is_finished(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    original, begun = Video.read, threading.Event()
+def test_an_error_stops_other_threads_and_keeps_finished_cameras(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    original, started = Video.read, threading.Event()
 
-    def read_badly(self: Video, *arguments: int) -> Iterator[np.ndarray]:
+    def failing_read(self: Video, *arguments: int) -> Iterator[np.ndarray]:
         if self.number == 1:
-            assert begun.wait(30)
-            raise SceneError(self.path, "a good day", "a bad one")
+            assert started.wait(30)
+            raise SceneError(self.path, "x", "y")
         for index, image in enumerate(original(self, *arguments)):
             if self.number == 2 and index == 1:
-                begun.set()
-                time.sleep(0.2)  # by then camera 1 has failed
+                started.set()
+                time.sleep(0.2)  # camera 1 fails meanwhile
             yield image
 
-    monkeypatch.setattr(Video, "read", read_badly)
-    with pytest.raises(SceneError, match="cam01.mp4: expected a good day, found a bad one"):
+    monkeypatch.setattr(Video, "read", failing_read)
+    with pytest.raises(SceneError, match="cam01.mp4: expected x, found y"):
         read(folder, threads=3)
     store = store_of(folder)
-    assert "cam02.npy" not in written(store) and not list(store.glob(".tmp-*"))
+    assert "cam02.npy" not in modification_times(store) and not list(store.glob(".tmp-*"))
     monkeypatch.setattr(Video, "read", original)
-    assert np.array_equal(pixels(read(folder)), pixels(read(folder, "afresh")))
+    assert np.array_equal(pixels(read(folder)), pixels(read(folder, "other_cache")))
 
 
-def test_a_store_that_lost_a_part_is_made_whole(folder: Path) -> None:
+def test_truncated_file_is_decoded_again(folder: Path) -> None:
     first = pixels(read(folder))
     store = store_of(folder)
     os.truncate(store / "cam01.npy", 1000)
-    before = written(store)
+    before = modification_times(store)
     assert np.array_equal(pixels(read(folder)), first)
-    assert {name for name, date in written(store).items() if date != before[name]} == {"cam01.npy", "cam01.json"}
+    assert {name for name, date in modification_times(store).items() if date != before[name]} == {
+        "cam01.npy",
+        "cam01.json",
+    }
 
 
-def test_a_second_process_waits_and_finds_the_work_done(folder: Path) -> None:
+def test_second_process_waits_for_the_lock(folder: Path) -> None:
     read(folder)
     store = store_of(folder)
     (store / "cam01.json").rename(folder.parent / "kept.json")
-    said = []
+    logged = []
     with open(store / ".lock", "w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        other = threading.Thread(target=lambda: read(folder, log=said.append))
+        other = threading.Thread(target=lambda: read(folder, log=logged.append))
         other.start()
         for _ in range(300):
-            if said:
+            if logged:
                 break
             time.sleep(0.02)
-        before = written(store)
-        (folder.parent / "kept.json").rename(store / "cam01.json")  # what the first process does in the meantime
+        before = modification_times(store)
+        (folder.parent / "kept.json").rename(store / "cam01.json")  # the result of the first process
     other.join(30)
-    assert said == [f"waiting for another process that decodes into {store}"]
-    assert {name: date for name, date in written(store).items() if name in before} == before
+    assert logged == [f"waiting for another process that decodes into {store}"]
+    assert {name: date for name, date in modification_times(store).items() if name in before} == before
 
 
-# --- room -----------------------------------------------------------------------------------------------------------
+# --- disk space -------------------------------------------------------------------------------------------------------
 
 
-def test_a_disk_without_room_is_found_before_decoding(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_full_disk_is_detected_before_decoding(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(decoding.shutil, "disk_usage", lambda path: SimpleNamespace(free=10_000))
     with pytest.raises(
         SceneError,
@@ -207,10 +205,10 @@ def test_a_disk_without_room_is_found_before_decoding(folder: Path, monkeypatch:
         r"0\.0 GB; scene\.cache=DIR puts them elsewhere",
     ) as caught:
         read(folder)
-    assert "\n" not in str(caught.value) and not written(store_of(folder))
+    assert "\n" not in str(caught.value) and not modification_times(store_of(folder))
 
 
-def test_the_room_asked_for_is_that_of_the_missing_cameras(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_required_space_is_that_of_missing_cameras(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     read(folder)
     for file in ("cam01.json", "cam02.json"):
         (store_of(folder) / file).unlink()
@@ -222,7 +220,7 @@ def test_the_room_asked_for_is_that_of_the_missing_cameras(folder: Path, monkeyp
     read(folder)
 
 
-def test_a_disk_that_fills_up_meanwhile_says_the_same(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_full_disk_while_decoding(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*arguments: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -231,35 +229,35 @@ def test_a_disk_that_fills_up_meanwhile_says_the_same(folder: Path, monkeypatch:
         read(folder)
 
 
-# --- what is shown --------------------------------------------------------------------------------------------------
+# --- display ----------------------------------------------------------------------------------------------------------
 
 
-def test_without_a_terminal_there_is_one_line_a_camera(folder: Path) -> None:
-    said = []
-    read(folder, log=said.append)
-    assert [line.split("  ")[0] for line in said] == [
+def test_one_line_per_camera_without_a_terminal(folder: Path) -> None:
+    logged = []
+    read(folder, log=logged.append)
+    assert [line.split("  ")[0] for line in logged] == [
         f"decoded {name}: {number} of 3 cameras" for number, name in enumerate(("cam00", "cam01", "cam02"), 1)
     ]
-    assert said[-1].endswith("0:00 left")
-    said.clear()
-    read(folder, log=said.append)
-    assert not said
+    assert logged[-1].endswith("0:00 left")
+    logged.clear()
+    read(folder, log=logged.append)
+    assert not logged
 
 
-def test_on_a_terminal_there_is_a_bar_and_no_line() -> None:
-    said, screen = [], StringIO()
+def test_progress_bar_on_a_terminal() -> None:
+    logged, screen = [], StringIO()
     console = Console(file=screen, force_terminal=True, width=80)
-    with DecodingDisplay(1, 2, said.append, console) as display:
+    with DecodingDisplay(1, 2, logged.append, console) as display:
         display.frame()
         display.frame()
         display.camera("cam00")
-    assert "2/2" in screen.getvalue() and "frames/s" in screen.getvalue() and not said
+    assert "2/2" in screen.getvalue() and "frames/s" in screen.getvalue() and not logged
 
 
-# --- lenses ---------------------------------------------------------------------------------------------------------
+# --- undistortion -----------------------------------------------------------------------------------------------------
 
 
-def test_a_straight_image_is_taken_from_where_the_lens_put_it() -> None:
+def test_undistortion_maps_follow_opencvs_model() -> None:
     camera = Camera(64, 48, 50.0, 55.0, 30.0, 25.0, np.eye(4))
     k1, k2, p1, p2 = -0.1, 0.02, 0.003, -0.004
     maps = Undistortion.of(camera, k1, k2, p1, p2).maps((64, 48))
@@ -267,12 +265,12 @@ def test_a_straight_image_is_taken_from_where_the_lens_put_it() -> None:
     x, y = (columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy
     r2 = x**2 + y**2
     radial = 1 + k1 * r2 + k2 * r2**2
-    bent_x = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x**2)
-    bent_y = y * radial + p1 * (r2 + 2 * y**2) + 2 * p2 * x * y
-    seen = np.dstack([bent_x * camera.fx + camera.cx, bent_y * camera.fy + camera.cy])
-    # An image whose values are its own coordinates shows where each pixel is taken from.
+    distorted_x = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x**2)
+    distorted_y = y * radial + p1 * (r2 + 2 * y**2) + 2 * p2 * x * y
+    expected = np.dstack([distorted_x * camera.fx + camera.cx, distorted_y * camera.fy + camera.cy])
+    # The values of this image are its coordinates.
     ramp = np.dstack([columns, rows]).astype(np.float32)
     found = cv2.remap(ramp, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    inside = (seen > 1).all(axis=-1) & (seen < [63, 47]).all(axis=-1)
+    inside = (expected > 1).all(axis=-1) & (expected < [63, 47]).all(axis=-1)
     assert inside.mean() > 0.8
-    np.testing.assert_allclose(found[inside], seen[inside], atol=1 / 32)  # OpenCV's fixed-point maps: 1/32 pixel
+    np.testing.assert_allclose(found[inside], expected[inside], atol=1 / 32)  # OpenCV's fixed-point maps: 1/32 pixel

@@ -1,4 +1,4 @@
-"""Videos without poses: which are taken, their first images, and the scene once cameras are known."""
+"""Videos without poses: which files are read, their first images, and the scene with given cameras."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from datasets.settings import SceneConfig
 from rasterizer.camera import Camera
 
 NAMES = ("GX 03.mov", "b.cam.mp4", "left.MKV", "right.avi")
-CODEC = 4  # see test_plenoptic.py
+CODEC = 4  # see test_plenoptic_videos.py
 
 
 @pytest.fixture(scope="session")
@@ -30,8 +30,8 @@ def filmed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def read(folder: Path, **options: object) -> Footage:
-    given = dict(name="video/toy", cache=folder.parent / "cache", downscale=2, threads=2, log=lambda text: None)
-    return read_footage(folder, **{**given, **options})
+    defaults = dict(name="video/toy", cache=folder.parent / "cache", downscale=2, threads=2, log=lambda text: None)
+    return read_footage(folder, **{**defaults, **options})
 
 
 def cameras(footage: Footage) -> dict[str, Camera]:
@@ -43,22 +43,22 @@ def cameras(footage: Footage) -> dict[str, Camera]:
     return made
 
 
-def test_any_videos_are_taken_in_the_order_of_their_names(filmed: Path) -> None:
+def test_videos_are_sorted_by_name(filmed: Path) -> None:
     footage = read(filmed, test_cameras=[2])
     assert footage.names == ("GX 03", "b.cam", "left", "right") and footage.numbers == (0, 1, 2, 3)
     assert (footage.size, footage.rate, footage.count, footage.source) == ((WIDTH, HEIGHT), RATE, FRAMES, filmed)
     assert footage.held_out == ("left",)
 
 
-def test_first_images_are_at_full_size_and_of_the_first_frame_in_use(filmed: Path, tmp_path: Path) -> None:
+def test_first_images_are_full_size_first_frames_in_use(filmed: Path, tmp_path: Path) -> None:
     footage = read(filmed, first_frame=2, drop_cameras=[1], cache=tmp_path / "cache")
     for number, image in zip(footage.numbers, footage.first_images().values(), strict=True):
         assert image.shape == (HEIGHT, WIDTH, 3) and image.dtype == np.uint8
         assert np.abs(inside(image).astype(int) - inside(picture(number, 2))).max() <= CODEC
-    assert not (tmp_path / "cache").exists()  # nothing but these was decoded
+    assert not (tmp_path / "cache").exists()  # nothing else was decoded
 
 
-def test_a_scene_is_made_with_the_cameras_given(filmed: Path, tmp_path: Path) -> None:
+def test_to_scene_with_given_cameras(filmed: Path, tmp_path: Path) -> None:
     footage = read(filmed, cache=tmp_path)
     scene = footage.to_scene(cameras(footage), unit=2.0)
     assert (len(scene.train), len(scene.test), scene.unit) == (3 * FRAMES, FRAMES, 2.0)
@@ -69,20 +69,20 @@ def test_a_scene_is_made_with_the_cameras_given(filmed: Path, tmp_path: Path) ->
     assert all((low < view.camera.position).all() and (view.camera.position < high).all() for view in scene.train)
 
 
-def test_a_lens_is_straightened_before_downscaling_and_no_lens_is_none(filmed: Path, tmp_path: Path) -> None:
+def test_undistortion_before_downscaling(filmed: Path, tmp_path: Path) -> None:
     footage = read(filmed, cache=tmp_path, downscale=1)
     known = cameras(footage)
     plain = footage.to_scene(known)
     none = footage.to_scene(known, {name: Undistortion.of(camera) for name, camera in known.items()})
     assert len(list(tmp_path.iterdir())) == 1  # the same store
-    bent = footage.to_scene(known, {"right": Undistortion.of(known["right"], -0.4)})
-    same = {view.name: np.array_equal(view.image, other.image) for view, other in zip(plain.train, bent.train)}
+    undistorted = footage.to_scene(known, {"right": Undistortion.of(known["right"], -0.4)})
+    same = {view.name: np.array_equal(view.image, other.image) for view, other in zip(plain.train, undistorted.train)}
     assert {name for name, equal in same.items() if not equal} == {f"train/right_{i:04d}" for i in range(FRAMES)}
     assert all(np.array_equal(view.image, other.image) for view, other in zip(plain.train, none.train))
-    # The principal point stays where it is, and what was seen at the rim comes nearer to it.
-    before, after = (np.asarray(scene.train[-1].image).astype(int) for scene in (plain, bent))
+    # The principal point is fixed; other pixels move.
+    before, after = (np.asarray(scene.train[-1].image).astype(int) for scene in (plain, undistorted))
     assert np.abs(before[22:28, 28:34] - after[22:28, 28:34]).max() <= CODEC
-    # A ray at x = -0.6 (column 1) was seen at -0.6 (1 - 0.4 · 0.36) = -0.5136, column 5.3.
+    # x = -0.6 (column 1) was distorted to -0.6 (1 - 0.4 · 0.36) = -0.5136, column 5.3.
     assert np.abs(after[25, 1] - before[25, 5]).max() <= 2 * CODEC
 
 
@@ -102,9 +102,7 @@ def test_a_lens_is_straightened_before_downscaling_and_no_lens_is_none(filmed: P
         (lambda known: known.update({name: replace(known["b.cam"], fx=70.0) for name in known}), "two places or more"),
     ],
 )
-def test_cameras_that_do_not_fit_are_refused_before_decoding(
-    filmed: Path, tmp_path: Path, change, message: str
-) -> None:
+def test_invalid_cameras_are_refused_before_decoding(filmed: Path, tmp_path: Path, change, message: str) -> None:
     footage = read(filmed, cache=tmp_path / "cache")
     known = cameras(footage)
     change(known)
@@ -130,7 +128,7 @@ def test_cameras_that_do_not_fit_are_refused_before_decoding(
         (lambda f: (f / NAMES[3]).write_text("hello"), r"right\.avi: expected a video, .*scene\.drop_cameras=\[3\]"),
     ],
 )
-def test_bad_footage_is_refused(filmed: Path, tmp_path: Path, damage, message: str) -> None:
+def test_invalid_footage_is_refused(filmed: Path, tmp_path: Path, damage, message: str) -> None:
     folder = shutil.copytree(filmed, tmp_path / "footage")
     damage(folder)
     with pytest.raises(SceneError, match=message) as caught:
@@ -138,7 +136,7 @@ def test_bad_footage_is_refused(filmed: Path, tmp_path: Path, damage, message: s
     assert "\n" not in str(caught.value)
 
 
-def test_a_config_names_it_and_load_scene_says_what_is_missing(filmed: Path, tmp_path: Path) -> None:
+def test_load_footage_by_config(filmed: Path, tmp_path: Path) -> None:
     cfg = SceneConfig(name="video", reader="video", path=str(filmed), cache=str(tmp_path), test_cameras=[1, 3])
     assert load_footage(cfg).held_out == ("b.cam", "right")
     with pytest.raises(SceneError, match="scene.reader: expected several cameras with known poses: .* found 'video'"):

@@ -1,4 +1,4 @@
-"""The folder-of-images form: the same scene as from videos, poses and intrinsics, and every bad input."""
+"""The image form of the Plenoptic layout: frames, poses, intrinsics, and every kind of invalid input."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from dnerf_folder import blender_pose
 from PIL import Image
 from plenoptic_folder import HEIGHT, WIDTH, picture, write_camera
 
@@ -18,13 +19,8 @@ from datasets.files.frame_store import StoredFrame
 from datasets.plenoptic import read_plenoptic
 
 FRAMES = 3
-# As the released program's converter writes them: sizes are floats, the principal point is an integer.
+# Like the released program's converter: sizes are floats, the principal point is an integer.
 INTRINSICS = {"w": 64.0, "h": 48.0, "fl_x": 50.0, "fl_y": 51.0, "cx": 32, "cy": 24}
-
-
-def blender_pose(x: float) -> list[list[float]]:
-    """Camera-to-world: stands at (x, 0, 4), looks along -z, its up is +y."""
-    return [[1.0, 0.0, 0.0, x], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 4.0], [0.0, 0.0, 0.0, 1.0]]
 
 
 def entries(camera: int) -> list[dict]:
@@ -46,7 +42,7 @@ def converted(tmp_path_factory: pytest.TempPathFactory) -> Path:
         for frame in range(FRAMES):
             Image.fromarray(picture(camera, frame)).save(folder / "images" / f"cam{camera:02d}_{frame:04d}.png")
     for split, cameras in (("train", (2, 1)), ("test", (0,))):
-        frames = [entry for camera in cameras for entry in entries(camera)[::-1]]  # their order must not matter
+        frames = [entry for camera in cameras for entry in entries(camera)[::-1]]  # in any order
         (folder / f"transforms_{split}.json").write_text(json.dumps({**INTRINSICS, "frames": frames}))
     return folder
 
@@ -57,8 +53,8 @@ def folder(converted: Path, tmp_path: Path) -> Path:
 
 
 def read(folder: Path, **options: object) -> Scene:
-    given = dict(name="plenoptic/toy", downscale=1, cache=folder.parent / "cache", threads=2, log=lambda text: None)
-    return read_plenoptic(folder, **{**given, **options})
+    defaults = dict(name="plenoptic/toy", downscale=1, cache=folder.parent / "cache", threads=2, log=lambda text: None)
+    return read_plenoptic(folder, **{**defaults, **options})
 
 
 def edit(folder: Path, change: Callable[[dict], object], split: str = "train") -> None:
@@ -68,7 +64,7 @@ def edit(folder: Path, change: Callable[[dict], object], split: str = "train") -
     path.write_text(json.dumps(content))
 
 
-def test_images_become_the_frames_of_the_store(folder: Path) -> None:
+def test_images_become_stored_frames(folder: Path) -> None:
     scene = read(folder)
     assert [view.name for view in scene.train] == [f"train/cam{c:02d}_{f:04d}" for c in (1, 2) for f in range(FRAMES)]
     assert [view.name for view in scene.test] == [f"test/cam00_{f:04d}" for f in range(FRAMES)]
@@ -78,23 +74,23 @@ def test_images_become_the_frames_of_the_store(folder: Path) -> None:
         assert np.array_equal(np.asarray(view.image), picture(int(camera), int(frame)))
     assert [view.time for view in scene.test] == pytest.approx([0, 1 / 30, 2 / 30])
     assert (scene.duration, scene.frame_rate) == (pytest.approx(0.1), pytest.approx(30))
-    assert scene.unit == pytest.approx(1.1 * 0.5)  # axes are parallel: 3DGS's extent of the cameras at x = 1 and 2
+    assert scene.unit == pytest.approx(1.1 * 0.5)  # parallel axes: 3DGS's extent of the cameras at x = 1 and 2
 
 
-def test_cameras_have_blenders_axes_and_the_files_intrinsics(folder: Path) -> None:
+def test_cameras_have_blender_axes_and_the_files_intrinsics(folder: Path) -> None:
     camera = read(folder, downscale=2).train[0].camera  # cam01
     assert (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy) == (32, 24, 25, 25.5, 16, 12)
     np.testing.assert_allclose(camera.position, [1, 0, 4], atol=1e-12)
-    # The world's origin lies 4 ahead and 1 to the left; what is above it is up, that is at smaller y.
+    # The world's origin lies 4 in front and 1 to the left; world y points up, towards smaller image y.
     np.testing.assert_allclose(camera.world_to_cam @ [0, 0, 0, 1], [-1, 0, 4, 1], atol=1e-12)
     np.testing.assert_allclose(camera.world_to_cam @ [0, 1, 0, 1], [-1, -1, 4, 1], atol=1e-12)
 
 
-def test_the_test_cameras_are_the_configs(folder: Path) -> None:
+def test_test_cameras_setting(folder: Path) -> None:
     assert {view.name[:10] for view in read(folder, test_cameras=[2]).test} == {"test/cam02"}
 
 
-def test_intrinsics_of_another_scale_are_scaled_and_a_frame_may_have_its_own(folder: Path) -> None:
+def test_intrinsics_at_another_scale_and_of_single_entries(folder: Path) -> None:
     edit(folder, lambda c: c.update(w=128, h=96))
     edit(folder, lambda c: [e.update(fl_x=90.0) for e in c["frames"] if "cam02" in e["file_path"]])
     first, second = (read(folder).train[index].camera for index in (0, FRAMES))
@@ -102,7 +98,7 @@ def test_intrinsics_of_another_scale_are_scaled_and_a_frame_may_have_its_own(fol
     assert (second.fx, second.fy) == (45, 25.5)
 
 
-def test_a_field_of_view_alone_is_centred(folder: Path) -> None:
+def test_camera_angle_x_alone_is_centred(folder: Path) -> None:
     for split in ("train", "test"):
         edit(folder, lambda c: [c.pop(key) for key in INTRINSICS] and c.update(camera_angle_x=0.7), split)
     camera = read(folder).train[0].camera
@@ -110,13 +106,13 @@ def test_a_field_of_view_alone_is_centred(folder: Path) -> None:
     assert (camera.cx, camera.cy) == (WIDTH / 2, HEIGHT / 2)
 
 
-def test_a_lens_is_straightened(folder: Path) -> None:
+def test_distorted_images_are_undistorted(folder: Path) -> None:
     plain = read(folder, test_cameras=[0])
     edit(folder, lambda c: c.update(k1=-0.2, camera_model="OPENCV"))
-    bent = read(folder, test_cameras=[0])
-    assert not np.array_equal(plain.train[0].image, bent.train[0].image)
-    assert np.array_equal(plain.test[0].image, bent.test[0].image)  # transforms_test.json has none
-    assert bent.train[0].camera.fx == 50
+    undistorted = read(folder, test_cameras=[0])
+    assert not np.array_equal(plain.train[0].image, undistorted.train[0].image)
+    assert np.array_equal(plain.test[0].image, undistorted.test[0].image)  # transforms_test.json has none
+    assert undistorted.train[0].camera.fx == 50
 
 
 def test_transparent_pixels_show_the_background(folder: Path) -> None:
@@ -124,16 +120,16 @@ def test_transparent_pixels_show_the_background(folder: Path) -> None:
     Image.fromarray(clear).save(folder / "images" / "cam01_0001.png")
     image = np.asarray(read(folder, background=(1.0, 0.0, 0.2)).train[1].image)
     assert (image == (255, 0, 51)).all()
-    assert not np.asarray(read(folder).train[1].image).any()  # over black: another store
+    assert not np.asarray(read(folder).train[1].image).any()  # over black, in another store
 
 
-def test_some_frames_from_the_middle_and_one_alone(folder: Path) -> None:
+def test_first_frame_and_a_single_frame(folder: Path) -> None:
     scene = read(folder, first_frame=1, frames=1)
     assert [view.name for view in scene.test] == ["test/cam00_0001"] and scene.test[0].time == 0
     assert np.array_equal(scene.test[0].image, picture(0, 1))
 
 
-def test_one_frame_a_camera_is_a_static_scene(folder: Path) -> None:
+def test_one_frame_per_camera_is_a_static_scene(folder: Path) -> None:
     for split in ("train", "test"):
         edit(folder, lambda c: c.update(frames=[e for e in c["frames"] if e["time"] == 0]), split)
     scene = read(folder)
@@ -141,26 +137,26 @@ def test_one_frame_a_camera_is_a_static_scene(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("clock", "shown"), [(lambda s: 1e3 * s, 30), (lambda s: 30 * s, 30), (lambda s: 0.8 * s, 37.5)]
+    ("clock", "playback_rate"), [(lambda s: 1e3 * s, 30), (lambda s: 30 * s, 30), (lambda s: 0.8 * s, 37.5)]
 )
-def test_times_may_be_in_any_unit(folder: Path, clock: Callable[[float], float], shown: float) -> None:
-    """A film is shown at its rate where that can be one in seconds, else at 30 a second."""
+def test_times_in_any_unit(folder: Path, clock: Callable[[float], float], playback_rate: float) -> None:
+    """Rates that cannot be per second give a playback rate of 30."""
     for split in ("train", "test"):
         edit(folder, lambda c: [e.update(time=clock(e["time"])) for e in c["frames"]], split)
     scene = read(folder)
     assert [view.time for view in scene.test] == pytest.approx([clock(frame / 30) for frame in range(FRAMES)])
-    assert scene.frame_rate == pytest.approx(30 / clock(1)) and scene.shown_rate == pytest.approx(shown)
+    assert scene.frame_rate == pytest.approx(30 / clock(1)) and scene.playback_rate == pytest.approx(playback_rate)
 
 
-def test_times_since_1970_are_in_step_though_rates_told_from_them_are_not_exact(folder: Path) -> None:
+def test_rounded_times_since_1970_are_synchronised(folder: Path) -> None:
     for split in ("train", "test"):
         edit(folder, lambda c: [e.update(time=1.7e9 + e["time"]) for e in c["frames"]], split)
     edit(folder, lambda c: c.update(frames=[e for e in c["frames"] if not e["file_path"].endswith("cam02_0002")]))
     scene = read(folder, frames=2)
-    assert [view.time for view in scene.test] == pytest.approx([0, 1 / 30], abs=1e-6)  # stamps are good to 1.2e-7
+    assert [view.time for view in scene.test] == pytest.approx([0, 1 / 30], abs=1e-6)  # rounding is 1.2e-7
 
 
-def test_where_there_are_videos_with_poses_too_they_are_read(folder: Path) -> None:
+def test_videos_with_poses_take_precedence(folder: Path) -> None:
     for number in range(3):
         write_camera(folder / f"cam{number:02d}.mp4", number)
     assert read(folder).train[0].image.shape == (HEIGHT, WIDTH, 3)  # without poses_bounds.npy: the images
@@ -169,7 +165,7 @@ def test_where_there_are_videos_with_poses_too_they_are_read(folder: Path) -> No
         read(folder)
 
 
-# --- bad input ---------------------------------------------------------------------------------------------
+# --- invalid input ----------------------------------------------------------------------------------------------------
 
 
 def frame(**changes: object) -> Callable[[Path], None]:
@@ -183,7 +179,7 @@ def every(camera: int, change: Callable[[dict], object], split: str = "train") -
     )
 
 
-def whole(**changes: object) -> Callable[[Path], None]:
+def file(**changes: object) -> Callable[[Path], None]:
     return lambda folder: edit(folder, lambda content: content.update(changes))
 
 
@@ -198,7 +194,7 @@ def resize(folder: Path, camera: int, frames: range) -> None:
 
 
 WHERE = r"transforms_train\.json: frames\[1\]"
-BAD_INPUT: dict[str, tuple[Callable[[Path], object], str]] = {
+INVALID_INPUT: dict[str, tuple[Callable[[Path], object], str]] = {
     "no test file": (lambda f: (f / "transforms_test.json").unlink(), r"transforms_test\.json: expected a file"),
     "json invalid": (lambda f: (f / "transforms_train.json").write_text("{"), r"transforms_train\.json: .*valid JSON"),
     "image missing": (
@@ -223,8 +219,11 @@ BAD_INPUT: dict[str, tuple[Callable[[Path], object], str]] = {
         lambda f: (shutil.copy(f / "images/cam02_0001.png", f / "images/left.png"), frame(file_path="images/left")(f)),
         rf"{WHERE}: file_path: expected a name like images/cam00_0000, found images/left",
     ),
-    "no time": (lambda f: edit(f, lambda c: c["frames"][1].pop("time")), rf"{WHERE}: expected the key time"),
-    "time NaN": (frame(time=float("nan")), rf"{WHERE}: time: expected a number within ±1e\+19, found nan"),
+    "no time": (
+        lambda f: edit(f, lambda c: c["frames"][1].pop("time")),
+        rf"{WHERE}: time: expected a number within ±1e\+19, found none",
+    ),
+    "time NaN": (frame(time=float("nan")), rf"{WHERE}: time: expected a finite time, found nan"),
     "time out of step": (frame(time=0.058), rf"{WHERE}: time: expected 0\.0333\d*, at equal steps .* found 0\.058$"),
     "times all alike": (
         every(2, lambda e: e.update(time=0.5)),
@@ -250,20 +249,20 @@ BAD_INPUT: dict[str, tuple[Callable[[Path], object], str]] = {
         rf"{WHERE}: transform_matrix: expected the pose of cam02_0000\.png, for cameras do not move",
     ),
     "no focal length": (lambda f: edit(f, lambda c: c.pop("fl_x")), "expected the key camera_angle_x"),
-    "focal a string": (whole(fl_x="50"), "fl_x: expected a number, found '50'"),
-    "focal negative": (whole(fl_x=-50.0), "expected finite intrinsics, fl_x and fl_y > 0, found -50"),
-    "other shape": (whole(w=100), "expected w x h of 64 x 48 or the same shape at another scale, found 100 x 48"),
-    "fisheye": (whole(camera_model="OPENCV_FISHEYE"), "camera_model: expected PINHOLE, .* found 'OPENCV_FISHEYE'"),
-    "fisheye by flag": (whole(is_fisheye=True), "camera_model: expected PINHOLE, .* found a fisheye"),
+    "focal a string": (file(fl_x="50"), "fl_x: expected a number, found '50'"),
+    "focal negative": (file(fl_x=-50.0), "expected finite intrinsics, fl_x and fl_y > 0, found -50"),
+    "other shape": (file(w=100), "expected w x h of 64 x 48 or the same shape at another scale, found 100 x 48"),
+    "fisheye": (file(camera_model="OPENCV_FISHEYE"), "camera_model: expected PINHOLE, .* found 'OPENCV_FISHEYE'"),
+    "fisheye by flag": (file(is_fisheye=True), "camera_model: expected PINHOLE, .* found a fisheye"),
 }
 
 
-@pytest.mark.parametrize("case", BAD_INPUT)
-def test_bad_input_is_refused_with_one_line(folder: Path, case: str) -> None:
-    damage, message = BAD_INPUT[case]
+@pytest.mark.parametrize("case", INVALID_INPUT)
+def test_invalid_input_is_refused_in_one_line(folder: Path, case: str) -> None:
+    damage, message = INVALID_INPUT[case]
     damage(folder)
     with pytest.raises(SceneError, match=message) as caught:
         read(folder)
     assert "\n" not in str(caught.value) and str(folder) in str(caught.value)
-    if case != "image truncated":  # which only decoding shows
+    if case != "image truncated":  # detected only while decoding
         assert not (folder.parent / "cache").exists()

@@ -1,4 +1,4 @@
-"""poses_bounds.npy: axes, scale and bounds against values worked out by hand and against an independent writer."""
+"""poses_bounds.npy: axes, scale and bounds against hand-computed values and against an independent writer."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from datasets.files.errors import SceneError
 from datasets.plenoptic.poses import read_poses
-from datasets.scene import SceneError
 from datasets.synthetic.write_film import llff_row
 from rasterizer.camera import Camera
 
@@ -29,7 +29,7 @@ def row(
     return np.concatenate([matrix.ravel(), bounds])
 
 
-# Stands at (1, 2, 3), looks along +x (so backwards is -x), with +z to its right and -y below it.
+# Position (1, 2, 3), viewing direction +x, right +z, down -y.
 SIDEWAYS = row(down=[0, -1, 0], right=[0, 0, 1], backwards=[-1, 0, 0], position=[1, 2, 3])
 
 
@@ -43,17 +43,17 @@ def pixel(camera: Camera, point: list[float]) -> tuple[float, float, float]:
     [
         ([6, 2, 3], (320, 240, 5)),  # straight ahead
         ([6, 2, 4], (320 + 500 / 5, 240, 5)),  # 1 to its right
-        ([6, 1, 3], (320, 240 + 500 / 5, 5)),  # 1 below it, where rows count downwards
+        ([6, 1, 3], (320, 240 + 500 / 5, 5)),  # 1 below it
         ([11, 4, 5], (320 + 500 * 2 / 10, 240 - 500 * 2 / 10, 10)),
     ],
 )
-def test_a_known_camera_sees_points_where_it_should(tmp_path: Path, point: list, expected: tuple) -> None:
+def test_projection_of_points(tmp_path: Path, point: list, expected: tuple) -> None:
     camera = read(tmp_path, SIDEWAYS).cameras["cam00"]
     assert pixel(camera, point) == pytest.approx(expected, abs=1e-9)
     np.testing.assert_allclose(camera.position, [1, 2, 3], atol=1e-12)
 
 
-def test_any_camera_comes_back_from_the_synthetic_scenes_writer(tmp_path: Path) -> None:
+def test_round_trip_with_llff_row(tmp_path: Path) -> None:
     cameras = []
     for rotation in Rotation.random(5, rng=np.random.default_rng(0)).as_matrix():
         pose = np.eye(4)
@@ -65,13 +65,13 @@ def test_any_camera_comes_back_from_the_synthetic_scenes_writer(tmp_path: Path) 
         assert (back.width, back.height, back.fx, back.fy, back.cx, back.cy) == (*SIZE, 432.1, 432.1, 320.0, 240.0)
 
 
-def test_poses_of_another_scale_have_their_focal_length_scaled(tmp_path: Path) -> None:
+def test_focal_length_is_scaled_to_the_videos_size(tmp_path: Path) -> None:
     half = row([0, 1, 0], [1, 0, 0], [0, 0, -1], [0, 0, 0], (240, 320, 250.0))
     camera = read(tmp_path, half).cameras["cam00"]
     assert (camera.width, camera.height, camera.fx, camera.fy, camera.cx) == (*SIZE, 500.0, 500.0, 320.0)
 
 
-def test_an_odd_size_may_have_been_rounded(tmp_path: Path) -> None:
+def test_rounded_size_is_accepted(tmp_path: Path) -> None:
     third = row([0, 1, 0], [1, 0, 0], [0, 0, -1], [0, 0, 0], (480 / 3, 213, 100.0))  # 640 / 3 = 213.3
     assert read(tmp_path, third).cameras["cam00"].fx == pytest.approx(300, rel=2e-3)
     fatter = row([0, 1, 0], [1, 0, 0], [0, 0, -1], [0, 0, 0], (480 / 3, 216, 100.0))
@@ -79,7 +79,7 @@ def test_an_odd_size_may_have_been_rounded(tmp_path: Path) -> None:
         read(tmp_path, fatter)
 
 
-def test_the_unit_puts_the_nearest_bound_at_a_third_more_than_one(tmp_path: Path) -> None:
+def test_unit_and_init_box_follow_from_bounds(tmp_path: Path) -> None:
     far = SIDEWAYS.copy()
     far[15:] = 3.0, 30.0
     found = read(tmp_path, SIDEWAYS, far)
@@ -89,6 +89,6 @@ def test_the_unit_puts_the_nearest_bound_at_a_third_more_than_one(tmp_path: Path
     assert read(tmp_path, SIDEWAYS, far, keep=("cam01",)).unit == 2.25
 
 
-def test_the_poses_of_cameras_left_out_are_not_looked_at(tmp_path: Path) -> None:
+def test_poses_of_other_cameras_are_not_checked(tmp_path: Path) -> None:
     found = read(tmp_path, np.full(17, np.nan), SIDEWAYS, keep=("cam01",))
     assert list(found.cameras) == ["cam01"]

@@ -1,4 +1,4 @@
-"""What any scene must satisfy, whatever layout it came from."""
+"""validate_scene, camera_extent, and the properties of Scene."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.scene import Scene, SceneError, View, camera_extent, validate_scene
+from datasets.files.errors import SceneError
+from datasets.scene import Scene, View, camera_extent, validate_scene
 from rasterizer.camera import Camera
 
 
@@ -37,23 +38,23 @@ def scene(**changes: object) -> Scene:
     return Scene(**{**fields, **changes})
 
 
-def test_a_sound_scene_passes_unchanged() -> None:
-    sound = scene()
-    assert validate_scene(sound) is sound
-    assert sound.time_end == 1.0
-    assert not sound.is_static
+def test_valid_scene_is_returned_unchanged() -> None:
+    valid = scene()
+    assert validate_scene(valid) is valid
+    assert valid.time_end == 1.0
+    assert not valid.is_static
 
 
-def test_a_scene_of_one_time_is_static() -> None:
+def test_scene_of_one_time_is_static() -> None:
     assert scene(train=(view("a", -1.0, 0.3), view("b", 1.0, 0.3)), test=(view("c", 0.0, 0.3),)).is_static
 
 
 def test_extent_is_that_of_3dgs() -> None:
-    cameras = [camera_at(0, 0, 0), camera_at(3, 0, 0), camera_at(0, 3, 0)]  # centre (1, 1, 0), farthest √5 away
+    cameras = [camera_at(0, 0, 0), camera_at(3, 0, 0), camera_at(0, 3, 0)]  # centre (1, 1, 0), largest distance √5
     assert camera_extent(cameras) == pytest.approx(1.1 * 5**0.5, rel=1e-12)
 
 
-def test_extent_does_not_depend_on_where_the_world_is() -> None:
+def test_extent_does_not_depend_on_the_origin() -> None:
     cameras = [camera_at(x + 100, 7, -3) for x in (0, 1, 5)]
     assert camera_extent(cameras) == pytest.approx(1.1 * 3.0, rel=1e-12)  # centre 2, farthest 5
 
@@ -79,11 +80,11 @@ def test_extent_does_not_depend_on_where_the_world_is() -> None:
         ({"test": (replace(view("test/a"), image=np.zeros((4, 6, 3), dtype=np.float32)),)}, "found float32"),
     ],
 )
-def test_a_scene_that_cannot_be_trained_on_is_refused(changes: dict, message: str) -> None:
+def test_invalid_scene_is_refused(changes: dict, message: str) -> None:
     with pytest.raises(SceneError, match=message) as caught:
         validate_scene(scene(**changes))
     assert "\n" not in str(caught.value)
 
 
-def test_an_error_stays_on_one_line() -> None:
+def test_error_is_one_line() -> None:
     assert str(SceneError("a.json", "one line", "two\n  lines")) == "a.json: expected one line, found two lines"

@@ -1,4 +1,4 @@
-"""A validation split: every view once, on one side, and never a test view."""
+"""Validation splits: every training view in exactly one part, no test view in either."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from datasets.validation import hold_out_every, hold_out_outermost, hold_out_pos
 
 
 @pytest.mark.parametrize("every", [2, 3, 8])
-def test_training_views_are_parted(every):
+def test_hold_out_every_splits_training_views(every):
     scene = tiny_scene(views=17)
     split = hold_out_every(scene, every)
     names = [view.name for view in split.train + split.test]
@@ -21,34 +21,34 @@ def test_training_views_are_parted(every):
     assert len(split.test) == len(range(every // 2, 17, every))
 
 
-def test_the_outermost_look_from_the_ends_of_the_arc():
-    scene = tiny_scene(views=16)  # four places on an arc, the outer two as far from its middle as each other
+def test_hold_out_outermost():
+    scene = tiny_scene(views=16)  # four poses on an arc, symmetric about its middle
     split = hold_out_outermost(scene, 2)
     assert len(split.test) == 8 and len(split.train) == 8
-    turned = [abs(view.camera.world_to_cam[2, 0]) for view in split.test + split.train]
-    assert min(turned[:8]) > max(turned[8:])
+    angles = [abs(view.camera.world_to_cam[2, 0]) for view in split.test + split.train]
+    assert min(angles[:8]) > max(angles[8:])
 
 
-def test_whole_cameras_are_held_out():
+def test_hold_out_poses_of_static_cameras():
     film = tiny_film(frames=5)  # three cameras
     split = hold_out_poses(film, 2)
     assert {view.name[:11] for view in split.test} == {"train/cam02"}
     assert len(split.test) == 5 and len(split.train) == 10
 
 
-def test_a_moving_camera_has_a_pose_a_view():
-    scene = tiny_scene(views=4)  # as many places
+def test_hold_out_poses_of_a_moving_camera():
+    scene = tiny_scene(views=4)  # four poses
     assert hold_out_poses(scene, 4) == hold_out_every(scene, 4)
 
 
-def test_too_few_views():
+def test_too_few_views_are_refused():
     with pytest.raises(SceneError, match="scene.validation_every: expected at most the 3 training views, found 8"):
         hold_out_every(tiny_scene(views=3), 8)
 
 
 @pytest.mark.parametrize("load", [load_scene, load_posed])
-def test_of_films_cameras_are_held_out_not_every_so_many_th_view(load, tmp_path):
+def test_validation_every_is_refused_for_videos(load, tmp_path):
     film = SceneConfig(name="synthetic/counter", reader="synthetic", validation_every=8, cache=str(tmp_path / "cache"))
-    with pytest.raises(SceneError, match="scene.validation_every: expected 0 for synthetic/counter.*found 8"):
+    with pytest.raises(SceneError, match="scene.validation_every: expected 0 for .* synthetic/counter .*found 8"):
         load(film)
-    assert not (tmp_path / "cache").exists()  # found before anything is filmed
+    assert not (tmp_path / "cache").exists()  # refused before rendering

@@ -1,4 +1,4 @@
-"""Finds the real data sets in DATA_DIR. What is not there fails the run, in one line, before any test."""
+"""Finds the real data sets in DATA_DIR; a missing one is an error of one line before any test."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def find_intrinsics(root: Path) -> Path | None:
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
-    """Only where these tests were asked for: `make test` deselects them."""
+    """Only if these tests are selected: `make test` deselects them."""
     if not any(item.get_closest_marker("data") for item in session.items):
         return
     root = data_dir()

@@ -1,4 +1,4 @@
-"""Structure from motion on real photographs of one thing, taken with a lens whose calibration is known."""
+"""Structure from motion on real photographs with a calibrated lens."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pipeline.data.sfm.run import reconstruct
 
 pytestmark = pytest.mark.data
 
-WIDTH = 472  # pixels, about: a second a photograph
+WIDTH = 472  # pixels, approximate: one second per photograph
 CFG = InitConfig(max_features=1500)
 
 
@@ -29,7 +29,7 @@ def downscale(photograph_folder: Path) -> int:
 
 @pytest.fixture(scope="module")
 def photographs(photograph_folder: Path, downscale: int) -> list[Photograph]:
-    """All of the folder; the third is held out."""
+    """All photographs of the folder; the third is held out."""
     return [replace(p, held_out=i == 2) for i, p in enumerate(read_photographs(photograph_folder, downscale))]
 
 
@@ -38,23 +38,23 @@ def found(photographs: list[Photograph], photograph_folder: Path) -> Reconstruct
     return reconstruct(photographs, CFG, 1.0, photograph_folder)
 
 
-def test_all_find_their_places_and_the_lens_is_the_calibrated_one(
+def test_all_photographs_are_registered_and_the_focal_length_is_that_of_the_calibration(
     found, photographs, focal: float, downscale: int
 ) -> None:
-    assert set(found.lenses) == {p.name for p in photographs} and found.photographs == len(photographs) - 1
+    assert set(found.cameras) == {p.name for p in photographs} and found.photographs == len(photographs) - 1
     assert found.errors.mean() < 0.8 and len(found.points) > 500
-    for lens in found.lenses.values():  # it was never told; a calibration by other photographs agrees to some per cent
-        assert lens.camera.fx == pytest.approx(focal / downscale, rel=0.03)
+    for calibrated in found.cameras.values():  # the calibration used other photographs
+        assert calibrated.camera.fx == pytest.approx(focal / downscale, rel=0.03)
 
 
-def test_the_held_out_one_stands_between_its_neighbours(found: Reconstruction, photographs: list[Photograph]) -> None:
-    """Photographs are taken walking along: the third from between the second's place and the fourth's."""
-    second, third, fourth = (found.lenses[photographs[i].name].camera.position for i in (1, 2, 3))
+def test_held_out_pose_is_between_its_neighbours(found: Reconstruction, photographs: list[Photograph]) -> None:
+    """The photographs are a sequence: the third position is between the second and the fourth."""
+    second, third, fourth = (found.cameras[photographs[i].name].camera.position for i in (1, 2, 3))
     along = fourth - second
     assert 0.2 < (third - second) @ along / (along @ along) < 0.8
     assert np.linalg.norm(np.cross(third - second, along)) / (along @ along) < 0.4
 
 
-def test_the_command_places_every_photograph(photograph_folder: Path, photographs, downscale: int, capsys) -> None:
+def test_command_line(photograph_folder: Path, photographs, downscale: int, capsys) -> None:
     assert main([str(photograph_folder), "--downscale", str(downscale), "--max-features", "1000"]) == 0
     assert f"{len(photographs)} of {len(photographs)} photographs" in capsys.readouterr().out

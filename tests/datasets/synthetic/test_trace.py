@@ -1,4 +1,4 @@
-"""The ray tracer against closed forms: hits, depth, coverage, flow, light and textures."""
+"""The ray tracer against closed forms: intersections, depth, alpha, flow, shading, textures."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ def world_rays(camera: Camera) -> np.ndarray:
     return np.stack([x, y, np.ones_like(x)], axis=-1) @ camera.world_to_cam[:3, :3]
 
 
-# --- shapes ---------------------------------------------------------------------------------------------------------
+# --- shapes -----------------------------------------------------------------------------------------------------------
 
-SOLIDS: dict[str, tuple[Shape, Callable[[np.ndarray], np.ndarray]]] = {  # and who is inside, for points (3, …)
+SOLIDS: dict[str, tuple[Shape, Callable[[np.ndarray], np.ndarray]]] = {  # with its indicator function for points (3, …)
     "sphere": (Sphere(0.7), lambda p: (p**2).sum(axis=0) < 0.7**2),
     "box": (Box((0.3, 0.5, 0.7)), lambda p: (np.abs(p.T) < (0.3, 0.5, 0.7)).all(axis=-1).T),
     "ring": (Ring(0.4, 0.8, 0.2), lambda p: (abs(p[2]) < 0.2) & (np.hypot(*p[:2]) > 0.4) & (np.hypot(*p[:2]) < 0.8)),
@@ -45,13 +45,13 @@ SOLIDS: dict[str, tuple[Shape, Callable[[np.ndarray], np.ndarray]]] = {  # and w
 
 
 @pytest.mark.parametrize("name", SOLIDS)
-def test_a_ray_ends_where_the_solid_begins(name: str) -> None:
-    """Marching along the ray in small steps must find nothing before the hit and the solid right behind it."""
+def test_intersections_by_ray_marching(name: str) -> None:
+    """Ray marching in small steps finds the solid at the hit and not before."""
     shape, inside = SOLIDS[name]
     rng = np.random.default_rng(0)
     origin = rng.normal(size=(3, 400))
     origin *= 3 / np.linalg.norm(origin, axis=0)
-    direction = rng.uniform(-0.8, 0.8, size=(3, 400)) - origin  # towards the solid, or past it
+    direction = rng.uniform(-0.8, 0.8, size=(3, 400)) - origin  # hits and misses
     distance = shape.intersect(origin.astype(np.float32), direction.astype(np.float32))
     hit = (distance > 0) & np.isfinite(distance)
     assert 50 < hit.sum() < 390
@@ -62,7 +62,7 @@ def test_a_ray_ends_where_the_solid_begins(name: str) -> None:
     step = steps[1] * 1.01
     both = hit & met.any(axis=1)
     assert (first[both] >= distance[both] - 1e-5).all()  # nothing before the hit
-    # The march may step over a corner that the ray cuts for less than one step: allow a few of those.
+    # Ray marching may miss corners shorter than a step.
     assert (first[both] <= distance[both] + step).mean() > 0.98
     assert (hit & ~met.any(axis=1)).mean() < 0.02 and not (met.any(axis=1) & ~hit).any()
 
@@ -73,7 +73,7 @@ def test_a_ray_ends_where_the_solid_begins(name: str) -> None:
     assert (np.linalg.norm(points, axis=0) <= shape.radius + 1e-5).all()
 
 
-def test_a_sphere_has_the_depth_of_the_quadratic() -> None:
+def test_depth_of_a_sphere() -> None:
     centre, radius = np.array([0.2, -0.3, 0.1]), 0.6
     camera = camera_at(2.0, -3.0, 1.5)
     depth = trace(world_of(Body(Sphere(radius), WHITE, rest(tuple(centre)))), camera, 0.0).depth
@@ -82,53 +82,53 @@ def test_a_sphere_has_the_depth_of_the_quadratic() -> None:
     a, b, c = (rays**2).sum(-1), rays @ offset, offset @ offset - radius**2
     discriminant = b**2 - a * c
     expected = np.where(discriminant > 0, (-b - np.sqrt(np.maximum(discriminant, 0))) / a, 0)
-    sure = np.abs(discriminant) > 1e-3  # a grazing ray: float32 may see it pass or meet
+    sure = np.abs(discriminant) > 1e-3  # not for grazing rays, which float32 may hit or miss
     assert 100 < (depth > 0).sum() < SIZE**2
-    # float32 carries 4 world units to 5e-7; near the rim the square root magnifies that some ten times.
+    # float32 rounding of 4 world units is 5e-7; near the silhouette the square root increases it tenfold.
     np.testing.assert_allclose(depth[sure], expected[sure], atol=1e-5)
 
 
-def test_a_tilted_rectangle_has_the_depth_of_its_plane() -> None:
+def test_depth_of_a_tilted_rectangle() -> None:
     camera, tilt = camera_at(1.0, 2.0, 3.0), turn("z", 0.4) @ turn("x", 0.5)
     depth = trace(world_of(Body(Rectangle((40.0, 40.0)), WHITE, rest((0.1, 0.2, -0.1), tilt))), camera, 0.0).depth
     normal = tilt[:, 2]
     expected = ((np.array([0.1, 0.2, -0.1]) - camera.position) @ normal) / (world_rays(camera) @ normal)
-    # float32 (6e-8), magnified where the plane is seen at a slant.
+    # float32 rounding (6e-8), larger at grazing angles.
     np.testing.assert_allclose(depth, expected, rtol=3e-6)
 
 
-def test_the_nearest_of_several_is_seen() -> None:
+def test_nearest_body_is_visible() -> None:
     red, green = (Material(plain(colour), glow=steady(*colour)) for colour in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)))
     behind, front = Body(Sphere(0.5), red, rest((-1.0, 0, 0))), Body(Sphere(0.2), green, rest((1.0, 0, 0)))
-    for bodies in ((behind, front), (front, behind)):  # whatever the order
+    for bodies in ((behind, front), (front, behind)):  # in any order
         image = trace(world_of(*bodies), camera_at(4.0, 0.0, 0.0), 0.0).color
         assert image[1, SIZE // 2, SIZE // 2] > 0.9 and image[0, SIZE // 2, SIZE // 2] < 0.1
 
 
 def test_alpha_is_the_covered_area() -> None:
     traced = trace(world_of(Body(Sphere(0.8), WHITE, rest((0, 0, 0)))), camera_at(0.0, -4.0, 0.0), 0.0)
-    radius = FOCAL * 0.8 / np.sqrt(4.0**2 - 0.8**2)  # of the sphere's outline, pixels
-    # 9 samples a pixel along an outline of 70 pixels: far below one per cent of the area.
+    radius = FOCAL * 0.8 / np.sqrt(4.0**2 - 0.8**2)  # of the sphere's silhouette, pixels
+    # 9 samples per pixel along a silhouette of 70 pixels: an error far below 1 %.
     assert traced.alpha.sum() == pytest.approx(np.pi * radius**2, rel=0.01)
     assert ((traced.alpha > 0) & (traced.alpha < 1)).any()
     assert (traced.color <= traced.alpha + 1e-6).all()
 
 
-def test_an_even_number_of_samples_is_refused() -> None:
+def test_even_number_of_samples_is_refused() -> None:
     with pytest.raises(ValueError, match="samples: expected an odd number .* found 2"):
         trace(world_of(), camera_at(4.0, 0.0, 0.0), 0.0, samples=2)
 
 
-# --- flow -----------------------------------------------------------------------------------------------------------
+# --- flow -------------------------------------------------------------------------------------------------------------
 
 
 def spinning(time: float) -> Pose:
-    """About the vertical axis through (0.2, 0.1, 0), 3 radians a unit of time, while it rises."""
+    """Rotates about the vertical axis through (0.2, 0.1, 0) by 3 radians per unit of time, and rises."""
     return Pose(np.array([0.2, 0.1, 0.5 * time]), turn("z", 3.0 * time))
 
 
 @pytest.mark.parametrize("shape", [Box((0.5, 0.3, 0.4)), Ring(0.3, 0.7, 0.2)])
-def test_flow_is_the_movement_of_the_surface_point(shape: Shape) -> None:
+def test_flow_is_the_projected_motion_of_the_surface(shape: Shape) -> None:
     camera, dt = camera_at(2.5, -2.5, 2.0), 0.05
     traced = trace(world_of(Body(shape, WHITE, spinning)), camera, 0.3, flow_dt=dt)
     seen = traced.depth > 0
@@ -142,12 +142,12 @@ def test_flow_is_the_movement_of_the_surface_point(shape: Shape) -> None:
         in_camera = world_points @ camera.world_to_cam[:3, :3].T + camera.world_to_cam[:3, 3]
         return FOCAL * in_camera[:, :2] / in_camera[:, 2:]
 
-    # Both ways go through float32 depth: 1e-6 world units are 1e-5 pixels here; one decade of margin.
+    # Rounding of float32 depth: 1e-6 world units are 1e-5 pixels here; with a margin of 10.
     np.testing.assert_allclose(traced.flow[:, seen].T, project(moved) - project(points), atol=1e-4)
     assert (traced.flow[:, ~seen] == 0).all()
 
 
-def test_what_is_gone_a_moment_later_has_no_flow() -> None:
+def test_vanishing_body_has_no_flow() -> None:
     def vanishing(time: float) -> Pose:
         return Pose(np.zeros(3), np.eye(3), scale=1.0 if time < 0.5 else 0.0)
 
@@ -155,11 +155,11 @@ def test_what_is_gone_a_moment_later_has_no_flow() -> None:
     assert (traced.depth > 0).any() and not traced.flow_valid.any() and (traced.flow == 0).all()
 
 
-# --- light ----------------------------------------------------------------------------------------------------------
+# --- shading ----------------------------------------------------------------------------------------------------------
 
 
 def test_light_and_shadow_on_a_floor() -> None:
-    """Under the ball only the sky's light is left; far from it Lambert's cosine adds to it."""
+    """In the shadow only ambient light; outside it also Lambert's cosine law."""
     light = Light((0.0, 0.0, 10.0), 0.0, steady(0.5, 0.5, 0.5))
     floor, ball = Body(Rectangle((2.0, 2.0)), WHITE, rest((0, 0, 0))), Body(Sphere(0.3), WHITE, rest((0, 0, 1.0)))
     world = World(bodies=(floor, ball), lights=(light,), sky=(0.2, 0.3, 0.4), ground=(0.0, 0.0, 0.0))
@@ -173,9 +173,9 @@ def test_light_and_shadow_on_a_floor() -> None:
     assert colour[0, 2] == pytest.approx(0.2) and colour[0, 3] > 0.6
 
 
-def test_a_wide_light_makes_the_penumbra_of_similar_triangles() -> None:
-    """Light of radius ½ at height 4, an edge over x = 0.3 at height 1: from the floor, the edge hides the light's
-    centre at x = 0.3 · 4/3 = 0.4, and its rim at ½ · 1/3 to either side."""
+def test_penumbra_of_an_area_light() -> None:
+    """Light of radius ½ at height 4, an edge at x = 0.3 and height 1: by similar triangles the penumbra on the floor is
+    centred at x = 0.3 · 4/3 = 0.4 and extends ½ · 1/3 to either side."""
     light = Light((0.0, 0.0, 4.0), 0.5, steady(1.0, 1.0, 1.0))
     floor = Body(Rectangle((2.0, 2.0)), WHITE, rest((0, 0, 0)))
     screen = Body(Rectangle((0.3, 5.0)), WHITE, rest((0, 0, 1)))
@@ -191,7 +191,7 @@ def test_a_wide_light_makes_the_penumbra_of_similar_triangles() -> None:
     assert lit[np.abs(x - 0.4).argmin()] == pytest.approx(0.5, abs=1.5 / 9)
 
 
-def test_only_glossy_surfaces_look_different_from_elsewhere() -> None:
+def test_only_specular_surfaces_depend_on_the_viewing_direction() -> None:
     light = Light((2.0, 0.0, 4.0), 0.3, steady(0.6, 0.6, 0.6))
     point = np.array([[0.0], [0.0], [0.5]], dtype=np.float32)
     sample = np.zeros(1, dtype=int)
@@ -221,9 +221,9 @@ def test_only_glossy_surfaces_look_different_from_elsewhere() -> None:
         marble((0.0, 0.1, 0.2), (1.0, 0.9, 0.8), 0.1, np.random.default_rng(0)),
     ],
 )
-def test_textures_give_a_colour_for_every_point(texture: Callable[[np.ndarray], np.ndarray]) -> None:
+def test_textures(texture: Callable[[np.ndarray], np.ndarray]) -> None:
     points = np.random.default_rng(1).uniform(-1.2, 1.2, (3, 500)).astype(np.float32)
     colours = texture(points)
     assert colours.shape == (3, 500) and np.isfinite(colours).all() and (colours >= 0).all() and (colours <= 1).all()
-    # A colour belongs to its point, not to its neighbours in the array.
+    # The colour of a point does not depend on its index.
     np.testing.assert_allclose(texture(points[:, ::-1])[:, ::-1], colours, atol=1e-5)

@@ -1,4 +1,4 @@
-"""Synthetic scenes: what is written reads back as it was traced, whole, the same for a seed, and made once."""
+"""Photographed synthetic scenes: camera poses, round trip through the disk, determinism, cache, command line."""
 
 from __future__ import annotations
 
@@ -10,21 +10,22 @@ import pytest
 
 from datasets import load_scene
 from datasets.dnerf import read_dnerf
-from datasets.scene import SceneError
+from datasets.files.errors import SceneError
 from datasets.settings import SceneConfig
 from datasets.synthetic import PHOTOGRAPHED, build_scene, make_scene
 from datasets.synthetic.__main__ import main
-from datasets.synthetic.camera_path import held_out_shots, training_shots
-from datasets.synthetic.trace import Traced, trace
-from datasets.synthetic.write import read_truth, to_rgba
+from datasets.synthetic.camera_path import held_out_poses, training_poses
+from datasets.synthetic.trace import TracedImage, trace
+from datasets.synthetic.write import read_ground_truth, to_rgba
+from fuzz.target import read_files
 from rasterizer.camera import Camera
 
-# --- cameras --------------------------------------------------------------------------------------------------------
+# --- cameras ----------------------------------------------------------------------------------------------------------
 
 
-def test_cameras_stand_on_the_upper_hemisphere_and_see_the_origin_upright() -> None:
-    for shot in training_shots(20, np.random.default_rng(0)):
-        camera = Camera.from_blender(40, 40, 55.0, shot.cam_to_world)
+def test_cameras_on_the_upper_hemisphere_look_at_the_origin() -> None:
+    for pose in training_poses(20, np.random.default_rng(0)):
+        camera = Camera.from_blender(40, 40, 55.0, pose.cam_to_world)
         assert np.linalg.norm(camera.position) == pytest.approx(4.0) and camera.position[2] > 0
         np.testing.assert_allclose((camera.world_to_cam @ [0, 0, 0, 1])[:3], [0, 0, 4], atol=1e-9)
         up = camera.world_to_cam[:3, :3] @ [0, 0, 1]
@@ -34,8 +35,8 @@ def test_cameras_stand_on_the_upper_hemisphere_and_see_the_origin_upright() -> N
 @pytest.mark.parametrize(("train", "test"), [(60, 12), (100, 12), (2, 1), (5, 9)])
 def test_held_out_times_lie_between_training_times(train: int, test: int) -> None:
     rng = np.random.default_rng(0)
-    trained = np.array([shot.time for shot in training_shots(train, rng)])
-    held_out = np.array([shot.time for shot in held_out_shots(test, train, rng)])
+    trained = np.array([pose.time for pose in training_poses(train, rng)])
+    held_out = np.array([pose.time for pose in held_out_poses(test, train, rng)])
     np.testing.assert_allclose(trained, np.arange(train) / (train - 1))
     gap = 1 / (train - 1)
     nearest = np.abs(held_out[:, None] - trained).min(axis=1)
@@ -43,20 +44,16 @@ def test_held_out_times_lie_between_training_times(train: int, test: int) -> Non
     assert held_out.min() > 0 and held_out.max() < 1
 
 
-# --- on disk --------------------------------------------------------------------------------------------------------
+# --- on disk ----------------------------------------------------------------------------------------------------------
 
 SMALL = {"size": 24, "train_views": 3, "test_views": 2}
 
 
-def all_bytes(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
-
-
 @pytest.mark.parametrize("name", PHOTOGRAPHED)
-def test_each_scene_reads_back_as_it_was_traced(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    originals: list[Traced] = []
+def test_round_trip_of_traced_images(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    originals: list[TracedImage] = []
 
-    def keep(*arguments: object, **options: object) -> Traced:
+    def keep(*arguments: object, **options: object) -> TracedImage:
         originals.append(trace(*arguments, **options))
         return originals[-1]
 
@@ -67,7 +64,7 @@ def test_each_scene_reads_back_as_it_was_traced(name: str, tmp_path: Path, monke
         traced = [*originals[:3], *originals[-2:]]  # written as train, val, test
         for view, truth in zip(scene.train + scene.test, traced, strict=True):
             expected = 255 * (truth.color + (1 - truth.alpha) * background[0])
-            # Rounding of alpha (its effect on the background ½), of colour (½) and of what was composed (½).
+            # Rounding of alpha (½ through the background), of colour (½) and of the composed image (½).
             worst = 1.0 if background[0] == 0 else 1.5
             np.testing.assert_allclose(view.image.transpose(2, 0, 1), expected, atol=worst + 1e-3)
     assert scene.is_static == (name == "still")
@@ -78,18 +75,18 @@ def test_each_scene_reads_back_as_it_was_traced(name: str, tmp_path: Path, monke
     ]
     assert times == [name != "still"] * 6
     for view, truth in zip(scene.test, originals[-2:]):
-        stored = read_truth(folder, view.name)
+        stored = read_ground_truth(folder, view.name)
         for array in ("depth", "flow", "flow_valid"):
             np.testing.assert_array_equal(getattr(stored, array), getattr(truth, array))
         np.testing.assert_allclose(stored.color, truth.color, atol=1.01 / 255)
 
 
 @pytest.mark.parametrize("name", PHOTOGRAPHED)
-def test_everything_lies_where_random_points_start(name: str, tmp_path: Path) -> None:
+def test_surfaces_lie_in_the_box_of_random_points(name: str, tmp_path: Path) -> None:
     folder = build_scene(tmp_path / name, scene=name, seed=1, size=24, train_views=3, test_views=8)
     corner = np.zeros(3)
     for view in read_dnerf(folder, name=name, downscale=1).test:
-        depth, camera = read_truth(folder, view.name).depth, view.camera
+        depth, camera = read_ground_truth(folder, view.name).depth, view.camera
         rows, columns = np.nonzero(depth)
         pixels = np.stack(
             [(columns + 0.5 - camera.cx) / camera.fx, (rows + 0.5 - camera.cy) / camera.fy, np.ones(len(rows))]
@@ -99,23 +96,23 @@ def test_everything_lies_where_random_points_start(name: str, tmp_path: Path) ->
     assert (corner <= 1.2).all() and (corner > 0.4).all()
 
 
-def test_a_seed_gives_the_same_bytes_and_another_seed_others(tmp_path: Path) -> None:
+def test_bytes_depend_on_the_seed(tmp_path: Path) -> None:
     first, again, other = (
-        all_bytes(build_scene(tmp_path / str(number), scene="burst", seed=seed, **SMALL))
+        read_files(build_scene(tmp_path / str(number), scene="burst", seed=seed, **SMALL))
         for number, seed in enumerate((5, 5, 6))
     )
     assert first == again
     assert first.keys() == other.keys() and first["train/r_0.png"] != other["train/r_0.png"]
 
 
-def test_a_scene_is_made_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_make_scene_uses_the_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = make_scene("still", tmp_path, **SMALL)
     monkeypatch.setattr("datasets.synthetic.build_scene", lambda *_, **__: pytest.fail("made again"))
     assert make_scene("still", tmp_path, **SMALL) == folder
     assert [path.name for path in tmp_path.iterdir()] == [folder.name]
 
 
-def test_other_arguments_are_another_folder(tmp_path: Path) -> None:
+def test_cache_folder_depends_on_arguments(tmp_path: Path) -> None:
     folders = {
         make_scene("still", tmp_path, **{**SMALL, **change})
         for change in ({}, {"seed": 1}, {"size": 16}, {"train_views": 2}, {"test_views": 1})
@@ -123,30 +120,30 @@ def test_other_arguments_are_another_folder(tmp_path: Path) -> None:
     assert len(folders) == 5
 
 
-def test_a_broken_run_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_exception_leaves_no_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("datasets.synthetic.write.trace", lambda *_, **__: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         make_scene("still", tmp_path, **SMALL)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_second_process_that_made_the_same_scene_does_no_harm(tmp_path: Path) -> None:
+def test_existing_folder_is_kept(tmp_path: Path) -> None:
     folder = build_scene(tmp_path / "scene", scene="still", seed=0, **SMALL)
-    before = all_bytes(folder)
+    before = read_files(folder)
     build_scene(folder, scene="still", seed=0, **SMALL)
-    assert all_bytes(folder) == before and [path.name for path in tmp_path.iterdir()] == ["scene"]
+    assert read_files(folder) == before and [path.name for path in tmp_path.iterdir()] == ["scene"]
 
 
-def test_rgba_keeps_colour_and_alpha_apart() -> None:
+def test_to_rgba_has_straight_alpha() -> None:
     empty = np.zeros((1, 3), dtype=np.float32)
     alpha = np.array([[0.0, 4 / 9, 1.0]], dtype=np.float32)
     color = np.stack([alpha * 0.5] * 3)
-    rgba = to_rgba(Traced(color, alpha, empty, np.stack([empty] * 2), empty > 0))
+    rgba = to_rgba(TracedImage(color, alpha, empty, np.stack([empty] * 2), empty > 0))
     assert rgba[0, 0].tolist() == [0, 0, 0, 0] and rgba[0, 2].tolist() == [128, 128, 128, 255]
     assert rgba[0, 1, 3] == 113 and abs(int(rgba[0, 1, 0]) - 128) <= 1  # straight, not premultiplied
 
 
-def test_a_config_makes_and_reads_a_scene(tmp_path: Path) -> None:
+def test_load_scene_by_config(tmp_path: Path) -> None:
     cfg = SceneConfig(name="synthetic/lamp", reader="synthetic", downscale=1, cache=str(tmp_path), **SMALL)
     scene = load_scene(cfg)
     assert (scene.name, len(scene.train), len(scene.test)) == ("synthetic/lamp", 3, 2)
@@ -164,17 +161,17 @@ def test_a_config_makes_and_reads_a_scene(tmp_path: Path) -> None:
         ({"reader": "dnerf"}, r"scene.path: expected the folder of the data \(scene.path=DIR\), found none"),
     ],
 )
-def test_a_config_that_names_no_scene_is_refused(changes: dict, message: str, tmp_path: Path) -> None:
+def test_invalid_config_is_refused(changes: dict, message: str, tmp_path: Path) -> None:
     fields = {"name": "synthetic/lamp", "reader": "synthetic", "cache": str(tmp_path), **SMALL, **changes}
     with pytest.raises(SceneError, match=message):
         load_scene(SceneConfig(**fields))
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     options = ["still", "--out", str(tmp_path / "out"), "--size", "16", "--train-views", "2", "--test-views", "1"]
     assert main(options) == 0
     assert "2 training and 1 test views of 16 x 16 pixels" in capsys.readouterr().out
     with pytest.raises(SystemExit):
-        main(options)  # it would overwrite
+        main(options)  # the folder is not empty
     assert "does not exist or is empty" in capsys.readouterr().err

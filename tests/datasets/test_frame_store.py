@@ -1,4 +1,4 @@
-"""Decoded frames on disk: what is read is what was written, damage shows, and reading costs no memory."""
+"""The store of decoded frames: random access, detection of damage, constant memory."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from datasets.files.errors import SceneError
 from datasets.files.frame_store import StoredFrame, read_frames, write_frames
-from datasets.scene import Scene, SceneError, View, camera_extent, validate_scene
+from datasets.scene import Scene, View, camera_extent, validate_scene
 from rasterizer.camera import Camera
 
-SHAPE = (5, 7, 11, 3)  # frames of 231 bytes: none begins where a page does
+SHAPE = (5, 7, 11, 3)  # frames of 231 bytes, which are not aligned to pages
 
 
 @pytest.fixture
@@ -30,7 +31,7 @@ def store(folder: Path, images: np.ndarray) -> tuple[StoredFrame, ...]:
     return read_frames(folder, "cam00", images.shape)
 
 
-def test_frames_are_read_as_they_were_written_in_any_order(tmp_path: Path, images: np.ndarray) -> None:
+def test_random_access_reads_the_written_frames(tmp_path: Path, images: np.ndarray) -> None:
     frames = store(tmp_path, images)
     for index in (3, 0, 4, 1, 2, 3):
         assert np.array_equal(np.asarray(frames[index]), images[index])
@@ -38,14 +39,14 @@ def test_frames_are_read_as_they_were_written_in_any_order(tmp_path: Path, image
     assert (frames[0].shape, frames[0].dtype) == ((7, 11, 3), np.uint8)
 
 
-def test_the_file_is_a_plain_array_and_says_where_it_comes_from(tmp_path: Path, images: np.ndarray) -> None:
+def test_file_is_a_plain_array_with_its_source(tmp_path: Path, images: np.ndarray) -> None:
     store(tmp_path, images)
     assert np.array_equal(np.load(tmp_path / "cam00.npy"), images)
     assert json.loads((tmp_path / "cam00.json").read_text())["source"] == "cam00.mp4"
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["cam00.json", "cam00.npy"]  # nothing temporary
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["cam00.json", "cam00.npy"]  # no temporary files
 
 
-def test_what_is_read_is_a_copy(tmp_path: Path, images: np.ndarray) -> None:
+def test_read_returns_a_copy(tmp_path: Path, images: np.ndarray) -> None:
     frame = store(tmp_path, images)[0]
     np.asarray(frame)[:] = 0
     assert np.array_equal(np.asarray(frame), images[0])
@@ -54,13 +55,13 @@ def test_what_is_read_is_a_copy(tmp_path: Path, images: np.ndarray) -> None:
         np.array(frame, copy=False)
 
 
-def test_a_pickled_frame_can_be_read(tmp_path: Path, images: np.ndarray) -> None:
+def test_pickled_frame_can_be_read(tmp_path: Path, images: np.ndarray) -> None:
     frame = store(tmp_path, images)[2]
-    np.asarray(frame)  # the open map must not be in the way
+    np.asarray(frame)  # opens the map, which cannot be pickled
     assert np.array_equal(np.asarray(pickle.loads(pickle.dumps(frame))), images[2])
 
 
-def test_threads_may_read_at_once(tmp_path: Path, images: np.ndarray) -> None:
+def test_reads_are_thread_safe(tmp_path: Path, images: np.ndarray) -> None:
     frames = store(tmp_path, images)
     order = np.random.default_rng(1).integers(0, SHAPE[0], 400)
     with ThreadPoolExecutor(8) as pool:
@@ -68,16 +69,16 @@ def test_threads_may_read_at_once(tmp_path: Path, images: np.ndarray) -> None:
     assert all(np.array_equal(image, images[index]) for index, image in zip(order, found))
 
 
-# --- damage ---------------------------------------------------------------------------------------------------------
+# --- damage -----------------------------------------------------------------------------------------------------------
 
 
-def test_a_damaged_frame_is_refused_with_its_name_and_what_to_do(tmp_path: Path, images: np.ndarray) -> None:
+def test_wrong_checksum_is_refused(tmp_path: Path, images: np.ndarray) -> None:
     frames = store(tmp_path, images)
     path = tmp_path / "cam00.npy"
     content = bytearray(path.read_bytes())
     content[-231] ^= 1  # the first byte of the last frame
     path.write_bytes(content)
-    assert np.array_equal(np.asarray(frames[3]), images[3])  # the others are sound
+    assert np.array_equal(np.asarray(frames[3]), images[3])  # the others are valid
     with pytest.raises(
         SceneError,
         match=rf"cam00\.npy: frame 4: expected the checksum {frames[4].checksum}, found "
@@ -98,13 +99,13 @@ def test_a_damaged_frame_is_refused_with_its_name_and_what_to_do(tmp_path: Path,
         lambda folder: (folder / "cam00.json").write_text('{"offset": 128, "checksums": [], "shape": [5, 7, 11, 3]}'),
     ],
 )
-def test_what_was_not_finished_is_not_there(tmp_path: Path, images: np.ndarray, damage) -> None:
+def test_incomplete_store_reads_as_none(tmp_path: Path, images: np.ndarray, damage) -> None:
     store(tmp_path, images)
     damage(tmp_path)
     assert read_frames(tmp_path, "cam00", SHAPE) is None
 
 
-def test_frames_of_another_shape_are_not_those_asked_for(tmp_path: Path, images: np.ndarray) -> None:
+def test_store_of_another_shape_reads_as_none(tmp_path: Path, images: np.ndarray) -> None:
     store(tmp_path, images)
     assert read_frames(tmp_path, "cam00", (4, *SHAPE[1:])) is None
 
@@ -117,15 +118,13 @@ def test_frames_of_another_shape_are_not_those_asked_for(tmp_path: Path, images:
         (lambda images: images.astype(np.int16), "got int16"),
     ],
 )
-def test_other_frames_than_promised_leave_nothing_behind(
-    tmp_path: Path, images: np.ndarray, change, message: str
-) -> None:
+def test_wrong_frames_are_refused_and_leave_no_files(tmp_path: Path, images: np.ndarray, change, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         write_frames(tmp_path, "cam00", SHAPE, change(images), {})
     assert not list(tmp_path.iterdir())
 
 
-# --- size -----------------------------------------------------------------------------------------------------------
+# --- size -------------------------------------------------------------------------------------------------------------
 
 MEMORY = """
 import sys, numpy as np
@@ -143,17 +142,17 @@ print(*(most[key] - before[key] for key in most))
 """
 
 
-def test_reading_a_store_of_300_mb_takes_no_memory(tmp_path: Path) -> None:
+def test_reading_does_not_increase_resident_memory(tmp_path: Path) -> None:
     shape = (75, 1000, 1333, 3)
     frame = np.zeros(shape[1:], dtype=np.uint8)
     write_frames(tmp_path, "cam00", shape, (frame for _ in range(shape[0])), {})
     ran = subprocess.run([sys.executable, "-c", MEMORY, str(tmp_path)], capture_output=True, text=True, check=True)
     (tmp_path / "cam00.npy").unlink()
-    # Megabytes of all memory, and of what is mapped from files: a frame or two, of 4 MB each, not 300.
+    # Increase in MB of all resident memory and of mapped files: one or two frames of 4 MB each, not 300 MB.
     assert all(float(grown) < 20 for grown in ran.stdout.split()), ran.stdout
 
 
-def test_a_scene_of_6000_views_is_checked_without_reading_a_frame(tmp_path: Path) -> None:
+def test_validate_scene_reads_no_frame(tmp_path: Path) -> None:
     shape = (300, 4, 6, 3)
     views = []
     for number in range(20):
@@ -162,7 +161,7 @@ def test_a_scene_of_6000_views_is_checked_without_reading_a_frame(tmp_path: Path
         pose[0, 3] = number
         camera = Camera(6, 4, 5.0, 5.0, 3.0, 2.0, pose)
         frames = read_frames(tmp_path, f"cam{number:02d}", shape)
-        (tmp_path / f"cam{number:02d}.npy").unlink()  # whoever reads a frame now fails
+        (tmp_path / f"cam{number:02d}.npy").unlink()  # reading a frame would fail
         views += [
             View(camera, index / 30, frame, f"train/cam{number:02d}_{index:04d}") for index, frame in enumerate(frames)
         ]

@@ -1,4 +1,4 @@
-"""The Plenoptic Video reader: frames, times, cameras and splits of small real videos, and every bad input."""
+"""The Plenoptic Video reader on small videos: frames, times, cameras, splits, and every kind of invalid input."""
 
 from __future__ import annotations
 
@@ -29,29 +29,24 @@ from datasets.files.frame_store import StoredFrame
 from datasets.plenoptic import read_plenoptic
 from datasets.settings import SceneConfig
 
-# Levels of 255, inside a block: the rounding to limited range and back is 1 to 2, the rest is what x264 takes at crf 1.
+# Levels of 255, inside a block: 1 to 2 from limited range, the rest from x264 at crf 1.
 CODEC = 4
 
 
-@pytest.fixture(scope="session")
-def filmed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_folder(tmp_path_factory.mktemp("filmed"))
-
-
 @pytest.fixture
-def folder(filmed: Path, tmp_path: Path) -> Path:
-    return shutil.copytree(filmed, tmp_path / "scene")
+def folder(video_folder: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(video_folder, tmp_path / "scene")
 
 
 def read(folder: Path, **options: object) -> Scene:
-    given = dict(name="plenoptic/toy", downscale=1, cache=folder.parent / "cache", threads=2, log=lambda text: None)
-    return read_plenoptic(folder, **{**given, **options})
+    defaults = dict(name="plenoptic/toy", downscale=1, cache=folder.parent / "cache", threads=2, log=lambda text: None)
+    return read_plenoptic(folder, **{**defaults, **options})
 
 
-# --- what is read ---------------------------------------------------------------------------------------------------
+# --- valid input ------------------------------------------------------------------------------------------------------
 
 
-def test_frames_are_those_filmed_in_order_and_in_rgb(folder: Path) -> None:
+def test_frames_in_order_and_rgb(folder: Path) -> None:
     scene = read(folder)
     assert len(scene.train) == 2 * FRAMES and len(scene.test) == FRAMES
     for view in scene.train + scene.test:
@@ -62,7 +57,7 @@ def test_frames_are_those_filmed_in_order_and_in_rgb(folder: Path) -> None:
         assert error.max() <= CODEC, view.name
 
 
-def test_names_times_and_splits(folder: Path) -> None:
+def test_view_names_times_and_splits(folder: Path) -> None:
     scene = read(folder)
     assert [view.name for view in scene.test] == [f"test/cam00_{frame:04d}" for frame in range(FRAMES)]
     assert scene.train[0].name == "train/cam01_0000" and scene.train[-1].name == f"train/cam02_{FRAMES - 1:04d}"
@@ -71,7 +66,7 @@ def test_names_times_and_splits(folder: Path) -> None:
     assert not scene.is_static and scene.source == folder and scene.background == (0.0, 0.0, 0.0)
 
 
-def test_cameras_are_those_of_the_poses(folder: Path) -> None:
+def test_cameras_are_those_of_poses_bounds(folder: Path) -> None:
     scene = read(folder)
     camera = scene.train[0].camera
     assert (camera.width, camera.height, camera.fx, camera.fy) == (WIDTH, HEIGHT, FOCAL, FOCAL)
@@ -83,7 +78,7 @@ def test_cameras_are_those_of_the_poses(folder: Path) -> None:
     assert low[2] <= -4 and high[2] >= 6  # the cameras, and z = -4 + 10 at their far bound
 
 
-def test_half_resolution_is_the_mean_of_blocks_and_the_camera_knows(folder: Path) -> None:
+def test_downscale_averages_blocks_and_scales_cameras(folder: Path) -> None:
     full, half = read(folder), read(folder, downscale=2)
     for a, b in zip(full.test, half.test):
         blocks = np.asarray(a.image, dtype=float).reshape(HEIGHT // 2, 2, WIDTH // 2, 2, 3).mean(axis=(1, 3))
@@ -92,16 +87,18 @@ def test_half_resolution_is_the_mean_of_blocks_and_the_camera_knows(folder: Path
     assert (camera.width, camera.height, camera.fx, camera.cx) == (WIDTH // 2, HEIGHT // 2, FOCAL / 2, WIDTH / 4)
 
 
-def test_pixels_that_fill_no_block_are_left_out_and_the_camera_knows(folder: Path) -> None:
+def test_incomplete_blocks_are_cropped_from_image_and_camera(folder: Path) -> None:
     full, fifth = read(folder), read(folder, downscale=5)  # 64 = 12 · 5 + 4, 48 = 9 · 5 + 3
     whole = np.asarray(full.test[0].image, dtype=float)[:45, :60].reshape(9, 5, 12, 5, 3).mean(axis=(1, 3))
     np.testing.assert_allclose(np.asarray(fifth.test[0].image), whole, atol=0.501)
     camera = fifth.test[0].camera
     assert (camera.width, camera.height) == (12, 9)
-    assert (camera.cx, camera.cy) == pytest.approx((WIDTH / 2 / 5, HEIGHT / 2 / 5))  # not the middle of what is left
+    assert (camera.cx, camera.cy) == pytest.approx(
+        (WIDTH / 2 / 5, HEIGHT / 2 / 5)
+    )  # not the centre of the cropped image
 
 
-def test_some_frames_from_the_middle(folder: Path) -> None:
+def test_first_frame_and_frames(folder: Path) -> None:
     everything, some = read(folder), read(folder, first_frame=2, frames=3)
     assert [view.name for view in some.test] == ["test/cam00_0002", "test/cam00_0003", "test/cam00_0004"]
     assert [view.time for view in some.test] == pytest.approx([0, 1 / RATE, 2 / RATE])
@@ -110,7 +107,7 @@ def test_some_frames_from_the_middle(folder: Path) -> None:
         assert np.array_equal(np.asarray(found.image), np.asarray(view.image))
 
 
-def test_cameras_may_be_dropped_and_others_held_out_and_nothing_is_decoded_anew(tmp_path: Path) -> None:
+def test_dropping_and_holding_out_cameras_reuses_the_store(tmp_path: Path) -> None:
     folder = write_folder(tmp_path / "scene", (0, 1, 2, 3))
     read(folder)
     (store,) = (folder.parent / "cache").iterdir()
@@ -121,7 +118,7 @@ def test_cameras_may_be_dropped_and_others_held_out_and_nothing_is_decoded_anew(
     assert {path: path.stat().st_mtime_ns for path in store.glob("cam*")} == written
 
 
-def test_numbers_may_have_gaps_and_belong_to_names(tmp_path: Path) -> None:
+def test_camera_numbers_with_gaps(tmp_path: Path) -> None:
     folder = write_folder(tmp_path / "scene", (1, 4, 10))
     scene = read(folder, test_cameras=[4])
     assert {view.name[:10] for view in scene.test} == {"test/cam04"}
@@ -129,18 +126,18 @@ def test_numbers_may_have_gaps_and_belong_to_names(tmp_path: Path) -> None:
     np.testing.assert_allclose(scene.train[-1].camera.position, [10, 0, -4], atol=1e-12)
 
 
-def test_videos_of_other_lengths_do_where_enough_frames_are_common(folder: Path) -> None:
+def test_videos_of_different_lengths_with_enough_common_frames(folder: Path) -> None:
     write_camera(folder / "cam02.mp4", 2, FRAMES + 2)
     assert len(read(folder, frames=FRAMES).train) == 2 * FRAMES
 
 
-def test_2997_frames_a_second_are_taken_for_30(folder: Path) -> None:
+def test_frame_rates_29_97_and_30_are_equal(folder: Path) -> None:
     write_camera(folder / "cam02.mp4", 2, FRAMES, 30_000 / 1001)
     assert len(read(folder).train) == 2 * FRAMES
 
 
 @pytest.mark.parametrize("reader", ["plenoptic", "synthetic"])
-def test_a_config_names_it(folder: Path, reader: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_load_scene_by_config(folder: Path, reader: str, monkeypatch: pytest.MonkeyPatch) -> None:
     if reader == "synthetic":
         import datasets.synthetic as synthetic
 
@@ -167,12 +164,12 @@ def test_a_config_names_it(folder: Path, reader: str, monkeypatch: pytest.Monkey
     assert {view.name[:10] for view in scene.test} == {"test/cam01"}
 
 
-def test_opencv_is_loaded_only_where_there_are_videos() -> None:
+def test_opencv_is_imported_only_for_videos() -> None:
     code = "import sys, datasets, datasets.dnerf, datasets.files.frame_store; sys.exit('cv2' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
 
 
-# --- bad input ---------------------------------------------------------------------------------------------
+# --- invalid input ----------------------------------------------------------------------------------------------------
 
 
 def poses(change: Callable[[np.ndarray], object]) -> Callable[[Path], None]:
@@ -189,7 +186,7 @@ def setting(column: int, value: float, row: int = 1) -> Callable[[Path], None]:
 
 
 def cut(part: float) -> Callable[[Path], None]:
-    """Leaves the index, which comes first, and `part` of the frames."""
+    """Truncates the video to the index, which comes first, and `part` of the frames."""
 
     def damage(folder: Path) -> None:
         path = folder / "cam01.mp4"
@@ -206,7 +203,7 @@ def film(*arguments: object, **options: int) -> Callable[[Path], None]:
 
 DROP = r"scene\.drop_cameras=\[1\] leaves camera 1 out"
 POSES = r"poses_bounds\.npy"
-BAD_INPUT: dict[str, tuple[Callable[[Path], object], dict, str]] = {
+INVALID_INPUT: dict[str, tuple[Callable[[Path], object], dict, str]] = {
     "no videos": (lambda f: [path.unlink() for path in f.glob("*")], {}, "expected cam00.mp4 … and .* found neither"),
     "not a folder": (lambda f: (shutil.rmtree(f), f.write_text("")), {}, "Plenoptic Video layout, found a file"),
     "nothing": (lambda f: shutil.rmtree(f), {}, "expected a folder in the Plenoptic Video layout, found nothing there"),
@@ -216,7 +213,7 @@ BAD_INPUT: dict[str, tuple[Callable[[Path], object], dict, str]] = {
         rf"cam01\.mp4: expected a video, found a file that cannot be opened as one; {DROP}",
     ),
     "empty video": (lambda f: (f / "cam01.mp4").write_bytes(b""), {}, rf"cam01\.mp4: expected a video, found .*{DROP}"),
-    "a video without frames": (cut(0.05), {}, rf"cam01\.mp4: expected a length, a rate and a first frame .*{DROP}"),
+    "video without frames": (cut(0.05), {}, rf"cam01\.mp4: expected a length, a rate and a first frame .*{DROP}"),
     "truncated": (
         cut(0.6),
         {},
@@ -283,12 +280,12 @@ BAD_INPUT: dict[str, tuple[Callable[[Path], object], dict, str]] = {
         {},
         "expected one name a camera, found several with number 1",
     ),
-    "one place to train from": (setting(3, 2.0), {}, "two places or more .* found 12 at one place"),
+    "one camera position": (setting(3, 2.0), {}, "two places or more .* found 12 at one place"),
     "no poses": (lambda f: (f / "poses_bounds.npy").unlink(), {}, rf"{POSES}: expected a file \(.*scene=video\)"),
     "poses not an array": (lambda f: (f / "poses_bounds.npy").write_text("hello"), {}, f"{POSES}: expected a numpy"),
     "poses empty": (lambda f: (f / "poses_bounds.npy").write_bytes(b""), {}, f"{POSES}: expected a numpy array"),
     "poses 16 wide": (poses(lambda t: t[:, :16]), {}, rf"{POSES}: expected .* one row of 17 .* float64 \(3, 16\)"),
-    "poses of words": (poses(lambda t: t.astype(str)), {}, rf"{POSES}: expected numbers"),
+    "poses of strings": (poses(lambda t: t.astype(str)), {}, rf"{POSES}: expected numbers"),
     "one pose too few": (poses(lambda t: t[:2]), {}, f"{POSES}: expected 3 poses, one a video in the folder, found 2"),
     "pose NaN": (setting(3, float("nan")), {}, rf"{POSES}: row 1 \(cam01\): expected finite numbers, found NaN or Inf"),
     "pose scaled": (setting(5, 1.2), {}, rf"{POSES}: row 1 \(cam01\): expected a rigid pose"),
@@ -300,19 +297,19 @@ BAD_INPUT: dict[str, tuple[Callable[[Path], object], dict, str]] = {
 }
 
 
-@pytest.mark.parametrize("case", BAD_INPUT)
-def test_bad_input_is_refused_with_one_line(folder: Path, case: str, capfd: pytest.CaptureFixture[str]) -> None:
-    damage, options, message = BAD_INPUT[case]
+@pytest.mark.parametrize("case", INVALID_INPUT)
+def test_invalid_input_is_refused_in_one_line(folder: Path, case: str, capfd: pytest.CaptureFixture[str]) -> None:
+    damage, options, message = INVALID_INPUT[case]
     damage(folder)
     with pytest.raises(SceneError, match=message) as caught:
         read(folder, **options)
     assert "\n" not in str(caught.value) and str(folder) in str(caught.value)
-    assert capfd.readouterr() == ("", "")  # the decoder's own complaints do not come before it
-    if case != "truncated":  # which only decoding shows
+    assert capfd.readouterr() == ("", "")  # no output of the decoder
+    if case != "truncated":  # detected only while decoding
         assert not (folder.parent / "cache").exists()
 
 
-def test_a_camera_that_is_dropped_may_be_bad_in_every_way(folder: Path) -> None:
+def test_dropped_camera_may_be_invalid(folder: Path) -> None:
     (folder / "cam01.mp4").write_text("hello")
     setting(0, float("nan"))(folder)
     write_camera(folder / "cam03.mp4", 3)

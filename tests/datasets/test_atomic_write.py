@@ -1,5 +1,7 @@
-"""A disk that fills: the old file stays whole, and one line names the new one. The kernel itself refuses the bytes, by a
-limit on the size of files (RLIMIT_FSIZE), which fails writes as a full disk does."""
+"""Atomic writes on a full disk: the old file is kept, and one line names the new one.
+
+A limit on the size of files (RLIMIT_FSIZE) makes writes fail like a full disk.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +14,7 @@ import numpy as np
 import pytest
 from shell import Shell
 
-from datasets.files.atomic_folder import atomic_folder
-from datasets.files.atomic_write import DiskFull, atomic_file, write_text, writing
+from datasets.files.atomic_write import DiskFull, atomic_file, atomic_folder, disk_errors_named, write_text
 from pipeline.config.compose import CONFIG_DIR
 
 LIMITED = """
@@ -36,7 +37,7 @@ TINY = (
 
 
 def limited(folder: Path, limit: int, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """`python -m pipeline` that may write no file of more than `limit` bytes."""
+    """`python -m pipeline` with a limit of `limit` bytes per file."""
     code = LIMITED.format(limit=limit, argv=["pipeline", *arguments])
     return subprocess.run(
         [sys.executable, "-c", code],
@@ -49,28 +50,30 @@ def limited(folder: Path, limit: int, *arguments: str) -> subprocess.CompletedPr
 
 
 @pytest.fixture(scope="module")
-def begun(tmp_path_factory) -> Path:
-    """A folder with a run of 20 iterations, whose checkpoint a longer run would replace."""
+def completed_run(tmp_path_factory) -> Path:
+    """A folder with a run of 20 iterations."""
     folder = tmp_path_factory.mktemp("disk")
     Shell(folder)(*TINY, "train.iterations=20")
     return folder
 
 
-def test_a_disk_that_fills_while_the_model_is_initialised(begun: Path) -> None:
-    done = limited(begun, 100_000, *TINY, "out=other")  # init.ply is larger, all before it smaller
+def test_full_disk_while_init_ply_is_written(completed_run: Path) -> None:
+    done = limited(completed_run, 100_000, *TINY, "out=other")  # only init.ply is larger
     assert done.returncode == 1 and "Traceback" not in done.stderr
     assert done.stderr.startswith("error: other/init.ply: expected room to write it, found no space left (")
     assert done.stderr.count("\n") == 1 and "make room and give the same command again" in done.stderr
-    assert not list((begun / "other").glob(".tmp-*")) and not (begun / "other/init.ply").exists()
+    assert not list((completed_run / "other").glob(".tmp-*")) and not (completed_run / "other/init.ply").exists()
 
 
-def test_a_disk_that_fills_while_a_checkpoint_is_written(begun: Path) -> None:
-    size = (begun / "run/init.ply").stat().st_size
-    done = limited(begun, 2 * size, *TINY, "out=third")  # a checkpoint holds Adam's moments besides
+def test_full_disk_while_a_checkpoint_is_written(completed_run: Path) -> None:
+    size = (completed_run / "run/init.ply").stat().st_size
+    done = limited(
+        completed_run, 2 * size, *TINY, "out=third"
+    )  # the checkpoint is larger: it also holds Adam's moments
     assert done.returncode == 1 and "Traceback" not in done.stderr
     assert done.stderr.startswith("error: third/checkpoint.safetensors: expected room to write it, found no space left")
     assert done.stderr.count("\n") == 1
-    assert {path.name for path in (begun / "third").iterdir()} == {
+    assert {path.name for path in (completed_run / "third").iterdir()} == {
         ".lock",
         "config.yaml",
         "environment.json",
@@ -79,11 +82,11 @@ def test_a_disk_that_fills_while_a_checkpoint_is_written(begun: Path) -> None:
         "init.ply",
         "error_vs_time.csv",
     }
-    Shell(begun)(*TINY, "out=third")  # with room again it goes on
+    Shell(completed_run)(*TINY, "out=third")  # with space again the run continues
 
 
-def test_the_old_checkpoint_stays_whole(begun: Path) -> None:
-    path = begun / "run" / "checkpoint.safetensors"
+def test_full_disk_keeps_the_old_checkpoint(completed_run: Path) -> None:
+    path = completed_run / "run" / "checkpoint.safetensors"
     before = path.read_bytes()
     from pipeline.training import checkpoint
 
@@ -108,20 +111,20 @@ checkpoint.save(Path({str(path)!r}), saved)
     assert checkpoint.load(path).iteration == checkpoint.saved_iteration(path) == 20
 
 
-def test_an_error_without_a_name_gets_one(tmp_path: Path) -> None:
-    with pytest.raises(DiskFull, match=rf"{tmp_path}/a: expected room"), writing(tmp_path / "a"):
+def test_disk_errors_name_the_path(tmp_path: Path) -> None:
+    with pytest.raises(DiskFull, match=rf"{tmp_path}/a: expected room"), disk_errors_named(tmp_path / "a"):
         raise OSError(errno.ENOSPC, "No space left on device")
-    with pytest.raises(OSError, match=rf"Input/output error: '{tmp_path}/a'"), writing(tmp_path / "a"):
+    with pytest.raises(OSError, match=rf"Input/output error: '{tmp_path}/a'"), disk_errors_named(tmp_path / "a"):
         raise OSError(errno.EIO, "Input/output error")
-    with pytest.raises(DiskFull, match="scene: expected room"), atomic_folder(tmp_path / "scene") as draft:
-        np.save(draft / "a.npy", np.zeros(3))
+    with pytest.raises(DiskFull, match="scene: expected room"), atomic_folder(tmp_path / "scene", "a") as temporary:
+        np.save(temporary / "a.npy", np.zeros(3))
         raise OSError(errno.ENOSPC, "No space left on device")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_replacing_keeps_the_old_file_and_leaves_nothing_beside_it(tmp_path: Path) -> None:
+def test_an_exception_keeps_the_old_file_and_deletes_the_temporary_one(tmp_path: Path) -> None:
     write_text(tmp_path / "a", "old")
     with pytest.raises(ZeroDivisionError), atomic_file(tmp_path / "a") as temporary:
         temporary.write_text("half of")
-        1 / 0
+        raise ZeroDivisionError
     assert (tmp_path / "a").read_text() == "old" and list(tmp_path.iterdir()) == [tmp_path / "a"]

@@ -1,4 +1,4 @@
-"""Filming a synthetic scene: a frame equals the traced image, and a video decodes to the frames it was made of."""
+"""film() against trace(), and the encoding of videos."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from datasets.synthetic.texture import mosaic, plain
 from datasets.synthetic.trace import trace
 from datasets.synthetic.video import FRAME_RATE, write_video
 from datasets.synthetic.world import Body, Light, Material, Pose, World, rest, steady
-from datasets.synthetic.write_film import Shooting
+from datasets.synthetic.write_film import FilmSettings
 from rasterizer.camera import Camera
 
-RIG = Shooting(seed=0, scene="counter", size=96, cameras=12, frames=4, samples=3)
+RIG = FilmSettings(seed=0, scene="counter", size=96, cameras=12, frames=4, samples=3)
 
 
 def read_video(path: Path) -> np.ndarray:
@@ -35,17 +35,17 @@ def set_up() -> tuple[World, list[Camera]]:
     return RIG.set_up()
 
 
-def test_a_dome_is_met_from_inside() -> None:
+def test_dome_intersection_from_inside() -> None:
     rng = np.random.default_rng(0)
     origin, direction = rng.uniform(-2, 2, (3, 1)).astype(np.float32), rng.normal(size=(3, 50)).astype(np.float32)
     distance = Dome(300.0).intersect(origin, direction)
     points = origin + distance * direction
     assert (distance > 0).all()
     np.testing.assert_allclose(np.linalg.norm(points, axis=0), 300, rtol=1e-5)
-    assert ((Dome(300.0).normal(points) * direction).sum(axis=0) < 0).all()  # towards who looks
+    assert ((Dome(300.0).normal(points) * direction).sum(axis=0) < 0).all()  # towards the camera
 
 
-def test_a_rectangle_may_have_a_hole() -> None:
+def test_rectangle_with_a_hole() -> None:
     x, y = np.meshgrid(np.linspace(-1.5, 1.5, 31), np.linspace(-1.5, 1.5, 31))
     origin = np.stack([x.ravel(), y.ravel(), np.full(x.size, 2.0)]).astype(np.float32)
     down = np.tile(np.float32([[0], [0], [-1]]), x.size)
@@ -54,7 +54,7 @@ def test_a_rectangle_may_have_a_hole() -> None:
     np.testing.assert_array_equal(met, whole & ~((x > -0.52) & (x < 0.31) & (y > -0.22) & (y < 0.63)))
 
 
-def test_a_mosaic_has_one_colour_a_cell() -> None:
+def test_mosaic_has_one_colour_per_cell() -> None:
     texture = mosaic((0.1, 0.2, 0.3), (0.9, 0.8, 0.7), 0.2, np.random.default_rng(0))
     centres = 0.2 * (np.random.default_rng(1).integers(-400, 400, (3, 500)) + 0.25)
     inside = centres + np.random.default_rng(2).uniform(-0.09, 0.09, centres.shape)
@@ -64,9 +64,8 @@ def test_a_mosaic_has_one_colour_a_cell() -> None:
     assert (colours >= np.float32([[0.1], [0.2], [0.3]]) - 1e-6).all()
 
 
-def assert_filmed_as_traced(world: World, camera: Camera, times: list[float], samples: int) -> None:
-    """Matrix products of differently cut arrays may differ in their last bit. That moves a colour by far less than a
-    level, but at a texture's edge it may take a ray across: hence one ray in a pixel or two, and no more."""
+def assert_film_equals_trace(world: World, camera: Camera, times: list[float], samples: int) -> None:
+    """Equal up to rounding of matrix products, which may move single rays across the edge of a texture."""
     for time, frame in zip(times, film(world, camera, times, samples=samples), strict=True):
         traced = trace(world, camera, time, samples=samples)
         assert (traced.alpha == 1).all()
@@ -75,15 +74,15 @@ def assert_filmed_as_traced(world: World, camera: Camera, times: list[float], sa
 
 
 @pytest.mark.parametrize("samples", [1, 3])
-def test_a_filmed_frame_is_the_traced_image(samples: int, set_up: tuple[World, list[Camera]]) -> None:
+def test_film_equals_trace(samples: int, set_up: tuple[World, list[Camera]]) -> None:
     world, cameras = set_up
-    assert_filmed_as_traced(world, cameras[3], [0.0, 0.9, 1 / 30], samples)
+    assert_film_equals_trace(world, cameras[3], [0.0, 0.9, 1 / 30], samples)
 
 
 def balls(**options: bool) -> World:
-    """Two that pass before and through each other, in an unlit sphere."""
+    """Two balls that pass in front of and through each other, in an unlit sphere."""
 
-    def going(way: float) -> Body:
+    def ball(way: float) -> Body:
         return Body(
             Sphere(0.4),
             Material(
@@ -95,22 +94,22 @@ def balls(**options: bool) -> World:
         )
 
     shell = Body(Dome(50.0), Material(plain((0.2, 0.4, 0.6)), is_lit=False), rest((0, 0, 0)), casts_shadow=False)
-    return World(bodies=(going(1.0), shell, going(-1.0)), lights=(Light((1.0, -4.0, 3.0), 0.2, steady(0.5, 0.5, 0.5)),))
+    return World(bodies=(ball(1.0), shell, ball(-1.0)), lights=(Light((1.0, -4.0, 3.0), 0.2, steady(0.5, 0.5, 0.5)),))
 
 
-def test_bodies_that_change_may_overlap_and_leave_nothing_behind() -> None:
+def test_overlapping_changing_bodies() -> None:
     camera = rig(3, 64, 48, np.random.default_rng(0))[1]
-    assert_filmed_as_traced(balls(), camera, [0.0, 0.45, 0.5, 4.0, 0.0], 3)  # at 4 out of sight
+    assert_film_equals_trace(balls(), camera, [0.0, 0.45, 0.5, 4.0, 0.0], 3)  # at time 4 outside the image
     first, *_, last = film(balls(), camera, [0.0, 0.5, 4.0, 0.0])
     np.testing.assert_array_equal(first, last)
 
 
-def test_an_unlit_surface_shows_its_texture() -> None:
+def test_unlit_surface_shows_its_texture() -> None:
     frame = next(film(balls(), rig(3, 64, 48, np.random.default_rng(0))[0], [4.0]))
     assert (frame == [51, 102, 153]).all()
 
 
-def test_what_film_would_show_wrongly_is_refused() -> None:
+def test_unsupported_worlds_are_refused() -> None:
     camera = rig(3, 16, 12, np.random.default_rng(0))[0]
     flickering = Light((0.0, 0.0, 4.0), 0.1, lambda time: np.full(3, time))
     for world, times, samples, message in (
@@ -124,7 +123,7 @@ def test_what_film_would_show_wrongly_is_refused() -> None:
             next(film(world, camera, times, samples=samples))
 
 
-def test_videos_decode_to_what_was_traced(tmp_path: Path, set_up: tuple[World, list[Camera]]) -> None:
+def test_video_decodes_to_the_traced_frames(tmp_path: Path, set_up: tuple[World, list[Camera]]) -> None:
     world, cameras = set_up
     frames = np.stack(list(film(world, cameras[0], RIG.times)))
     write_video(tmp_path / "a.mp4", frames, RIG.size, RIG.height)
@@ -132,18 +131,17 @@ def test_videos_decode_to_what_was_traced(tmp_path: Path, set_up: tuple[World, l
     assert video.get(cv2.CAP_PROP_FPS) == FRAME_RATE and int(video.get(cv2.CAP_PROP_FRAME_COUNT)) == RIG.frames
     assert int(video.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little") in (b"h264", b"avc1")
     error = read_video(tmp_path / "a.mp4").astype(float) - frames
-    # OpenCV's conversion from YUV rounds down, which costs a level; colour at half the resolution costs most where
-    # textures are as fine as here.
+    # OpenCV's conversion from YUV rounds down, by one level; the rest is chroma subsampling of fine textures.
     assert np.abs(error).mean() < 4 and np.abs(error.mean(axis=(0, 1, 2))).max() < 2
     grey = error @ [0.299, 0.587, 0.114]
     assert np.abs(grey).mean() < 2
-    # No frame may be taken for its neighbour.
+    # Frames must not be shifted in time.
     moved = np.abs(np.diff(frames.astype(float), axis=0)).max(axis=-1) > 60
     assert moved.any() and np.abs(grey[1:][moved]).mean() < 6
 
 
-def test_flat_colours_survive_the_video(tmp_path: Path) -> None:
-    """A wrong matrix or range would shift them by ten levels and more."""
+def test_flat_colours_survive_encoding(tmp_path: Path) -> None:
+    """A wrong colour matrix or range would shift them by ten levels or more."""
     colours = np.random.default_rng(0).integers(8, 248, (6, 8, 3)).astype(np.uint8)
     image = colours.repeat(16, axis=0).repeat(16, axis=1)
     write_video(tmp_path / "flat.mp4", [image, image], 128, 96)
@@ -151,7 +149,7 @@ def test_flat_colours_survive_the_video(tmp_path: Path) -> None:
     assert np.abs(decoded - colours).max() <= 5 and np.abs(decoded - colours).mean() < 1.5
 
 
-def test_a_video_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
+def test_encoder_error_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="a.mp4: expected ffmpeg to write it, found exit status .*No such file") as caught:
         write_video(tmp_path / "no" / "a.mp4", [np.zeros((16, 16, 3), np.uint8)] * 50, 16, 16)
     assert "\n" not in str(caught.value)
