@@ -1,17 +1,19 @@
-"""Fuzzing: odd files for every reader and odd arguments for `rasterize`, and a search for one that breaks a rule.
+"""Fuzzing: invalid files for every reader and invalid arguments for `rasterize`, in search of a violated rule.
 
-    target.py      what a target is: a valid example, how it is changed, and the rule that must hold whatever came of it
-    read_*.py      a target for each reader; render.py that of `rasterize`;  targets.py lists them
-    edits.py       changes to bytes and texts;  edit_json.py, edit_arrays.py to what has structure
-    search.py      Hypothesis makes cases of a target until its time is up, and shrinks what breaks the rule
-    supervise.py   the search in a process of its own, so that a crash or a hang is a finding too
-    found/         inputs that once broke a rule, each with a name; the tests replay them
+The rule for a reader: any bytes give a valid result, or a ValueError of one line that names the file, what was expected
+and what was found; never another exception, a crash, a hang or a warning.
 
-`python -m fuzz` lists the targets. The rule for a reader: any bytes give a valid result, or one line of the project's
-own that names the file, what was expected and what was found; never another exception, a crash, a hang or a warning.
+A target (target.py) is a valid example, a Hypothesis strategy of changes to it, and a check of the rule. To add one:
+    1. write targets/<name>.py with example(), changes(), check() and TARGET; targets/frame_store.py is a short one;
+    2. run `PYTHONPATH=tests python -m fuzz <name> --seconds 600`;
+    3. fix what it finds, and move the saved input to regressions/<name>/<what it is>/, which test_fuzz.py replays.
 
-Why a folder of its own and not tests/: the command is for hours, and must be there without pytest; the tests run a few
-cases of each target (tests/fuzz/test_fuzz.py). Why Hypothesis: cases must be almost valid to get beyond the first check,
-which changes to a valid example are; it shrinks what it finds and repeats itself for a seed. A coverage-guided engine
-would see the readers' Python but none of the libraries that decode (Pillow, FFmpeg, safetensors, the kernel).
+    target.py              Target, the rule, saved inputs           targets/        the targets
+    edits/                 changes to bytes, text, JSON, arrays     regressions/    inputs that once violated the rule
+    search.py              runs a target with Hypothesis            scene_checks.py, model_checks.py
+    subprocess_search.py   the search in a process that may crash   failing_targets.py, for the tests of the search
+
+`python -m fuzz` lists the targets (with PYTHONPATH=tests; `make fuzz` runs all). Hypothesis is used because changes to
+a valid example get past the first checks of a reader, and because it shrinks inputs and repeats a seed. Coverage-guided
+fuzzers would not see the libraries that decode (Pillow, FFmpeg, safetensors, the kernel).
 """

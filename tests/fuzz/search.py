@@ -1,8 +1,7 @@
-"""The search for a case that breaks a target's rule: Hypothesis makes cases until the time is up."""
+"""Searches for an input that violates a target's rule: Hypothesis generates cases until the time is up, and shrinks."""
 
 from __future__ import annotations
 
-import itertools
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -14,21 +13,21 @@ from hypothesis import HealthCheck, Phase, settings
 
 from fuzz.target import Changes, Target, write_files
 
-BATCH = 100  # cases that Hypothesis makes at a time
-SEEDS = 1_000_003  # batches of one seed that are not another's
+BATCH = 100  # cases per Hypothesis run
+SEEDS = 1_000_003  # stride of seeds, so that batches of different seeds differ
 
 
 @dataclass(frozen=True)
 class Finding:
-    """A case that breaks the rule, shrunk, and what it raised."""
+    """A shrunk case that violates the rule, and its exception."""
 
     changes: Changes
     error: Exception
 
 
 @dataclass(frozen=True)
-class Searched:
-    """What a search came to."""
+class SearchResult:
+    """The result of a search."""
 
     outcomes: Counter[str]  # how many cases were valid, refused, …
     finding: Finding | None
@@ -42,29 +41,29 @@ def search(
     cases: int = BATCH,
     begin: Callable[[Changes], None] = lambda changes: None,
     end: Callable[[], None] = lambda: None,
-) -> Searched:
-    """Cases of `target` for `seconds`, or `cases` of them (None); up to the first that breaks the rule.
+) -> SearchResult:
+    """Checks cases of `target` for `seconds`, or `cases` of them if that is None, up to the first violation.
 
-    folder: where each case's files are written, anew. begin, end: called round each case. The same seed makes the same
-    cases in the same order.
+    folder: recreated with the files of each case. begin, end: called before and after each case. The same seed gives
+    the same cases in the same order.
     """
     example = target.example()
     strategy = target.changes(example)
     outcomes: Counter[str] = Counter()
     failing: list[Finding] = []
     write_files(folder, example)
-    target.check(folder)  # what is imported late is imported now: no case waits for it
+    target.check(folder)  # late imports happen now, not within the first case
     started = time.monotonic()
 
     def one(changes: Changes) -> None:
         if seconds is not None and not failing and time.monotonic() - started >= seconds:
-            return  # the rest of the batch
+            return  # skips the rest of the batch
         begin(changes)
         try:
             write_files(folder, {**example, **changes})
             outcomes[target.check(folder)] += 1
         except Exception as error:
-            failing.append(Finding(changes, error))  # the last one is the smallest: shrinking ends with it
+            failing.append(Finding(changes, error))  # the last one is the smallest
             raise
         finally:
             end()
@@ -77,12 +76,14 @@ def search(
         phases=(Phase.generate, Phase.shrink),
         suppress_health_check=list(HealthCheck),
     )
-    for batch in itertools.count():
+    batch = 0
+    while True:
         try:
             hypothesis.seed(seed * SEEDS + batch)(options(hypothesis.given(strategy)(one)))()
         except Exception:
-            if not failing:  # a fault of the target's own changes
+            if not failing:  # an error of the target's strategy
                 raise
-            return Searched(outcomes, failing[-1])
+            return SearchResult(outcomes, failing[-1])
         if seconds is None or time.monotonic() - started >= seconds:
-            return Searched(outcomes, None)
+            return SearchResult(outcomes, None)
+        batch += 1

@@ -1,4 +1,4 @@
-"""What a fuzz target is, and the rule that holds for every reader."""
+"""Target: a valid example, changes to it, and a check; the rule for readers; files of saved inputs."""
 
 from __future__ import annotations
 
@@ -12,34 +12,34 @@ from pathlib import Path
 from hypothesis.strategies import SearchStrategy
 
 Files = dict[str, bytes]  # path in a folder -> content
-Changes = dict[str, "bytes | None"]  # likewise, of the files that differ from the example's; None: it is not there
+Changes = dict[str, "bytes | None"]  # only the files that differ from the example; None: missing
 
 LONGEST_LINE = 2000  # characters of a message
-DELETED = ".deleted"  # in a kept input, behind the name of a file that is not there
-# What another program would have printed before our line. Those of Python's own future are not the user's.
+DELETED = ".deleted"  # in a saved input, suffix of the name of a missing file
+# Warnings that Python does not show by default.
 SILENT = (DeprecationWarning, PendingDeprecationWarning, FutureWarning, ResourceWarning)
 
-VALID, REFUSED = "valid", "refused"  # what a check may find
+VALID, REFUSED = "valid", "refused"  # outcomes of a check
 
 
-class RuleBroken(AssertionError):
-    """A case that breaks its target's rule; the message says how."""
+class RuleViolation(AssertionError):
+    """A case violates its target's rule; the message says how."""
 
 
 @dataclass(frozen=True)
 class Target:
-    """One thing to fuzz. Its functions are a module's, so that another process can be given them."""
+    """One function to fuzz. The fields are module-level functions, because they are pickled."""
 
     name: str
     about: str  # one line
-    example: Callable[[], Files]  # valid; the same at each call
+    example: Callable[[], Files]  # valid and always the same
     changes: Callable[[Files], SearchStrategy[Changes]]  # of the example
     check: Callable[[Path], str]  # of a folder with the case's files; VALID or REFUSED, or raises
-    limit: float = 60.0  # seconds a case may take: milliseconds, but the machine may be busy
+    limit: float = 60.0  # seconds per case; usually milliseconds, with a margin for busy machines
 
 
 def write_files(folder: Path, files: Mapping[str, bytes | None]) -> None:
-    """Make `folder` anew, holding these files and nothing else."""
+    """Recreates `folder` with these files."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     for name, content in files.items():
@@ -49,20 +49,21 @@ def write_files(folder: Path, files: Mapping[str, bytes | None]) -> None:
 
 
 def read_files(folder: Path) -> Files:
+    """All files below `folder`."""
     return {
         path.relative_to(folder).as_posix(): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()
     }
 
 
-def keep_changes(folder: Path, changes: Changes) -> None:
-    """An input as it is kept: the files that differ from the example's."""
+def save_changes(folder: Path, changes: Changes) -> None:
+    """Saves an input: the files that differ from the example."""
     write_files(
         folder, {f"{name}{DELETED}" if content is None else name: content or b"" for name, content in changes.items()}
     )
 
 
-def kept_changes(folder: Path) -> Changes:
-    """What `keep_changes` wrote."""
+def load_changes(folder: Path) -> Changes:
+    """The input that `save_changes` wrote."""
     return {
         name.removesuffix(DELETED): None if name.endswith(DELETED) else content
         for name, content in read_files(folder).items()
@@ -71,9 +72,9 @@ def kept_changes(folder: Path) -> Changes:
 
 @contextmanager
 def valid_or_refused(folder: Path) -> Iterator[list[str]]:
-    """Run a reader in this block: what it raises must be one line of the project's own that names a file in `folder`.
+    """For a block that runs a reader: a ValueError must be one line that names a file in `folder`; warnings are errors.
 
-    Yields a list, which holds REFUSED after a refusal. Warnings are errors: they would stand before the line.
+    Yields a list with the outcome, VALID or REFUSED.
     """
     outcome = [VALID]
     try:
@@ -83,20 +84,20 @@ def valid_or_refused(folder: Path) -> Iterator[list[str]]:
                 warnings.simplefilter("ignore", category)
             yield outcome
     except ValueError as error:
-        check_line(str(error), str(folder))
+        check_message(str(error), str(folder))
         outcome[0] = REFUSED
 
 
-def check_line(line: str, named: str, *words: str) -> None:
-    """RuleBroken unless `line` is one a user can read, has `named` in it, and says what was expected and found."""
+def check_message(line: str, named: str, *words: str) -> None:
+    """RuleViolation unless `line` is printable, contains `named`, and contains `words` (expected, found)."""
     words = words or ("expected", "found")
     if not line.isprintable() or len(line) > LONGEST_LINE:
-        raise RuleBroken(f"not one line of printable text: {line[:LONGEST_LINE]!r}")
+        raise RuleViolation(f"not one line of printable text: {line[:LONGEST_LINE]!r}")
     if named not in line or not all(word in line for word in words):
-        raise RuleBroken(f"a refusal that does not say {', '.join((named, *words))}: {line}")
+        raise RuleViolation(f"a message without {', '.join((named, *words))}: {line}")
 
 
 def require(condition: bool, what: str) -> None:
-    """RuleBroken, "accepted, but …", where a result that passed for valid is not."""
+    """RuleViolation, "accepted, but …", unless the condition holds for an accepted input."""
     if not condition:
-        raise RuleBroken(f"accepted, but {what}")
+        raise RuleViolation(f"accepted, but {what}")

@@ -1,4 +1,4 @@
-"""Fuzzing: a few cases of every target, every input that was ever found, and the search itself on faulty readers."""
+"""A few cases of every target, all saved inputs of former violations, and the search itself on failing targets."""
 
 from __future__ import annotations
 
@@ -6,61 +6,60 @@ from pathlib import Path
 
 import pytest
 
-from fuzz import faulty_targets
+from fuzz import failing_targets
 from fuzz.__main__ import main, replay
 from fuzz.search import search
-from fuzz.supervise import fuzz
-from fuzz.target import RuleBroken, check_line, kept_changes
-from fuzz.targets import MODULES, target_of
+from fuzz.subprocess_search import fuzz
+from fuzz.target import RuleViolation, check_message, load_changes
+from fuzz.targets import NAMES, load_target
 
-FOUND = Path(__file__).parent / "found"
-KEPT = sorted(path for target in FOUND.iterdir() for path in target.iterdir())
-# As many as take half a second at most: hours are for `python -m fuzz`.
+REGRESSIONS = Path(__file__).parent / "regressions"
+SAVED = sorted(path for target in REGRESSIONS.iterdir() for path in target.iterdir())
+# Fewer cases for slow targets.
 CASES = {"videos": 5, "report": 5, "images": 15, "rasterize": 20}
 
 
-@pytest.mark.parametrize("name", MODULES)
-def test_a_few_cases_keep_the_rule(name: str, tmp_path: Path) -> None:
-    """The first cases of one seed: the same ones every time."""
-    target = target_of(name)
+@pytest.mark.parametrize("name", NAMES)
+def test_a_few_cases_follow_the_rule(name: str, tmp_path: Path) -> None:
+    """The first cases of one seed."""
+    target = load_target(name)
     found = search(target, tmp_path / "case", seed=1, cases=CASES.get(name, 40))
     assert found.finding is None, found.finding.error
-    assert found.outcomes.total() >= CASES.get(name, 40) // 2  # Hypothesis leaves out what it has had before
+    assert found.outcomes.total() >= CASES.get(name, 40) // 2  # Hypothesis omits duplicates
 
 
-@pytest.mark.parametrize("name", MODULES)
-def test_the_example_is_valid(name: str, tmp_path: Path) -> None:
-    """Or changes to it would show nothing."""
-    (tmp_path / "nothing changed").mkdir()
-    assert replay(name, tmp_path / "nothing changed") == "valid"
+@pytest.mark.parametrize("name", NAMES)
+def test_example_is_valid(name: str, tmp_path: Path) -> None:
+    (tmp_path / "unchanged").mkdir()
+    assert replay(name, tmp_path / "unchanged") == "valid"
 
 
-@pytest.mark.parametrize("kept", KEPT, ids=lambda path: path.relative_to(FOUND).as_posix())
-def test_what_was_found_keeps_the_rule_now(kept: Path) -> None:
-    replay(kept.parent.name, kept)
+@pytest.mark.parametrize("saved", SAVED, ids=lambda path: path.relative_to(REGRESSIONS).as_posix())
+def test_regressions(saved: Path) -> None:
+    replay(saved.parent.name, saved)
 
 
 @pytest.mark.parametrize(
-    "target, fault",
+    ("target", "error"),
     [
-        (faulty_targets.RAISES, "ZeroDivisionError"),
-        (faulty_targets.DIES, "Aborted"),
-        (faulty_targets.STANDS_STILL, "Timeout"),
+        (failing_targets.RAISES, "ZeroDivisionError"),
+        (failing_targets.CRASHES, "Aborted"),
+        (failing_targets.HANGS, "Timeout"),
     ],
     ids=lambda value: getattr(value, "name", value),
 )
-def test_a_fault_is_found_and_its_input_kept(target, fault: str, tmp_path: Path) -> None:
-    """Also where the process that reads does not live to tell."""
+def test_violation_is_found_and_its_input_saved(target, error: str, tmp_path: Path) -> None:
+    """Also if the process crashes or hangs."""
     report = fuzz(target, seconds=30.0, seed=0, keep=tmp_path)
-    assert fault in report.fault
-    (changes,) = kept_changes(report.kept).values()
-    assert faulty_targets.is_bad(changes)
-    assert f"replay: python -m fuzz {target.name} --replay {report.kept}" in report.lines()
+    assert error in report.error
+    (changes,) = load_changes(report.saved).values()
+    assert failing_targets.is_invalid(changes)
+    assert f"replay: python -m fuzz {target.name} --replay {report.saved}" in report.lines()
 
 
-def test_what_is_found_is_shrunk(tmp_path: Path) -> None:
-    found = search(faulty_targets.RAISES, tmp_path / "case", cases=500)
-    assert found.finding.changes == {"file": faulty_targets.SMALLEST_BAD}
+def test_finding_is_shrunk(tmp_path: Path) -> None:
+    found = search(failing_targets.RAISES, tmp_path / "case", cases=500)
+    assert found.finding.changes == {"file": failing_targets.SMALLEST_INVALID}
 
 
 @pytest.mark.parametrize(
@@ -73,16 +72,16 @@ def test_what_is_found_is_shrunk(tmp_path: Path) -> None:
         "here expected found " + "x" * 5000,
     ],
 )
-def test_lines_that_are_no_refusal(line: str) -> None:
-    with pytest.raises(RuleBroken):
-        check_line(line, "here")
+def test_invalid_messages(line: str) -> None:
+    with pytest.raises(RuleViolation):
+        check_message(line, "here")
 
 
-def test_the_command_lists_runs_and_refuses(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     assert main([]) == 0
-    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == list(MODULES)
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == list(NAMES)
     assert main(["poses", "--seconds", "0.1", "--keep", str(tmp_path)]) == 0
-    assert "all keep the rule" in capsys.readouterr().out and not list(tmp_path.iterdir())
+    assert "no violation" in capsys.readouterr().out and not list(tmp_path.iterdir())
     with pytest.raises(SystemExit):
         main(["nothing"])
-    assert "no target nothing; there are dnerf" in capsys.readouterr().err
+    assert "no target nothing; there are checkpoint" in capsys.readouterr().err

@@ -1,1 +1,1 @@
-"""Changes to files that a reader should survive."""
+"""Changes to the files of a valid example: bytes, text, JSON, numpy arrays."""

@@ -1,4 +1,4 @@
-"""Changes to numpy's files that leave them arrays: other values, types, shapes and orders, headers that lie."""
+"""Changes to .npy and .npz files: values, types, shapes, memory orders, wrong headers; .safetensors headers."""
 
 from __future__ import annotations
 
@@ -12,49 +12,25 @@ from hypothesis import strategies as st
 from hypothesis.strategies import DrawFn
 
 ODD_NUMBERS = (
-    np.nan,
-    np.inf,
-    -np.inf,
-    0.0,
-    -0.0,
-    -1.0,
-    5e-324,
-    1e-40,
-    1e-12,
-    1e12,
-    1e18,
-    1e19,
-    1e38,
-    1e39,
-    1e154,
-    1e300,
-)
+    np.nan, np.inf, -np.inf, 0.0, -0.0, -1.0, 5e-324, 1e-40, 1e-12, 1e12, 1e18, 1e19, 1e38, 1e39, 1e154, 1e300,
+)  # fmt: skip
 ODD_TYPES = ("<f2", "<f4", ">f8", "<f8", "g", "<i1", "<i8", "<u8", "?", "<c16", "S3", "U3", "M8[s]", "O", "V4")
 ODD_SHAPES = (
-    "(-1, 17)",
-    "(0, 17)",
-    "(17,)",
-    "()",
-    "(99999999999, 17)",
-    "(9223372036854775807, 17)",
-    "(2, 3, 17)",
-    "(1e3, 17)",
-    "[3, 17]",
-    "((3, 17), 2)",
-    "(4, 17)",
-)
+    "(-1, 17)", "(0, 17)", "(17,)", "()", "(99999999999, 17)", "(9223372036854775807, 17)", "(2, 3, 17)", "(1e3, 17)",
+    "[3, 17]", "((3, 17), 2)", "(4, 17)",
+)  # fmt: skip
 
 
 def edit_npy(draw: DrawFn, content: bytes) -> bytes:
-    """The array changed, or its header alone."""
+    """Changes the array, or its header alone."""
     if draw(st.integers(0, 3)) == 0:
-        lie = draw(st.sampled_from(ODD_SHAPES)).encode()
-        return re.sub(rb"'shape': \([^)]*\)", lambda _: b"'shape': " + lie, content, count=1)
+        shape = draw(st.sampled_from(ODD_SHAPES)).encode()
+        return re.sub(rb"'shape': \([^)]*\)", lambda _: b"'shape': " + shape, content, count=1)
     return _npy(edit_array(draw, np.load(io.BytesIO(content))))
 
 
 def edit_npz(draw: DrawFn, content: bytes) -> bytes:
-    """One of the archive's arrays changed, gone, under another name, or no array."""
+    """Changes, drops or renames one of the archive's arrays."""
     with np.load(io.BytesIO(content)) as archive:
         arrays = dict(archive)
     name = draw(st.sampled_from(sorted(arrays)))
@@ -122,7 +98,7 @@ def _npy(array: np.ndarray) -> bytes:
 
 
 def split_header(content: bytes) -> tuple[dict, bytes]:
-    """A .safetensors file's header and what is behind it."""
+    """The header of a .safetensors file, and its data."""
     end = 8 + int.from_bytes(content[:8], "little")
     return json.loads(content[8:end]), content[end:]
 

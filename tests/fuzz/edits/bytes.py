@@ -1,4 +1,4 @@
-"""Changes to bytes and to lines of text, and to the files of a folder."""
+"""Changes to bytes, to lines of text, and to the files of a folder."""
 
 from __future__ import annotations
 
@@ -11,79 +11,28 @@ from hypothesis.strategies import DrawFn, SearchStrategy
 
 from fuzz.target import Changes, Files
 
-Edit = Callable[[DrawFn, bytes], bytes]  # draws a change and makes it
+Edit = Callable[[DrawFn, bytes], bytes]  # draws a change and applies it
 
 ODD_BYTES = (
-    b"",
-    b"\x00",
-    b"\xff",
-    b"\xff\xff\xff\xff",
-    b"\x00\x00\x00\x80",
-    b"\xff\xff\xff\x7f",
-    b"\x7f\xc0\x00\x00",
-    b"\n",
-    b"\r\n",
-    b"\xef\xbb\xbf",
-    b"\xed\xa0\x80",
-    b"\x1b[31m",
-    b"PK\x03\x04",
-    b"\x89PNG\r\n\x1a\n",
-)
+    b"", b"\x00", b"\xff", b"\xff\xff\xff\xff", b"\x00\x00\x00\x80", b"\xff\xff\xff\x7f", b"\x7f\xc0\x00\x00", b"\n",
+    b"\r\n", b"\xef\xbb\xbf", b"\xed\xa0\x80", b"\x1b[31m", b"PK\x03\x04", b"\x89PNG\r\n\x1a\n",
+)  # fmt: skip
 ODD_WORDS = (
-    "",
-    "nan",
-    "inf",
-    "-inf",
-    "null",
-    "true",
-    "0",
-    "-1",
-    "-0.0",
-    "1e400",
-    "5e-324",
-    "1e308",
-    "-1e308",
-    "0x10",
-    "1_000",
-    "99999999999999999999",
-    "9" * 5000,
-    "1e",
-    ".",
-    "/",
-    "..",
-    "~",
-    "\x00",
-    "\x1b[2J",
-    "\u2028",
-    "٣",
-    "'",
-    '"',
-    "#",
-    "[",
-    "{",
-    "&a [*a]",
-    "*a",
-    "!!python/object:os.system",
-    "${a}",
-    "%",
-    "x" * 5000,
-    "list",
-    "\ufeff",
-    "a\tb",
-    "-",
-    "?",
-    "|",
-)
+    "", "nan", "inf", "-inf", "null", "true", "0", "-1", "-0.0", "1e400", "5e-324", "1e308", "-1e308", "0x10",
+    "1_000", "99999999999999999999", "9" * 5000, "1e", ".", "/", "..", "~", "\x00", "\x1b[2J", "\u2028", "٣", "'",
+    '"', "#", "[", "{", "&a [*a]", "*a", "!!python/object:os.system", "${a}", "%", "x" * 5000, "list", "\ufeff",
+    "a\tb", "-", "?", "|",
+)  # fmt: skip
 
 
-_OF_BYTES = st.sampled_from(("bytes",) * 6 + ("gone", "empty", "another"))
-_OF_STRUCTURE = st.sampled_from(("structure",) * 14 + ("bytes",) * 3 + ("gone", "empty", "another"))
+_OF_BYTES = st.sampled_from(("bytes",) * 6 + ("missing", "empty", "another"))
+_OF_STRUCTURE = st.sampled_from(("structure",) * 14 + ("bytes",) * 3 + ("missing", "empty", "another"))
 _PIECES = st.sampled_from(ODD_BYTES) | st.binary(max_size=8)
 _WORDS = st.sampled_from(ODD_WORDS) | st.text(max_size=5) | st.floats().map(repr) | st.integers().map(str)
 
 
 def edit_bytes(draw: DrawFn, content: bytes) -> bytes:
-    """One to four times: some bytes overwritten, cut out, put in, repeated, or all behind a place cut off."""
+    """One to four times overwrites, deletes, inserts or repeats bytes, or truncates."""
     for _ in range(draw(st.integers(1, 4))):
         place = draw(st.integers(0, len(content)))
         kind = draw(st.sampled_from(("set", "drop", "insert", "repeat", "cut")))
@@ -103,7 +52,7 @@ def edit_bytes(draw: DrawFn, content: bytes) -> bytes:
 
 
 def edit_text(draw: DrawFn, content: bytes) -> bytes:
-    """One to three times: a line dropped or repeated, or a word of it replaced."""
+    """One to three times drops or repeats a line, or replaces a word."""
     lines = content.decode("utf-8", "surrogateescape").split("\n")
     for _ in range(draw(st.integers(1, 3))):
         place = draw(st.integers(0, max(0, len(lines) - 1)))
@@ -125,9 +74,9 @@ def edit_text(draw: DrawFn, content: bytes) -> bytes:
 
 
 def changed_files(example: Files, edits: dict[str, Edit]) -> SearchStrategy[Changes]:
-    """One file of the example, or two, each gone, empty, with another's content, or edited by its suffix.
+    """Changes one or two files of the example: missing, empty, with the content of another file, or edited.
 
-    edits: ".json" -> what knows its structure; its bytes and those of all others are edited too.
+    edits: suffix -> edit that knows the file's structure. All files can also be edited as bytes.
     """
     names = [name for name in sorted(example) for _ in range(4 if PurePath(name).suffix in edits else 1)]
     chosen = st.lists(st.sampled_from(names), min_size=1, max_size=2, unique=True)
@@ -142,7 +91,7 @@ def changed_files(example: Files, edits: dict[str, Edit]) -> SearchStrategy[Chan
 def _one(draw: DrawFn, name: str, example: Files, edits: dict[str, Edit]) -> bytes | None:
     by_suffix = edits.get(PurePath(name).suffix)
     kind = draw(_OF_BYTES if by_suffix is None else _OF_STRUCTURE)
-    if kind == "gone":
+    if kind == "missing":
         return None
     if kind == "empty":
         return b""

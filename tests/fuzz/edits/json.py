@@ -1,4 +1,4 @@
-"""Changes to JSON that leave it JSON, or nearly: a value replaced, a key gone, renamed or twice, an item repeated."""
+"""Changes to JSON: values replaced, keys dropped or renamed, items repeated; the result is nearly always JSON."""
 
 from __future__ import annotations
 
@@ -9,58 +9,15 @@ from typing import Any
 from hypothesis import strategies as st
 from hypothesis.strategies import DrawFn
 
-# As text: what Python's json writes of no value is among them.
+# As text, because some of them are no Python values.
 ODD_JSON = (
-    "null",
-    "true",
-    "false",
-    "0",
-    "-0.0",
-    "-1",
-    "1",
-    "2",
-    "0.5",
-    "1e-320",
-    "5e-324",
-    "1e-30",
-    "1e12",
-    "1e18",
-    "1e38",
-    "1e39",
-    "1e154",
-    "1e308",
-    "-1e308",
-    "1e999",
-    "NaN",
-    "Infinity",
-    "-Infinity",
-    "4294967296",
-    "9223372036854775808",
-    "1" + "0" * 400,
-    "9" * 5000,
-    '""',
-    '"."',
-    '"/"',
-    '".."',
-    '"../.."',
-    '"\\u0000"',
-    '"\\ud800"',
-    '"a\\nb"',
-    '"\\u001b[31m"',
-    '"\\u2028"',
-    '"1.5"',
-    '"٣"',
-    '"' + "x" * 300 + '"',
-    '"' + "x/" * 3000 + '"',
-    "[]",
-    "{}",
-    "[[]]",
-    "[null]",
-    '{"a": 1}',
-    "[" * 3000 + "]" * 3000,
-    "[" * 200_000,
-)
-_PLACE = "@@{}@@"  # stands for a text until the rest is written
+    "null", "true", "false", "0", "-0.0", "-1", "1", "2", "0.5", "1e-320", "5e-324", "1e-30", "1e12", "1e18", "1e38",
+    "1e39", "1e154", "1e308", "-1e308", "1e999", "NaN", "Infinity", "-Infinity", "4294967296", "9223372036854775808",
+    "1" + "0" * 400, "9" * 5000, '""', '"."', '"/"', '".."', '"../.."', '"\\u0000"', '"\\ud800"', '"a\\nb"',
+    '"\\u001b[31m"', '"\\u2028"', '"1.5"', '"٣"', '"' + "x" * 300 + '"', '"' + "x/" * 3000 + '"', "[]", "{}", "[[]]",
+    "[null]", '{"a": 1}', "[" * 3000 + "]" * 3000, "[" * 200_000,
+)  # fmt: skip
+_PLACE = "@@{}@@"  # placeholder for a text in the serialised JSON
 _TEXTS = st.sampled_from(ODD_JSON) | (st.floats() | st.text(max_size=4)).map(json.dumps)
 _KINDS = st.sampled_from(("odd", "odd", "odd", "odd", "number", "number", "drop", "repeat", "rename", "swap"))
 _NUMBERS = st.floats() | st.integers()
@@ -73,7 +30,7 @@ def edit_json(draw: DrawFn, content: bytes) -> bytes:
 
 
 def edit_tree(draw: DrawFn, tree: Any) -> str:
-    """The tree changed, as JSON text."""
+    """The changed tree as JSON text."""
     holder, texts = {"": copy.deepcopy(tree)}, []
     for _ in range(draw(st.integers(1, 3))):
         parent, key = _place(draw, holder)
@@ -89,7 +46,7 @@ def edit_tree(draw: DrawFn, tree: Any) -> str:
             parent[key] = copy.deepcopy(other[there])
         elif kind == "number":
             value = parent[key]
-            if isinstance(value, (int, float)) and not isinstance(value, bool):  # near what it was
+            if isinstance(value, (int, float)) and not isinstance(value, bool):  # close to the old value
                 parent[key] = value * draw(_FACTORS)
             else:
                 parent[key] = draw(_NUMBERS)
@@ -103,7 +60,7 @@ def edit_tree(draw: DrawFn, tree: Any) -> str:
 
 
 def _place(draw: DrawFn, holder: dict) -> tuple[Any, Any]:
-    """(container, key or index) of a value: down from the top, stopping anywhere."""
+    """(container, key or index) of a random value in the tree."""
     container, key = holder, ""
     while isinstance(inside := container[key], (dict, list)) and inside and draw(st.integers(0, 7)) != 3:
         keys = list(inside) if isinstance(inside, dict) else range(len(inside))

@@ -1,4 +1,4 @@
-"""pipeline/report: run folders, from files to the tables."""
+"""Target pipeline.report: run folders, from files to tables and pages, without plots."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from hypothesis.strategies import SearchStrategy
 
 from fuzz.edits.bytes import changed_files, edit_text
 from fuzz.edits.json import edit_json
-from fuzz.readers.dnerf import png
-from fuzz.target import REFUSED, VALID, Changes, Files, Target, check_line, require, valid_or_refused
+from fuzz.target import REFUSED, VALID, Changes, Files, Target, check_message, require, valid_or_refused
+from fuzz.targets.dnerf import png
 from pipeline.report.compare.curve_figures import curve_figures
 from pipeline.report.compare.curve_statistics import end_of_coarse
 from pipeline.report.tables.paper_tables import paper_tables
@@ -91,28 +91,28 @@ def changes(files: Files) -> SearchStrategy[Changes]:
 
 
 def check(folder: Path) -> str:
-    """A run that cannot be read is named in one line and left out; of what was read in full the tables can be made."""
+    """An unreadable run is left out with a warning of one line; valid runs give tables and pages."""
     with valid_or_refused(folder):
         try:
             collected = collect(folder)
         except FileNotFoundError as error:
-            check_line(str(error), str(folder))
+            check_message(str(error), str(folder))
             return REFUSED
         for line in (*collected.left_out, *collected.warnings):
-            check_line(line, RUNS[0].split("/")[0], "")
+            check_message(line, RUNS[0].split("/")[0], "")
         numbers = [*REQUIRED, *COST, *(f"{protocol}.{key}" for protocol in PROTOCOLS for key in QUALITY)]
-        require(not np.isinf(collected.runs[numbers].to_numpy(float)).any(), "a number that is infinite")
+        require(not np.isinf(collected.runs[numbers].to_numpy(float)).any(), "an infinite number")
         curves = collected.curves[["train_seconds", "iteration", "psnr"]].to_numpy(float)
-        require(bool(np.isfinite(curves).all()), "a number of a curve that is not finite")
+        require(bool(np.isfinite(curves).all()), "a curve value that is not finite")
         if collected.left_out or collected.warnings:
             return REFUSED
         named = name_variants(collected)
         strips, strip_warnings = make_strips(named.runs)
         sfm, sfm_warnings = sfm_section(named.runs)
         for line in (*strip_warnings, *sfm_warnings):
-            check_line(line, "", "")
+            check_message(line, "", "")
         for x in ("train_seconds", "iteration"):
-            require(bool(np.isfinite(end_of_coarse(named.curves, named.settings, x))), "an end of the coarse part")
+            require(bool(np.isfinite(end_of_coarse(named.curves, named.settings, x))), "end_of_coarse is not finite")
         curve_figures(named)
         content = Content(summarise(named, []), paper_tables(named), run_tables(named, ()), sfm, strips, [])
         for text in (report_markdown(content), terminal_text(content), render_page(content)):

@@ -1,4 +1,4 @@
-"""pipeline/checkpoint.py: checkpoint.safetensors, whole and its model alone."""
+"""Target checkpoint.safetensors (pipeline/training/checkpoint.py): the checkpoint, and its model alone."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from hypothesis.strategies import DrawFn, SearchStrategy
 from fuzz.edits.arrays import join_header, split_header
 from fuzz.edits.bytes import changed_files, edit_bytes
 from fuzz.edits.json import edit_tree
-from fuzz.models import model_of, require_model
+from fuzz.model_checks import check_model, random_model
 from fuzz.target import Changes, Files, Target, require, valid_or_refused
-from pipeline.training import checkpoint
 from pipeline.model.environment_map import EnvironmentMap
+from pipeline.training import checkpoint
 from pipeline.training.density.statistics import Statistics
 
 ROWS = 3
@@ -25,7 +25,7 @@ KEYS = ("iteration", "train_seconds", "seed", "step_count")
 
 
 def example() -> Files:
-    model, best = model_of("full", 1, 1, ROWS, 0), model_of("full", 1, 1, ROWS, 1)
+    model, best = random_model("full", 1, 1, ROWS, 0), random_model("full", 1, 1, ROWS, 1)
     for each in (model, best):
         each.sphere, each.environment_map = torch.arange(ROWS) == 1, EnvironmentMap(torch.full((3, 2, 4), 0.25))
     moments = tuple({name: torch.full_like(p, 0.5) for name, p in model.parameters.items()} for _ in range(2))
@@ -54,7 +54,7 @@ def example() -> Files:
 
 
 def edit_checkpoint(draw: DrawFn, content: bytes) -> bytes:
-    """Its header changed, the state that stands in it as text, or numbers of its tensors."""
+    """Changes the header, the JSON state within it, or the data."""
     header, behind = split_header(content)
     kind = draw(st.sampled_from(("tensors", "state", "values")))
     if kind == "values":
@@ -72,12 +72,12 @@ def changes(files: Files) -> SearchStrategy[Changes]:
 def check(folder: Path) -> str:
     path = folder / checkpoint.FILE_NAME
     if not path.exists():
-        return "absent"  # whoever reads one has looked
+        return "absent"  # callers check that it exists
     with valid_or_refused(folder):
-        require_model(checkpoint.load_model(path))
+        check_model(checkpoint.load_model(path))
     with valid_or_refused(folder) as outcome:
         found = checkpoint.load(path)
-        require_model(found.model)
+        check_model(found.model)
         count = len(found.model)
         require(
             all(
@@ -99,7 +99,7 @@ def check(folder: Path) -> str:
         if found.best is not None:
             require(found.best["psnr"] + found.best["iteration"] < 1e300, f"the best {found.best}")
         if found.best_model is not None:
-            require_model(found.best_model)
+            check_model(found.best_model)
     return outcome[0]
 
 

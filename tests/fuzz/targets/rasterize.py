@@ -1,5 +1,8 @@
-"""`rasterize`: any tensors, camera and arguments give finite images and gradients, the same bits again and with other
-threads, or one line of refusal."""
+"""Target `rasterize`.
+
+Rule: any tensors, camera and arguments give finite images and gradients, whose bits do not depend on the number of
+threads, or a ValueError of one line.
+"""
 
 from __future__ import annotations
 
@@ -12,72 +15,24 @@ from hypothesis import strategies as st
 from hypothesis.strategies import DrawFn, SearchStrategy
 from torch import Tensor
 
-from fuzz.call import FIELDS, FORMS, VALUES, arguments_of, camera_of, gaussians_of, plain_call
-from fuzz.target import REFUSED, VALID, Changes, Files, Target, check_line, require
+from fuzz.rasterize_call import FIELDS, FORMS, VALUES, arguments_of, camera_of, gaussians_of, plain_call
+from fuzz.target import REFUSED, VALID, Changes, Files, Target, check_message, require
 from rasterizer import Camera, Gaussians, rasterize
 
 FILE = "call.json"
 CHANNELS = {"color": 3, "alpha": 1, "depth": 1, "flow": 2, "stats": 2}
-# Where float32, its square, its exponential or a constant of the kernel ends.
+# Limits of float32, of its square and exponential, and of constants of the kernel.
 EDGES = (
-    0.0,
-    1e-45,
-    1.2e-38,
-    1e-30,
-    1e-20,
-    1e-12,
-    1e-7,
-    1e-3,
-    0.05,
-    0.2,
-    0.5,
-    1.0,
-    3.0,
-    10.0,
-    40.0,
-    44.0,
-    80.0,
-    88.0,
-    89.0,
-    104.0,
-    1e3,
-    1e5,
-    1e7,
-    1e9,
-    1e12,
-    1e15,
-    1.8e19,
-    1e20,
-    1e30,
-    1e37,
-    3.4028234e38,
-)
+    0.0, 1e-45, 1.2e-38, 1e-30, 1e-20, 1e-12, 1e-7, 1e-3, 0.05, 0.2, 0.5, 1.0, 3.0, 10.0, 40.0, 44.0, 80.0, 88.0,
+    89.0, 104.0, 1e3, 1e5, 1e7, 1e9, 1e12, 1e15, 1.8e19, 1e20, 1e30, 1e37, 3.4028234e38,
+)  # fmt: skip
 NUMBERS = st.sampled_from(EDGES) | st.sampled_from(EDGES).map(lambda x: -x) | st.floats(-10, 10) | st.floats(width=32)
 LENGTHS = st.sampled_from([edge for edge in EDGES for _ in range(4)] + [-1.0, float("inf")])
-ODD = st.sampled_from(
-    (
-        None,
-        True,
-        "0.5",
-        "",
-        [],
-        {},
-        [1.0, 2.0],
-        float("nan"),
-        float("inf"),
-        1e39,
-        1e300,
-        -1e300,
-        2**70,
-        10**400,
-        {"numpy": "float32", "value": 0.5},
-        {"numpy": "int64", "value": 2},
-        {"numpy": "complex64", "value": 1.0},
-        {"tensor": 0.5},
-        {"tensor": [0.5, 0.5]},
-        {"tensor": []},
-    )
-)
+ODD = st.sampled_from((
+    None, True, "0.5", "", [], {}, [1.0, 2.0], float("nan"), float("inf"), 1e39, 1e300, -1e300, 2**70, 10**400,
+    {"numpy": "float32", "value": 0.5}, {"numpy": "int64", "value": 2}, {"numpy": "complex64", "value": 1.0},
+    {"tensor": 0.5}, {"tensor": [0.5, 0.5]}, {"tensor": []},
+))  # fmt: skip
 SIDES = st.sampled_from((1, 2, 3, 15, 16, 17, 33, 64)) | st.integers(1, 80)
 LONG = st.sampled_from((4096, 20_000, 65_536))
 
@@ -88,7 +43,7 @@ def example() -> Files:
 
 @st.composite
 def calls(draw: DrawFn) -> dict[str, Any]:
-    """A call of which most is as it should be: otherwise nothing gets beyond the first check."""
+    """A mostly valid call, so that it passes the first checks."""
     call = plain_call()
     call["count"] = draw(st.sampled_from((0, 1, 2, 15, 16, 17, 33, 100, 1025)))
     call["motion"] = draw(st.sampled_from(("full", "separable", "static")))
@@ -140,7 +95,7 @@ def check(folder: Path) -> str:
         gaussians, camera, arguments = gaussians_of(call), camera_of(call), arguments_of(call)
         images = _images(gaussians, camera, arguments)
     except ValueError as error:
-        check_line(str(error), "", "")
+        check_message(str(error), "", "")
         return REFUSED
     for name, image in images.items():
         require(
@@ -152,7 +107,7 @@ def check(folder: Path) -> str:
         require(images["alpha"].min() >= 0 and images["alpha"].max() <= 1, "alpha outside [0, 1]")
     if "depth" in images:
         require(images["depth"].min() >= 0, "depth below 0")
-    # Of copies in memory of their own, by other threads.
+    # Copies in other memory, with another number of threads.
     copies = Gaussians(
         **{
             "quat_right": None,
@@ -160,18 +115,18 @@ def check(folder: Path) -> str:
         }
     )
     other = {**arguments, "threads": 3}
-    _require_same(images, _images(copies, camera, other), "images of copies, by other threads")
+    _require_same(images, _images(copies, camera, other), "images of copies, with other threads")
     try:
         gradients = _gradients(gaussians, camera, arguments, call["seed"])
     except ValueError as error:
-        check_line(str(error), "", "")
+        check_message(str(error), "", "")
         return "without gradients"
     for name, gradient in gradients.items():
         require(
             gradient.shape == getattr(gaussians, name).shape and bool(torch.isfinite(gradient).all()),
             f"the gradient of {name} is not finite",
         )
-    _require_same(gradients, _gradients(copies, camera, other, call["seed"]), "gradients by other threads")
+    _require_same(gradients, _gradients(copies, camera, other, call["seed"]), "gradients with other threads")
     return VALID
 
 
@@ -182,7 +137,7 @@ def _images(gaussians: Gaussians, camera: Camera, arguments: dict[str, Any]) -> 
 
 
 def _gradients(gaussians: Gaussians, camera: Camera, arguments: dict[str, Any], seed: int) -> dict[str, Tensor]:
-    """Of Σ weights · images, the weights of a seed."""
+    """Gradients of Σ weights · images, with random weights of a seed."""
     leaves = {name: tensor.detach().requires_grad_() for name, tensor in gaussians.tensors().items()}
     out = rasterize(Gaussians(**{"quat_right": None, **leaves}), camera, **arguments)
     generator = torch.Generator().manual_seed(seed)

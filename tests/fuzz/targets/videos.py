@@ -1,21 +1,20 @@
-"""datasets/plenoptic/videos.py: the Plenoptic layout as videos with poses_bounds.npy, from file to frames."""
+"""Target datasets/plenoptic/videos.py: the video form of the Plenoptic layout, with decoding."""
 
 from __future__ import annotations
 
-import subprocess
 import tempfile
 from pathlib import Path
 
 import numpy as np
 from hypothesis.strategies import SearchStrategy
-from imageio_ffmpeg import get_ffmpeg_exe
+from plenoptic_folder import write_video
 
 from datasets.plenoptic import read_plenoptic
 from fuzz.edits.arrays import edit_npy
 from fuzz.edits.bytes import changed_files
-from fuzz.readers.poses import NAMES, SIZE, poses_file
-from fuzz.scene import require_scene
+from fuzz.scene_checks import check_scene
 from fuzz.target import Changes, Files, Target, valid_or_refused
+from fuzz.targets.poses import NAMES, SIZE, poses_file
 
 FRAMES = 3
 
@@ -25,44 +24,13 @@ def example() -> Files:
 
 
 def _video(seed: int) -> bytes:
-    """H.264 of FRAMES frames, the index before them: what a change leaves can often be decoded."""
+    """An mp4 file of FRAMES frames; its index comes first, so that changed files can often be decoded."""
     width, height = SIZE
     pixels = np.random.default_rng(seed).integers(0, 256, (FRAMES, height // 8, width // 8, 3), dtype=np.uint8)
     pixels = pixels.repeat(8, axis=1).repeat(8, axis=2)
     with tempfile.TemporaryDirectory() as temporary:
         path = Path(temporary) / "video.mp4"
-        subprocess.run(
-            [
-                get_ffmpeg_exe(),
-                "-v",
-                "error",
-                "-f",
-                "rawvideo",
-                "-pix_fmt",
-                "rgb24",
-                "-s",
-                f"{width}x{height}",
-                "-r",
-                "30",
-                "-i",
-                "-",
-                "-c:v",
-                "libx264",
-                "-preset",
-                "ultrafast",
-                "-threads",
-                "1",
-                "-crf",
-                "30",
-                "-pix_fmt",
-                "yuv420p",
-                "-movflags",
-                "+faststart",
-                str(path),
-            ],
-            input=pixels.tobytes(),
-            check=True,
-        )
+        write_video(path, list(pixels), 30, "-crf", "30")
         return path.read_bytes()
 
 
@@ -72,7 +40,7 @@ def changes(files: Files) -> SearchStrategy[Changes]:
 
 def check(folder: Path) -> str:
     with valid_or_refused(folder) as outcome:
-        require_scene(
+        check_scene(
             read_plenoptic(
                 folder, name="fuzz/videos", downscale=2, cache=folder / "cache", threads=1, log=lambda text: None
             )

@@ -1,18 +1,19 @@
-"""datasets/plenoptic/images.py: the Plenoptic layout as a folder of images."""
+"""Target datasets/plenoptic/images.py: the image form of the Plenoptic layout."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
 
+from dnerf_folder import blender_pose
 from hypothesis.strategies import SearchStrategy
 
 from datasets.plenoptic import read_plenoptic
 from fuzz.edits.bytes import changed_files
 from fuzz.edits.json import edit_json
-from fuzz.readers.dnerf import blender_pose, png
-from fuzz.scene import require_scene
+from fuzz.scene_checks import check_scene
 from fuzz.target import Changes, Files, Target, valid_or_refused
+from fuzz.targets.dnerf import png
 
 WIDTH, HEIGHT, FRAMES = 8, 6, 2
 INTRINSICS = {"w": 8.0, "h": 6.0, "fl_x": 7.0, "fl_y": 7.5, "cx": 4, "cy": 3, "k1": 0.01, "camera_model": "OPENCV"}
@@ -45,7 +46,7 @@ def changes(files: Files) -> SearchStrategy[Changes]:
 
 def check(folder: Path) -> str:
     with valid_or_refused(folder) as outcome:
-        require_scene(
+        check_scene(
             read_plenoptic(
                 folder, name="fuzz/images", downscale=2, cache=folder / "cache", threads=1, log=lambda text: None
             )

@@ -1,4 +1,4 @@
-"""datasets/frames.py: the decoded frames that an earlier run left in the cache."""
+"""Target datasets/files/frame_store.py: decoded frames in the cache."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ def changes(files: Files) -> SearchStrategy[Changes]:
 
 
 def check(folder: Path) -> str:
-    """What is read is what was written, or nothing is: a store that is not whole is decoded anew."""
+    """The frames are those written, or None, which makes the caller decode again."""
     with valid_or_refused(folder) as outcome:
         frames = read_frames(folder, "cam00", SHAPE)
         if frames is None:
             return REFUSED
         for frame in frames:
             image = np.asarray(frame)
-            require(any(np.array_equal(image, written) for written in IMAGES), "pixels that were never written")
+            require(any(np.array_equal(image, written) for written in IMAGES), "pixels that were not written")
             require(isinstance(frame.checksum, str), f"a checksum {frame.checksum!r}")
     return outcome[0]
 
 
-TARGET = Target("frames", "the store of decoded frames: <camera>.npy and .json", example, changes, check)
+TARGET = Target("frame_store", "the store of decoded frames: <camera>.npy and .json", example, changes, check)

@@ -1,4 +1,4 @@
-"""pipeline/sfm/__main__.py: a folder of photographs."""
+"""Target pipeline/data/sfm/__main__.py: a folder of photographs."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy as np
 from hypothesis.strategies import SearchStrategy
 
 from fuzz.edits.bytes import changed_files
-from fuzz.readers.dnerf import png
 from fuzz.target import Changes, Files, Target, require, valid_or_refused
+from fuzz.targets.dnerf import png
 from pipeline.data.sfm.__main__ import read_photographs
 
 

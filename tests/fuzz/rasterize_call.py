@@ -1,10 +1,10 @@
-"""A call of `rasterize` as JSON, so that it can be kept: plain values, and what tensors of a seed become.
+"""A call of `rasterize` as JSON, so that it can be saved: random tensors of a seed, edits of them, and plain values.
 
     {"count": 17, "motion": "full", "fourier_order": 2, "sh_degree": 3, "seed": 0,
      "edits": [["log_scale", "row", 3, 1e20], ["sh", "form", 0, "strided"], …],
      "camera": {"width": 20, …, "distance": 4.0}, "arguments": {"time": 0.5, …}}
 
-An argument that JSON has no word for is {"numpy": type, "value": x} or {"tensor": values}.
+Values without a JSON type are {"numpy": type, "value": x} or {"tensor": values}.
 """
 
 from __future__ import annotations
@@ -15,30 +15,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from fuzz.models import model_of
+from fuzz.model_checks import random_model
 from rasterizer import Camera, Gaussians
 
 FIELDS = tuple(Gaussians.__dataclass_fields__)
-VALUES = ("all", "row", "entry", "times")  # what an edit sets to a number, or multiplies by it
+VALUES = ("all", "row", "entry", "times")  # the part that an edit sets to a number; times: multiplies all by it
 FORMS = (
-    "gradient",
-    "offset",
-    "strided",
-    "expanded",
-    "negated",
-    "sparse",
-    "double",
-    "half",
-    "whole",
-    "numpy",
-    "list",
-    "none",
-    "scalar",
-    "deeper",
-    "shorter",
-    "wider",
-    "meta",
-)  # what an edit makes of a tensor
+    "gradient", "offset", "strided", "expanded", "negated", "sparse", "double", "half", "whole", "numpy", "list",
+    "none", "scalar", "deeper", "shorter", "wider", "meta",
+)  # the forms an edit can give a tensor  # fmt: skip
 
 
 def plain_call() -> dict[str, Any]:
@@ -65,11 +50,11 @@ def plain_call() -> dict[str, Any]:
 
 
 def gaussians_of(call: dict[str, Any]) -> Gaussians:
-    """As the call describes them; raises what Gaussians raises."""
+    """The Gaussians of a call; raises the ValueError of invalid tensors."""
     orders = 0 if call["motion"] == "static" else call["fourier_order"]
-    model = model_of(call["motion"], orders, call["sh_degree"], call["count"], call["seed"])
+    model = random_model(call["motion"], orders, call["sh_degree"], call["count"], call["seed"])
     parts: dict[str, Any] = {name: model.parameters.get(name) for name in FIELDS}
-    parts["log_scale"] = 0.3 * parts["log_scale"] - 1.5  # small enough to be told apart
+    parts["log_scale"] = 0.3 * parts["log_scale"] - 1.5  # small, so that they do not all overlap
     for name, kind, place, value in call["edits"]:
         if isinstance(parts[name], Tensor):
             parts[name] = _formed(parts[name], value) if kind == "form" else _valued(parts[name], kind, place, value)
@@ -90,7 +75,7 @@ def _valued(tensor: Tensor, kind: str, place: int, value: float) -> Tensor:
 
 
 def _formed(tensor: Tensor, form: str) -> Any:
-    if form == "offset":  # contiguous, but not where memory is aligned
+    if form == "offset":  # contiguous, not aligned
         return torch.cat([tensor.new_zeros(1), tensor.reshape(-1)])[1:].view(tensor.shape)
     if form == "strided":
         return torch.stack([tensor, tensor], dim=-1)[..., 0]
@@ -115,7 +100,7 @@ def _formed(tensor: Tensor, form: str) -> Any:
 
 
 def camera_of(call: dict[str, Any]) -> Camera:
-    """At `distance` before the Gaussians' middle, turned by an angle of its own, unless it says what pose it has."""
+    """The camera of a call: its world_to_cam, or a fixed rotation at `distance` from the origin."""
     described = {name: decoded(value) for name, value in call["camera"].items()}
     distance = described.pop("distance")
     if "world_to_cam" not in described:
@@ -131,7 +116,7 @@ def arguments_of(call: dict[str, Any]) -> dict[str, Any]:
 
 
 def decoded(value: Any) -> Any:
-    """What JSON could not say."""
+    """The value of a JSON-encoded argument."""
     if isinstance(value, dict) and "numpy" in value:
         return np.dtype(value["numpy"]).type(value["value"])
     if isinstance(value, dict) and "tensor" in value:

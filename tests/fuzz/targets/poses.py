@@ -1,4 +1,4 @@
-"""datasets/plenoptic/poses.py: poses_bounds.npy alone, without the time that videos take."""
+"""Target datasets/plenoptic/poses.py: poses_bounds.npy alone, which is faster than with videos."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FILE = "poses_bounds.npy"
 
 
 def poses_file() -> bytes:
-    """Camera n stands at (n, 0, -4) and looks along +z."""
+    """Camera n is at (n, 0, -4) with viewing direction +z."""
     rows = []
     for x in range(len(NAMES)):
         columns = [[0, 1, 0], [1, 0, 0], [0, 0, -1], [x, 0, -4], [SIZE[1], SIZE[0], 30.0]]  # down, right, back, …

@@ -1,4 +1,4 @@
-"""pipeline/sfm/store.py: what structure from motion found, kept in the cache."""
+"""Target pipeline/data/sfm/cache.py: the cached result of structure from motion."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from fuzz.edits.arrays import edit_npz
 from fuzz.edits.bytes import changed_files
 from fuzz.edits.json import edit_json
 from fuzz.target import Changes, Files, Target, read_files, require, valid_or_refused
-from pipeline.data.sfm.photograph import Lens, Reconstruction
-from pipeline.data.sfm.store import load, save
+from pipeline.data.sfm.cache import load, save
+from pipeline.data.sfm.photograph import CalibratedCamera, Reconstruction
 from rasterizer import Camera
 
 POINTS = 4
 
 
 def example() -> Files:
-    """Without the picture, which nothing reads back."""
-    lenses = {f"cam{n:02d}": Lens(Camera(8, 6, 7.0, 7.0, 4.0, 3.0, np.eye(4)), 0.01 * n) for n in range(2)}
+    """Only the files that are read back."""
+    cameras = {f"cam{n:02d}": CalibratedCamera(Camera(8, 6, 7.0, 7.0, 4.0, 3.0, np.eye(4)), 0.01 * n) for n in range(2)}
     rng = np.random.default_rng(0)
     found = Reconstruction(
         rng.normal(size=(POINTS, 3)),
         rng.integers(0, 256, (POINTS, 3), dtype=np.uint8),
         np.full(POINTS, 0.5),
         np.full(POINTS, 3),
-        lenses,
+        cameras,
         "estimated",
         2,
         1.5,
@@ -55,10 +55,10 @@ def check(folder: Path) -> str:
         require(found.errors.shape == found.track_lengths.shape == (count,), "errors or tracks of other points")
         require(all(np.isfinite(value) for key, value in found.summary().items() if key != "poses"), "a NaN summary")
         require(
-            all(isinstance(lens.camera, Camera) and np.isfinite(lens.radial) for lens in found.lenses.values()),
-            "a lens that is none",
+            all(isinstance(c.camera, Camera) and np.isfinite(c.radial) for c in found.cameras.values()),
+            "an invalid camera",
         )
     return outcome[0]
 
 
-TARGET = Target("sfm", "COLMAP's kept result: result.json and result.npz", example, changes, check)
+TARGET = Target("sfm", "COLMAP's cached result: result.json and result.npz", example, changes, check)

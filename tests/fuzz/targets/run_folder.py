@@ -1,4 +1,4 @@
-"""pipeline/run_folder.py: the run folder that a resumed run goes on in."""
+"""Target pipeline/runs/run_folder.py: the run folder of a resumed run."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from hypothesis.strategies import SearchStrategy
 
 from fuzz.edits.bytes import changed_files, edit_text
 from fuzz.edits.json import edit_json
-from fuzz.target import REFUSED, Changes, Files, Target, check_line, read_files, require, valid_or_refused
+from fuzz.target import REFUSED, Changes, Files, Target, check_message, read_files, require, valid_or_refused
 from pipeline.runs.run_folder import CURVE_COLUMNS, RunFolder
 
 CONFIG = {"seed": 0, "scene": {"name": "toy", "path": "data", "init_box": [-1.2, 1.2]}, "train": {"name": "fast"}}
-NEXT = 5  # the iteration it goes on from
+NEXT = 5  # the iteration it resumes from
 
 
 def example() -> Files:
@@ -38,7 +38,7 @@ def check(folder: Path) -> str:
         except ValueError as error:
             if "holds another run" not in str(error):
                 raise
-            check_line(str(error), str(folder), "resume=false")
+            check_message(str(error), str(folder), "resume=false")
             return REFUSED
         with run:
             run.truncate_after(NEXT)
@@ -55,4 +55,6 @@ def check(folder: Path) -> str:
     return outcome[0]
 
 
-TARGET = Target("run", "a run folder that is gone on in: config.yaml, stages.json, log.jsonl", example, changes, check)
+TARGET = Target(
+    "run_folder", "the folder of a resumed run: config.yaml, stages.json, log.jsonl", example, changes, check
+)

@@ -1,4 +1,4 @@
-"""pipeline/ply.py: this program's .ply files and 3DGS's."""
+"""Target pipeline/model/ply.py: .ply files of this project and of 3DGS."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hypothesis.strategies import DrawFn, SearchStrategy
 from plyfile import PlyData
 
 from fuzz.edits.bytes import changed_files, edit_bytes, edit_text
-from fuzz.models import model_of, require_model
+from fuzz.model_checks import check_model, random_model
 from fuzz.target import Changes, Files, Target, require, valid_or_refused
 from pipeline.model.ply import load_ply, save_ply
 
@@ -20,10 +20,10 @@ END = b"end_header\n"
 
 
 def example() -> Files:
-    """Three kinds of file, which are read one after the other."""
+    """Three kinds of file, read one after the other."""
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
-        models = {"static.ply": model_of("static", 0, 1, ROWS, 0), "full.ply": model_of("full", 1, 0, ROWS, 1)}
+        models = {"static.ply": random_model("static", 0, 1, ROWS, 0), "full.ply": random_model("full", 1, 0, ROWS, 1)}
         for name, model in models.items():
             model.sphere = torch.arange(ROWS) == 1 if name == "full.ply" else None
             save_ply(folder / name, model)
@@ -34,7 +34,7 @@ def example() -> Files:
 
 
 def edit_ply(draw: DrawFn, content: bytes) -> bytes:
-    """The header's lines changed, or what is behind it."""
+    """Changes lines of the header, or the data."""
     header, end, behind = content.partition(END)
     if draw(st.booleans()):
         return edit_text(draw, header) + end + behind
@@ -51,9 +51,9 @@ def check(folder: Path) -> str:
         with valid_or_refused(folder) as outcome:
             model = load_ply(path)
             require(len(model) > 0, "no Gaussian")
-            require_model(model)
+            check_model(model)
         outcomes += outcome
-    return min(outcomes, default="absent")  # refused, if one of them is
+    return min(outcomes, default="absent")  # REFUSED if one of them is
 
 
-TARGET = Target("ply", ".ply files of this program and of 3DGS, binary and text", example, changes, check)
+TARGET = Target("ply", ".ply files of this project and of 3DGS, binary and text", example, changes, check)

@@ -1,4 +1,4 @@
-"""datasets/dnerf.py: transforms files and PNGs."""
+"""Target datasets/dnerf.py: transforms files and PNGs."""
 
 from __future__ import annotations
 
@@ -7,26 +7,22 @@ import json
 from pathlib import Path
 
 import numpy as np
+from dnerf_folder import blender_pose
 from hypothesis.strategies import SearchStrategy
 from PIL import Image
 
 from datasets.dnerf import read_dnerf
 from fuzz.edits.bytes import changed_files
 from fuzz.edits.json import edit_json
-from fuzz.scene import require_scene
+from fuzz.scene_checks import check_scene
 from fuzz.target import Changes, Files, Target, valid_or_refused
 
 SIZE = 6
-VIEWS = 2  # a split
+VIEWS = 2  # of each split
 INTRINSICS = {
     "train": {"camera_angle_x": 0.7},
     "test": {"w": SIZE, "h": SIZE, "fl_x": 8.0, "fl_y": 8.5, "cx": 3.0, "cy": 2.5, "k1": -0.1, "p1": 0.01},
 }
-
-
-def blender_pose(x: float) -> list[list[float]]:
-    """Camera-to-world: stands at (x, 0, 4), looks along -z."""
-    return [[1.0, 0.0, 0.0, x], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 4.0], [0.0, 0.0, 0.0, 1.0]]
 
 
 def png(seed: int, width: int = SIZE, height: int = SIZE, channels: int = 4) -> bytes:
@@ -59,7 +55,7 @@ def changes(files: Files) -> SearchStrategy[Changes]:
 
 def check(folder: Path) -> str:
     with valid_or_refused(folder) as outcome:
-        require_scene(read_dnerf(folder, name="fuzz/dnerf", downscale=2, background=None))
+        check_scene(read_dnerf(folder, name="fuzz/dnerf", downscale=2, background=None))
     return outcome[0]
 
 

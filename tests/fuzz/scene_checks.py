@@ -1,4 +1,4 @@
-"""What holds for every scene a reader returns (datasets/scene.py), looked at once more and independently."""
+"""The check of every scene that a reader returns, independent of datasets.scene.validate_scene."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from datasets.scene import Scene
 from fuzz.target import require
 
 
-def require_scene(scene: Scene) -> None:
-    """RuleBroken where an invariant does not hold; reads every image."""
+def check_scene(scene: Scene) -> None:
+    """RuleViolation if an invariant does not hold; reads every image."""
     require(bool(scene.train) and bool(scene.test), "a split is empty")
     views = scene.train + scene.test
-    require(len({view.name for view in views}) == len(views), "a view's name comes twice")
+    require(len({view.name for view in views}) == len(views), "duplicate view names")
     low, high = scene.init_box
     numbers = [
         scene.duration,
@@ -23,7 +23,7 @@ def require_scene(scene: Scene) -> None:
         *np.ravel(high),
         *scene.background,
     ]
-    require(bool(np.isfinite(np.float32(numbers)).all()), f"a number that float32 does not hold: {numbers}")
+    require(bool(np.isfinite(np.float32(numbers)).all()), f"a number beyond float32: {numbers}")
     require(scene.duration > 0 and scene.extent > 0 and scene.unit > 0, f"a size of zero or less: {numbers}")
     require(bool(np.less(low, high).all()), f"init_box {scene.init_box}")
     first = views[0].camera

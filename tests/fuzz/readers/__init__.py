@@ -1,1 +1,0 @@
-"""One fuzz target a reader."""
