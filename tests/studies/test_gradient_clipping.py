@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 import torch
 from builders import generator, off_centre_camera, random_gaussians
+from tiny import tiny_config, tiny_scene
 
 from pipeline.config.train_schema import LearningRates
 from pipeline.model.model import Model
 from pipeline.studies.gradient_clipping.clipping_adam import ClippingAdam, squared_norms
 from pipeline.studies.gradient_clipping.table import spike, verdict
-from pipeline.studies.gradient_clipping.training_runs import CASES, Outcome, study_config, with_lr_factor
+from pipeline.studies.gradient_clipping.training_runs import CASES, Outcome, study_config, train_case, with_lr_factor
 from pipeline.training.optimiser import Adam
 from pipeline.training.schedule import learning_rates
 from rasterizer import Gradients, Rasterizer, Request
@@ -98,3 +99,9 @@ def test_learning_rates_are_scaled_and_their_decay_is_kept() -> None:
     scaled, lr = with_lr_factor(cfg, 10.0).train.lr, cfg.train.lr
     assert (scaled.mean, scaled.opacity) == (10 * lr.mean, 10 * lr.opacity)
     assert (scaled.decay_start, scaled.decay_iterations) == (lr.decay_start, lr.decay_iterations)
+
+
+@pytest.mark.parametrize("threshold, clipped", [(math.inf, 0.0), (0.0, 1.0)])
+def test_training_run_records_every_norm(threshold: float, clipped: float) -> None:
+    found = train_case(CASES[0], tiny_config(10), tiny_scene(), seed=0, threshold=threshold)
+    assert found.norms["all"].shape == (10,) and found.clipped == clipped and not math.isnan(found.psnr)
