@@ -120,7 +120,7 @@ def stage_inputs(cfg: Config, data: Prepared) -> dict[str, str]:
     beginning = [fingerprint(data.scene), config["ablation"], initial, config["scene"]["init_points"], cfg.seed]
     if not data.canonical.is_identity:  # a model must not continue in other coordinates
         beginning.append(asdict(data.canonical))
-    if data.cloud is not None:
+    if data.sfm_folder is not None:
         found["sfm"] = _hash(data.sfm_folder.name)
         beginning.append(found["sfm"])
     if cfg.effective_background_model != "none":
@@ -144,14 +144,15 @@ def fingerprint(scene: Scene) -> str:
         digest.update(c.world_to_cam.tobytes())
         # A stored frame knows its checksum: a scene of 25 GB need not be read for this.
         known = getattr(view.image, "checksum", None)
-        digest.update(np.ascontiguousarray(view.image) if known is None else known.encode())
+        digest.update(np.ascontiguousarray(view.image).data if known is None else known.encode())
         if view.coverage is not None:
-            digest.update(view.coverage)
+            digest.update(view.coverage.data)
     return digest.hexdigest()
 
 
 def _sfm(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
     """cached structure from motion → sfm.json, sfm.png."""
+    assert data.cloud is not None and data.sfm_folder is not None, "this stage is due only where there are points"
     for path in (folder.sfm, folder.sfm_picture):
         with atomic_file(path) as temporary:
             shutil.copyfile(data.sfm_folder / path.name, temporary)
@@ -218,10 +219,11 @@ def _evaluate(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
     trained = folder.values_of("train")
     saved = checkpoints.load(folder.checkpoint)
     final = evaluate_with_images(saved.model, scene, cfg, thread_count(cfg.threads), folder.renders)
-    best = None
+    best, best_metrics = None, None
     if cfg.evaluate.best_on_test and saved.best is not None and saved.best_model is not None:
         is_final = saved.best["iteration"] == saved.iteration
         best = final if is_final else evaluate(saved.best_model, scene, cfg, thread_count(cfg.threads))
+        best_metrics = {**best.metrics, "iteration": saved.best["iteration"]}
 
     selection = _selection(folder)
     write_csv(folder.per_image, _per_image(final, best))
@@ -229,7 +231,7 @@ def _evaluate(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
         "scene": cfg.scene.name, "ablation": cfg.ablation.name, "train": cfg.train.name, "seed": cfg.seed,
         "date": now(),
         "final": final.metrics,
-        "best_on_test": None if best is None else {**best.metrics, "iteration": saved.best["iteration"]},
+        "best_on_test": best_metrics,
         "model": asdict(saved.model.kind),  # as trained: selection may have left out what `ablation` has
         SELECTION: None if selection is None else {**asdict(selection), "kept": selection.kept},
         "note": final.note(), "n_alive_mean": final.n_alive_mean, "n_test_views": len(scene.test), **trained,

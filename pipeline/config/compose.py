@@ -9,7 +9,7 @@ import shlex
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import get_type_hints
+from typing import Any, get_type_hints
 
 from hydra.core.config_store import ConfigStore
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -44,17 +44,20 @@ def named_after_folder(family: str, path: str | None) -> str:
 def to_config(composed: DictConfig) -> Config:
     """The typed configuration of a run. ValueError, one line, where a key is unknown or a value out of range."""
     known = set(known_keys()) | _static_override_keys()
-    for key in _keys_of(OmegaConf.to_container(composed, resolve=False)):
+    tree: Any = OmegaConf.to_container(composed, resolve=False)
+    for key in _keys_of(tree):
         if key not in known:  # `+key=value` on the command line gets past Hydra's own check
             raise ValueError(_unknown_key(key))
-    cfg = OmegaConf.to_object(composed)
-    with_static_overrides(cfg)  # or they would be found wrong on the first scene where nothing moves
+    cfg: Any = OmegaConf.to_object(composed)
+    with_static_overrides(cfg)  # wrong overrides are refused on any scene, not on the first static one
     return cfg
 
 
 def config_of_tree(tree: dict) -> Config:
     """The typed configuration of a run folder's config.yaml. Raises what `to_config` and OmegaConf raise."""
-    return to_config(OmegaConf.merge(OmegaConf.structured(Config), OmegaConf.create(tree)))
+    merged = OmegaConf.merge(OmegaConf.structured(Config), OmegaConf.create(tree))
+    assert isinstance(merged, DictConfig)
+    return to_config(merged)
 
 
 def known_keys(schema: type = Config, prefix: str = "") -> list[str]:

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 from omegaconf import OmegaConf
 
@@ -17,7 +18,8 @@ def with_static_overrides(cfg: Config) -> Config:
     """`cfg` for a static scene. Raises OmegaConf's errors and ValueError, as reading a configuration does."""
     differences = {**(cfg.train.static_overrides or {}), "static_overrides": None}
     merged = OmegaConf.merge(OmegaConf.create({"train": cfg.train}), {"train": differences})
-    return replace(cfg, train=OmegaConf.to_object(merged)["train"])
+    tree: Any = OmegaConf.to_object(merged)
+    return replace(cfg, train=tree["train"])
 
 
 def without_static_overrides(cfg: Config) -> Config:

@@ -6,6 +6,7 @@ import os
 import platform
 import resource
 import subprocess
+from contextlib import suppress
 from importlib import metadata
 from pathlib import Path
 
@@ -80,10 +81,8 @@ def git_commit() -> str:
 
 def reset_peak_memory() -> None:
     """Let `peak_memory_mb` count from now; without effect where the kernel does not offer it."""
-    try:
+    with suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5")
-    except OSError:
-        pass
 
 
 def peak_memory_mb() -> float:

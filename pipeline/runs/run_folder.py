@@ -208,7 +208,7 @@ def _append(path: Path, text: str) -> None:
 
 def _locked(path: Path) -> io.TextIOWrapper:
     with disk_errors_named(path / ".lock"):
-        lock = open(path / ".lock", "w")
+        lock = open(path / ".lock", "w")  # noqa: SIM115 (held until the run ends)
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:

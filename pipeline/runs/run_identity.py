@@ -89,10 +89,10 @@ def read_config(path: Path, where: str | None = None) -> dict:
     """config.yaml as plain dicts. DataError, which names `where` (None: the path), for what is no such file."""
     try:
         text = path.read_text(encoding="utf-8")
-        # No run writes aliases (*name), of which a few lines make a tree that fills the memory.
+        # No run writes aliases (*name); a few lines of them can make a tree that fills the memory.
         if any(isinstance(token, yaml.AliasToken) for token in yaml.scan(text)):
             raise ValueError("an alias")
-        tree = OmegaConf.to_container(OmegaConf.create(text), resolve=False)
+        tree: Any = OmegaConf.to_container(OmegaConf.create(text), resolve=False)
     except Exception as error:  # yaml and OmegaConf raise unrelated types for unreadable files
         raise DataError(where or path, "YAML", str(error)) from None
     if not isinstance(tree, dict):

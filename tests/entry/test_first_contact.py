@@ -259,7 +259,7 @@ def test_closed_output_is_no_traceback(shell: Shell) -> None:
 
 def test_errors_of_the_system_name_the_file(tmp_path: Path) -> None:
     with pytest.raises(OSError) as error:
-        open(tmp_path / "not there")
+        (tmp_path / "not there").read_text()
     assert one_line(error.value) == f"{tmp_path}/not there: No such file or directory"
 
 

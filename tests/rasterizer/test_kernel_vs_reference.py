@@ -1,9 +1,8 @@
-"""The compiled kernel against its float64 twin, for every model, output and instruction set.
+"""The compiled kernel against the float64 reference implementation, for every model, output and instruction set.
 
-Tolerances. The kernel is float32: an image may differ from the twin by 3e-5 of its largest value and a
-gradient by 1e-4 of its tensor's largest; over random scenes at most 5e-6 and 1.5e-5 are seen. Gaussians and
-pixels next to a jump are left out: `builders` says which and why; they are about 0.4 % of the pixels, under
-10 % by assertion.
+Tolerances. The kernel is float32: an image may differ by 3e-5 of its largest value and a gradient by 1e-4 of its
+tensor's largest; random scenes show at most 5e-6 and 1.5e-5. Gaussians and pixels near a discontinuity are excluded
+(rasterizer/reference/discontinuities.py): about 0.4 % of the pixels, asserted to be under 10 %.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from dataclasses import replace
 import pytest
 import torch
 from builders import (
-    ALL_OUTPUTS,
+    MOTIONS,
     camera_looking_at,
     generator,
     off_centre_camera,
@@ -33,8 +32,8 @@ from rasterizer import Gaussians, RenderOutput, Request, rasterize
 from rasterizer.kernel_loader import available_isas, kernel
 from rasterizer.reference import render as reference
 from rasterizer.reference.discontinuities import away_from_discontinuities, smooth_pixels
+from rasterizer.render_output import OUTPUT_NAMES
 
-MOTIONS = ("full", "separable", "static")
 IMAGE_TOLERANCE = 3e-5
 GRADIENT_TOLERANCE = 1e-4
 
@@ -44,8 +43,8 @@ def make_request(**changes) -> Request:
 
 
 def assert_images_agree(found: RenderOutput, expected: RenderOutput, smooth: Tensor) -> None:
-    assert smooth.float().mean() > 0.9, "more than a tenth of the pixels are left out: compare a simpler scene"
-    for name in ALL_OUTPUTS:
+    assert smooth.float().mean() > 0.9, "more than a tenth of the pixels are excluded: compare a simpler scene"
+    for name in OUTPUT_NAMES:
         image, truth = getattr(found, name), getattr(expected, name)
         assert (image is None) == (truth is None)
         if truth is not None:
@@ -60,12 +59,12 @@ def assert_gradients_agree(found: dict[str, Tensor], expected: dict[str, Tensor]
         assert torch.isfinite(found[name]).all(), name
         if truth.numel():
             assert error.max().item() <= GRADIENT_TOLERANCE * largest + 1e-12, (
-                f"{name}: off by {error.max().item():.2e}, the largest being {largest:.2e}"
+                f"{name}: error {error.max().item():.2e}, largest gradient {largest:.2e}"
             )
 
 
-def check_against_twin(gaussians: Gaussians, request: Request) -> None:
-    """Images and all gradients of float64 `gaussians`, rendered in float32, against the twin."""
+def check_against_reference(gaussians: Gaussians, request: Request) -> None:
+    """Compare images and all gradients of float64 `gaussians`, which the kernel renders in float32."""
     gaussians = away_from_discontinuities(gaussians, request)
     smooth = smooth_pixels(gaussians, request)
     weights = output_weights(request, smooth, generator(99))
@@ -75,33 +74,33 @@ def check_against_twin(gaussians: Gaussians, request: Request) -> None:
     assert_gradients_agree(gradients, truth)
 
 
-# ---- Against the twin --------------------------------------------------------------------------------------
+# ---- Against the reference implementation ------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("motion", "output"), [(m, name) for m in MOTIONS for name in outputs_of(m)])
 def test_each_output_alone(motion: str, output: str):
-    check_against_twin(random_gaussians(70, motion, generator(1)), make_request(outputs=(output,), flow_dt=0.2))
+    check_against_reference(random_gaussians(70, motion, generator(1)), make_request(outputs=(output,), flow_dt=0.2))
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_core_all_outputs_together(motion: str):
     request = make_request(outputs=outputs_of(motion), flow_dt=0.2)
-    check_against_twin(random_gaussians(70, motion, generator(2)), request)
+    check_against_reference(random_gaussians(70, motion, generator(2)), request)
 
 
 @pytest.mark.parametrize("sh_degree", [0, 1, 2, 3])
 @pytest.mark.parametrize(
     ("motion", "fourier_order"), [(m, order) for m in MOTIONS for order in range(1 if m == "static" else 3)]
 )
-def test_every_size_of_sh(motion: str, sh_degree: int, fourier_order: int):
+def test_every_sh_degree_and_fourier_order(motion: str, sh_degree: int, fourier_order: int):
     gaussians = random_gaussians(35, motion, generator(3), sh_degree=sh_degree, fourier_order=fourier_order)
-    check_against_twin(gaussians, make_request())
+    check_against_reference(gaussians, make_request())
 
 
 @pytest.mark.parametrize(("sh_degree", "fourier_order"), [(0, 0), (2, 1), (1, 2), (3, 0)])
-def test_limits_on_what_is_stored(sh_degree: int, fourier_order: int):
+def test_requests_for_a_lower_sh_degree_or_fourier_order(sh_degree: int, fourier_order: int):
     request = make_request(sh_degree=sh_degree, fourier_order=fourier_order)
-    check_against_twin(random_gaussians(35, "full", generator(4)), request)
+    check_against_reference(random_gaussians(35, "full", generator(4)), request)
 
 
 @pytest.mark.parametrize("count", [1, 15, 16, 17, 33])
@@ -109,8 +108,8 @@ def test_limits_on_what_is_stored(sh_degree: int, fourier_order: int):
 def test_counts_around_the_vector_width(motion: str, count: int):
     gaussians = random_gaussians(count, motion, generator(5))
     if motion != "static":
-        gaussians.log_scale[:, 3] = 0.0  # all of them present
-    check_against_twin(gaussians, make_request(outputs=outputs_of(motion), flow_dt=0.2))
+        gaussians.log_scale[:, 3] = 0.0  # p(t) >= 0.05 for all of them
+    check_against_reference(gaussians, make_request(outputs=outputs_of(motion), flow_dt=0.2))
 
 
 @pytest.mark.parametrize("size", [(1, 1), (16, 16), (17, 5), (3, 50)])
@@ -118,7 +117,7 @@ def test_sizes_around_the_tile(size: tuple[int, int]):
     camera = camera_looking_at((0.3, 0.2, -3), *size, focal=max(size) * 1.1)
     request = make_request(camera=camera)
     gaussians = away_from_discontinuities(random_gaussians(40, "full", generator(6)), request)
-    # Too few pixels to leave a tenth out: images only where smooth, gradients likewise, by the weights.
+    # Too few pixels for the limit of a tenth. The weights exclude the same pixels from the gradients.
     smooth = smooth_pixels(gaussians, request)
     weights = output_weights(request, smooth, generator(7))
     expected, truth = render_and_gradients(reference.rasterize, gaussians, request, weights)
@@ -127,8 +126,8 @@ def test_sizes_around_the_tile(size: tuple[int, int]):
     assert_gradients_agree(gradients, truth)
 
 
-def test_core_many_opaque_gaussians_end_pixels_early():
-    """A crowd in which most pixels end before their last Gaussian: what lies behind must get no gradient."""
+def test_core_opaque_gaussians_end_pixels_early():
+    """Most pixels end before their last Gaussian; Gaussians behind must get no gradient."""
     gaussians = random_gaussians(
         600, "full", generator(8), log_scale=(-2.5, -1.0), opacity_logit=(3.0, 8.0), sh_degree=1
     )
@@ -139,25 +138,24 @@ def test_core_many_opaque_gaussians_end_pixels_early():
     expected, truth = render_and_gradients(reference.rasterize, gaussians, request, weights)
     found, gradients = render_and_gradients(rasterize, gaussians.to(torch.float32), request, weights)
     assert (expected.alpha > 1 - 1e-3).float().mean() > 0.3
-    assert smooth.float().mean() > 0.5  # a crowd has a jump near many a pixel
+    assert smooth.float().mean() > 0.5  # many pixels are near a discontinuity
     for name in ("color", "alpha"):
         assert ((getattr(found, name) - getattr(expected, name)).abs() * smooth).max() < 5e-4
     assert_gradients_agree(gradients, truth)
 
 
-def test_large_and_distant_and_near():
-    """Wider than the image, thinner than a pixel, outside the frustum's clamp, all round the camera."""
+def test_all_sizes_and_distances():
+    """Gaussians wider than the image, thinner than a pixel, beyond the Jacobian's clamp, all around the camera."""
     gaussians = random_gaussians(80, "full", generator(10), log_scale=(-6.0, 0.3))
     camera = camera_looking_at((0.2, 0.1, -0.6), focal=30.0)
-    check_against_twin(gaussians, make_request(camera=camera, outputs=("color", "depth")))
+    check_against_reference(gaussians, make_request(camera=camera, outputs=("color", "depth")))
 
 
 @pytest.mark.parametrize("ratio", [1e2, 1e4])
 def test_long_fast_streaks(ratio: float):
     """Axis ratios at which the textbook conditional covariance is indefinite in float32.
 
-    What float32 can hold of such a Gaussian is itself uncertain to about 1e-7 × ratio, hence the image
-    alone, loosely.
+    Rounding the parameters to float32 alone changes the image by about 1e-7 × ratio, hence the loose tolerance.
     """
     gaussians = random_gaussians(40, "full", generator(11), opacity_logit=(-1.0, 0.0))
     gaussians.log_scale[:, 0] = math.log(0.5)
@@ -174,7 +172,7 @@ def test_long_fast_streaks(ratio: float):
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
-def test_core_no_gaussian_is_background(motion: str):
+def test_core_an_empty_scene_renders_the_background(motion: str):
     weights = {"color": torch.ones(3, 37, 45)}
     out, gradients = render_and_gradients(
         rasterize, random_gaussians(0, motion, generator(12)).to(torch.float32), make_request(), weights
@@ -186,21 +184,21 @@ def test_core_no_gaussian_is_background(motion: str):
 # ---- Instruction sets --------------------------------------------------------------------------------------
 
 
-OTHERS = [isa for isa in available_isas() if not kernel.__name__.endswith(f"_{isa}")]
+OTHER_ISAS = [isa for isa in available_isas() if not kernel.__name__.endswith(f"_{isa}")]
 
 
-@pytest.mark.parametrize("isa", OTHERS or available_isas())
-def test_every_other_instruction_set_of_this_machine(isa: str):
-    """The core tests once more, in a process that is told which kernel to load; here they run on the one in use."""
+@pytest.mark.parametrize("isa", OTHER_ISAS or available_isas())
+def test_every_other_instruction_set_passes_them_too(isa: str):
+    """The tests named core, in a process that loads the kernel of another instruction set."""
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-k", "core", __file__]
     done = subprocess.run(command, env={**os.environ, "RASTERIZER_ISA": isa}, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-1000:]
 
 
-def test_a_huge_temporal_scale_with_a_tilted_time_axis():
-    """M_xyz - h m_t cancels here: entries of 1e5 whose difference is 0.1. Away from jumps the factor must not.
+def test_a_large_temporal_scale_with_4d_rotation():
+    """The naive M_xyz - velocity m_t cancels here: entries of 1e5 whose difference is 0.1.
 
-    1e-4: the images agree to a few 1e-6; the form that cancels is off by more than 1e-2.
+    1e-4: images agree to a few 1e-6; the form that cancels is off by more than 1e-2.
     """
     gaussians = random_gaussians(40, "full", generator(12))
     gaussians.log_scale[:, 3] = math.log(1e6)
@@ -214,8 +212,8 @@ def test_a_huge_temporal_scale_with_a_tilted_time_axis():
     assert ((found.double() - expected).abs() * smooth).max() < 1e-4
 
 
-def test_a_denormal_quaternion_keeps_its_direction():
-    """Its inverse overflows float32; 1e-3 because a denormal of 1e-40 itself has only some 16 bits."""
+def test_a_denormal_quaternion_keeps_its_rotation():
+    """The inverse of its norm overflows float32; 1e-3, since a denormal of 1e-40 has only about 16 bits."""
     gaussians = random_gaussians(30, "full", generator(13))
     request = make_request()
     gaussians = away_from_discontinuities(gaussians, request)
