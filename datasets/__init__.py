@@ -38,14 +38,21 @@ def load_scene(cfg: SceneConfig, *, threads: int = 0, log: Log = print) -> Scene
     """
     if is_filmed(cfg):
         return load_posed(cfg, threads=threads, log=log).to_scene()
-    if cfg.reader not in ("dnerf", "synthetic"):
-        raise SceneError("scene.reader", "dnerf, plenoptic or synthetic", repr(cfg.reader))
+    scene = _read_photographs(cfg, log)
+    if not cfg.validation_every:
+        return scene
+    hold_out = hold_out_outermost if cfg.validation_outermost else hold_out_every
+    return validate_scene(hold_out(scene, cfg.validation_every))
+
+
+def _read_photographs(cfg: SceneConfig, log: Log) -> Scene:
+    """Calls the reader of cfg.reader. A new reader gets its branch here; its module is imported only when needed."""
     from datasets.dnerf import has_split, read_dnerf
 
     path = _make_synthetic(cfg, log) if cfg.reader == "synthetic" else _path(cfg)
     # With a validation split a scene needs no test split.
     split = None if cfg.validation_every and not has_split(path, cfg.test_split) else cfg.test_split
-    scene = read_dnerf(
+    return read_dnerf(
         path,
         name=cfg.name,
         test_split=split,
@@ -54,10 +61,6 @@ def load_scene(cfg: SceneConfig, *, threads: int = 0, log: Log = print) -> Scene
         init_box=tuple(cfg.init_box),
         log=log,
     )
-    if not cfg.validation_every:
-        return scene
-    hold_out = hold_out_outermost if cfg.validation_outermost else hold_out_every
-    return validate_scene(hold_out(scene, cfg.validation_every))
 
 
 def background_color(setting: str | Sequence[float]) -> Color | None:
