@@ -202,7 +202,7 @@ def test_the_configuration_is_written_resolved_and_older_ones_still_open(shell: 
         "out=still",
     )
     out, _ = shell(*command)
-    assert "nothing moves: trained with the differences of train.static_overrides" in out
+    assert "static scene: trained with train.static_overrides" in out
     path = shell.folder / "still/config.yaml"
     text = path.read_text()
     assert "  batch: 3\n" in text and "static_overrides: null" in text
