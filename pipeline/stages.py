@@ -202,7 +202,12 @@ def _train(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
     reset_peak_memory()
     selection = _selection(folder)
     result = train(
-        load_ply(folder.init_ply), scene, cfg, folder, evaluate_fn, spent=selection.seconds if selection else 0.0
+        load_ply(folder.init_ply),
+        scene,
+        cfg,
+        folder,
+        evaluate_fn,
+        start_seconds=selection.seconds if selection else 0.0,
     )
     return {
         "iterations": result.iteration,

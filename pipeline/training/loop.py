@@ -52,15 +52,21 @@ EvaluateFn = Callable[[Model, Progress], dict]  # returns psnr, and optionally s
 
 
 def train(
-    model: Model, scene: Scene, cfg: Config, run: RunLog, evaluate_fn: EvaluateFn, begin: int = 0, spent: float = 0.0
+    model: Model,
+    scene: Scene,
+    cfg: Config,
+    run: RunLog,
+    evaluate_fn: EvaluateFn,
+    start_iteration: int = 0,
+    start_seconds: float = 0.0,
 ) -> TrainResult:
     """Train `model` (in place) on `scene.train`, or continue from the run folder's checkpoint if `cfg.resume`.
 
-    evaluate_fn: called every `train.eval_every` iterations and at the end; its time is not training time. begin: the
-    iteration a new run starts after, for a model that is already trained. spent: training seconds before the start.
+    evaluate_fn: called every `train.eval_every` iterations and at the end; its time is not training time.
+    start_iteration, start_seconds: iterations and training seconds before a new run, for an already trained model.
     Raises finite_checks.NonFiniteError, with the last checkpoint kept, and ValueError for a checkpoint of another run.
     """
-    state = start(model, scene, cfg, run, begin, spent)
+    state = start(model, scene, cfg, run, start_iteration, start_seconds)
     views, scoring = TrainingViews(scene.train), scoring_views(scene)
 
     with TrainingProgress(state.iteration, cfg.train.iterations, cfg.train.time_budget_s) as progress:

@@ -68,8 +68,10 @@ class TrainState:
         self.statistics = Statistics(len(self.model))
 
 
-def start(model: Model, scene: Scene, cfg: Config, run: RunLog, begin: int, spent: float) -> TrainState:
-    """A new state with `model`, or the one saved in the run folder. begin, spent: as `loop.train`.
+def start(
+    model: Model, scene: Scene, cfg: Config, run: RunLog, start_iteration: int, start_seconds: float
+) -> TrainState:
+    """A new state with `model`, or the one saved in the run folder. start_iteration, start_seconds: as `loop.train`.
 
     Raises ValueError for a checkpoint of another seed or kind of model, or one without the moments needed to continue.
     """
@@ -97,8 +99,8 @@ def start(model: Model, scene: Scene, cfg: Config, run: RunLog, begin: int, spen
         cfg.seed,
         Kernels(cfg.train.ssim_weight, threads),
         Gradients.zeros_like(model.gaussians()),
-        Stopwatch(spent),
-        iteration=begin,
+        Stopwatch(start_seconds),
+        iteration=start_iteration,
     )
     if saved is not None:
         _restore(state, saved)

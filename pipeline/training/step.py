@@ -82,7 +82,7 @@ class Batch:
         return self.last
 
     def gradients_of(self, target: Target, background: Color) -> Gradients:
-        """The gradient of one view alone, over the same background; finite_checks finds the faulty view with it."""
+        """The gradient of one view alone, over the same background; finite_checks finds the non-finite view with it."""
         alone = Gradients.zeros_like(self._model.gaussians())
         self.backward(target, background, alone)
         return alone

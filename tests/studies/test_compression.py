@@ -125,7 +125,7 @@ def test_training_begins_at_the_given_iteration(tmp_path):
     scene, cfg = tiny_scene(), tiny_config(40)
     model = initialise(scene, cfg, np.random.default_rng(0))
     run = TinyRun(tmp_path / "late")
-    done = train(model, scene, cfg, run, fake_evaluate, begin=30)
+    done = train(model, scene, cfg, run, fake_evaluate, start_iteration=30)
     assert done.iteration == 40 and [row["iteration"] for row in run.rows("error_vs_time.jsonl")] == [40]
     assert done.model.parameters["sh"][:, 4:16].any()  # degree 2, from iteration 30 on
 

@@ -37,8 +37,8 @@ def test_non_finite_gradient_names_iteration_view_and_gaussian(tmp_path, monkeyp
     assert saved.iteration == 7 and saved.model.first_non_finite() is None, "the last checkpoint is kept"
 
 
-def test_the_search_for_the_faulty_view_uses_the_same_random_backgrounds(tmp_path, monkeypatch) -> None:
-    """Only views over some colours are faulty."""
+def test_the_search_for_the_non_finite_view_uses_the_same_random_backgrounds(tmp_path, monkeypatch) -> None:
+    """Only views over some colours have a NaN."""
     original = step.Batch.backward
 
     def backward(self, target, background, gradients):

@@ -32,4 +32,6 @@ def retrain(model: Model, scene: Scene, cfg: Config, share: float, evaluate_fn: 
     if first == cfg.train.iterations:
         return model
     with temporary_run() as run:
-        return train(model, scene, replace(cfg, train=schedule, resume=False), run, evaluate_fn, begin=first).model
+        return train(
+            model, scene, replace(cfg, train=schedule, resume=False), run, evaluate_fn, start_iteration=first
+        ).model
