@@ -22,7 +22,8 @@ _FIELDS = tuple(Gaussians.__dataclass_fields__)
 class _Rasterize(torch.autograd.Function):
     @staticmethod
     def forward(ctx, request: Request, threads: int, *tensors: Tensor | None) -> tuple[Tensor, ...]:
-        gaussians = Gaussians(*(None if t is None else t.detach() for t in tensors))
+        named = zip(_FIELDS, tensors, strict=True)
+        gaussians = Gaussians.from_tensors({name: tensor.detach() for name, tensor in named if tensor is not None})
         rasterizer = Rasterizer(threads)
         out = rasterizer.render(gaussians, request, differentiable=any(ctx.needs_input_grad))
         ctx.rasterizer, ctx.gaussians, ctx.outputs = rasterizer, gaussians, tuple(request.outputs)

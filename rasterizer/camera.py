@@ -40,7 +40,7 @@ class Camera:
             side = getattr(self, name)
             if not isinstance(side, numbers.Integral):
                 raise ValueError(f"camera: {name} must be a whole number of pixels, got {short_repr(side)}")
-            if not 1 <= side <= MAX_SIDE:
+            if not 1 <= int(side) <= MAX_SIDE:
                 raise ValueError(
                     f"camera: width and height must be in 1..{MAX_SIDE} pixels, got {name} {short_repr(side)}"
                 )

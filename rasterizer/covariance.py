@@ -51,7 +51,7 @@ def scaled_axes(gaussians: Gaussians) -> Tensor:
 
     Without 4D rotation, R rotates space only: Σ is block diagonal and the Gaussians do not move.
     """
-    if gaussians.motion == "full":
+    if gaussians.quat_right is not None:
         rotation = rotation_4d(gaussians.quat_left, gaussians.quat_right)
     else:
         rotation = rotation_3d(gaussians.quat_left)

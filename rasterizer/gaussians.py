@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
@@ -63,7 +63,8 @@ class Gaussians:
     @classmethod
     def from_tensors(cls, tensors: dict[str, Tensor]) -> Gaussians:
         """From tensors by field name; `quat_right` may be missing."""
-        return cls(**{"quat_right": None, **tensors})
+        fields: dict[str, Any] = {"quat_right": None, **tensors}
+        return cls(**fields)
 
     @property
     def sh_degree(self) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from types import ModuleType
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -79,13 +80,14 @@ class Gradients:
     quat_left: Tensor  # (N, 4)
     quat_right: Tensor | None  # (N, 4)
     opacity_logit: Tensor  # (N,)
+    sh_shape: torch.Size
     views: list[ViewColors] = field(default_factory=list)
-    sh_shape: torch.Size | None = None
 
     @classmethod
     def zeros_like(cls, gaussians: Gaussians) -> Gradients:
-        dense = {name: torch.zeros_like(tensor) for name, tensor in gaussians.tensors().items() if name != "sh"}
-        return cls(**{"quat_right": None, **dense}, sh_shape=gaussians.sh.shape)
+        dense: dict[str, Any] = {"quat_right": None}
+        dense |= {name: torch.zeros_like(tensor) for name, tensor in gaussians.tensors().items() if name != "sh"}
+        return cls(**dense, sh_shape=gaussians.sh.shape)
 
     def dense(self) -> dict[str, Tensor]:
         """All gradients except SH, by parameter name."""

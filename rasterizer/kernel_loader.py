@@ -36,6 +36,8 @@ def load_kernel(isa: str | None = None) -> ModuleType:
 def load_kernel_at(path: Path) -> ModuleType:
     """A kernel built outside the package, <module name>.<suffix>: the same source with other numerical choices."""
     specification = importlib.util.spec_from_file_location(path.name.split(".")[0], path)
+    if specification is None or specification.loader is None:
+        raise ImportError(f"expected a compiled module, found {path}")
     module = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(module)
     return module

@@ -8,6 +8,7 @@ view = rasterizer.backward(gradients, d_color=…)  # adds to `gradients`
 from __future__ import annotations
 
 from types import ModuleType
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -18,7 +19,7 @@ from rasterizer.gradients import Gradients, ViewColors, ViewGradient
 from rasterizer.kernel_loader import kernel
 from rasterizer.render_output import OUTPUT_CHANNELS, RenderOutput
 from rasterizer.request import Request
-from rasterizer.validation import check_layout, dtype_name, is_integer_in, short_repr
+from rasterizer.validation import as_float, check_layout, dtype_name, is_integer_in, short_repr
 
 # In the order of `enum Stage` in src/view_state.hpp: four of the forward pass, two of the backward pass.
 STAGES = ("preprocess", "sort", "intersect_tiles", "blend", "blend_backward", "preprocess_backward")
@@ -39,7 +40,7 @@ class Rasterizer:
         self.threads = thread_count(int(threads))
         self._kernel, self._state = kernel, kernel.Frame()
         self.dtype = torch.float64 if kernel.choices["float64"] else torch.float32
-        self._model = self._request = None
+        self._model: Any = None  # the Gaussians as the kernel sees them; None before the first view
         self._differentiable = False
 
     def render(self, gaussians: Gaussians, request: Request, differentiable: bool = True) -> RenderOutput:
@@ -49,7 +50,7 @@ class Rasterizer:
         """
         check_layout(gaussians, self.dtype)
         request.check_against(gaussians)
-        self._request, self._differentiable = request, differentiable
+        self._differentiable = differentiable
         self.sh_degree = gaussians.sh_degree if request.sh_degree is None else int(request.sh_degree)
         self.fourier_order = gaussians.fourier_order if request.fourier_order is None else int(request.fourier_order)
         coefficients, orders = SH_LAYOUTS[gaussians.sh.shape[1]]
@@ -80,7 +81,7 @@ class Rasterizer:
             duration=request.duration,
             near=request.near,
             background=list(request.background),
-            flow_dt=float(request.flow_dt) if "flow" in request.outputs else 0.0,
+            flow_dt=as_float(request.flow_dt) if "flow" in request.outputs else 0.0,
             sh_degree=self.sh_degree,
             fourier_order=self.fourier_order,
             extras=tuple(name in request.outputs for name in _EXTRAS),
@@ -138,7 +139,7 @@ class Rasterizer:
         if d_image is None:
             return None
         if name not in self._images:
-            raise ValueError(f"d_{name}: expected {name!r} among the outputs, found {self._request.outputs}")
+            raise ValueError(f"d_{name}: expected {name!r} among the outputs, found {tuple(self._images)}")
         expected = list(self._images[name].shape)
         if d_image.dtype != self.dtype or list(d_image.shape) != expected:
             raise ValueError(

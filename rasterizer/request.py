@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 
@@ -77,7 +78,7 @@ class Request:
                 raise ValueError(f"{name} must be in 0..{stored}, as stored, got {short_repr(limit)}")
 
 
-def _as_list(value: object) -> list:
+def _as_list(value: Any) -> list:
     """The items of a sequence; text and anything that is no sequence as the only item."""
     try:
         return [value] if isinstance(value, str) else list(value)

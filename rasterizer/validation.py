@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import numbers
+from typing import Any
 
 import torch
 
@@ -12,7 +13,7 @@ from rasterizer.gaussians import Gaussians
 MAX_REPR = 200  # characters
 
 
-def as_float(value: object) -> float:
+def as_float(value: Any) -> float:
     """`value` as a float; NaN for anything that is no number, text included, so that a finite check rejects it."""
     if isinstance(value, (str, bytes, bytearray)):
         return math.nan
@@ -24,7 +25,7 @@ def as_float(value: object) -> float:
 
 def is_integer_in(value: object, low: int, high: int) -> bool:
     """Whether `value` is an integer (Python's or numpy's) in low..high."""
-    return isinstance(value, numbers.Integral) and low <= value <= high
+    return isinstance(value, numbers.Integral) and low <= int(value) <= high
 
 
 def short_repr(value: object) -> str:

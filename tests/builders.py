@@ -1,4 +1,4 @@
-"""Small Gaussians and cameras for the rasterizer's tests, and their images and gradients."""
+"""Random Gaussians and small cameras for the rasterizer's tests, and helpers that render and differentiate them."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from torch import Tensor
 
 from rasterizer.camera import Camera
 from rasterizer.gaussians import Gaussians, Motion
-from rasterizer.render_output import RenderOutput
+from rasterizer.render_output import OUTPUT_CHANNELS, OUTPUT_NAMES, RenderOutput
 from rasterizer.request import Request
 
-ALL_OUTPUTS = ("color", "alpha", "depth", "flow", "stats")
+MOTIONS = ("full", "separable", "static")
 
 
 def outputs_of(motion: Motion) -> tuple[str, ...]:
-    """The outputs a kind of model has: a static one has no temporal statistics."""
-    return ALL_OUTPUTS[:4] if motion == "static" else ALL_OUTPUTS
+    """All outputs of a kind of model; a static one has no temporal statistics."""
+    return tuple(name for name in OUTPUT_NAMES if motion != "static" or name != "stats")
 
 
 def generator(seed: int) -> torch.Generator:
@@ -40,10 +40,10 @@ def random_gaussians(
     log_scale: tuple[float, float] = (-3.2, -1.5),
     opacity_logit: tuple[float, float] = (-2.0, 3.0),
 ) -> Gaussians:
-    """n Gaussians in the cube [-1, 1]³ over about the times [0, 1], float64 but with values float32 can hold.
+    """n Gaussians in the cube [-1, 1]³ with μt in [-0.1, 1.1]: float64 tensors of float32 values.
 
-    Quaternions are not normalised. In the full model qr is near the conjugate of ql, so that speeds are
-    about 1. A static model has Fourier order 0 whatever is asked.
+    log_scale, opacity_logit: ranges. Quaternions are not normalised. In the full model qr is near the conjugate of ql,
+    so that speeds are about 1. A static model has Fourier order 0 whatever `fourier_order` is.
     """
     fourier_order = 0 if motion == "static" else fourier_order
     normal = lambda *shape: torch.randn(shape, generator=rng, dtype=torch.float64)  # noqa: E731
@@ -69,7 +69,7 @@ def camera_looking_at(
     principal: tuple[float, float] | None = None,
     target: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> Camera:
-    """A camera at `eye` with `target` on its axis, tilted so that no axis of the world is its own."""
+    """A camera at `eye` with `target` on its optical axis, its axes not aligned with the world's."""
     forward = np.subtract(target, eye)
     forward = forward / np.linalg.norm(forward)
     right = np.cross([0.1, 1.0, 0.2], forward)
@@ -82,30 +82,30 @@ def camera_looking_at(
 
 
 def off_centre_camera() -> Camera:
-    """Sides that are no multiples of a tile's 16 nor of a block's 4, the principal point off the centre."""
+    """An image whose sides are no multiples of a tile (16) or block (4); the principal point is off its centre."""
     return camera_looking_at((0.6, -0.8, -3.0), principal=(19.3, 21.7))
 
 
 def output_weights(request: Request, mask: Tensor, rng: torch.Generator) -> dict[str, Tensor]:
-    """∂L/∂image of each output asked for: random, zero where `mask` (H, W) is False."""
-    channels = {"color": 3, "alpha": 1, "depth": 1, "flow": 2, "stats": 2}
+    """A random ∂L/∂image of each requested output, zero where `mask` (H, W) is False."""
     size = (request.camera.height, request.camera.width)
     return {
-        name: torch.randn((channels[name], *size), generator=rng, dtype=torch.float64) * mask
+        name: torch.randn((OUTPUT_CHANNELS[name], *size), generator=rng, dtype=torch.float64) * mask
         for name in request.outputs
     }
 
 
 def render(rasterize: Callable[..., RenderOutput], gaussians: Gaussians, request: Request) -> RenderOutput:
+    """Call a `rasterize` function with the fields of a Request."""
     return rasterize(gaussians, **{name: getattr(request, name) for name in request.__dataclass_fields__})
 
 
 def render_and_gradients(
     rasterize: Callable[..., RenderOutput], gaussians: Gaussians, request: Request, weights: dict[str, Tensor]
 ) -> tuple[RenderOutput, dict[str, Tensor]]:
-    """The images, and ∂L/∂parameter by name for L = Σ weights · images."""
+    """The images, and ∂L/∂parameter by name, for L = Σ weights · images."""
     leaves = {name: tensor.detach().clone().requires_grad_() for name, tensor in gaussians.tensors().items()}
-    out = render(rasterize, Gaussians(**{"quat_right": None, **leaves}), request)
+    out = render(rasterize, Gaussians.from_tensors(leaves), request)
     loss = sum((getattr(out, name) * weight.to(gaussians.mean.dtype)).sum() for name, weight in weights.items())
     found = torch.autograd.grad(loss, list(leaves.values()), allow_unused=True)
     return out, {
@@ -115,7 +115,7 @@ def render_and_gradients(
 
 
 def quaternion_product(a: Tensor, b: Tensor) -> Tensor:
-    """Hamilton's a b of quaternions (…, 4), w first, from i² = j² = k² = ijk = -1."""
+    """The Hamilton product a b of quaternions (…, 4) in the order w, x, y, z."""
     (aw, ax, ay, az), (bw, bx, by, bz) = a.unbind(-1), b.unbind(-1)  # broadcast
     return torch.stack(
         [
@@ -133,24 +133,24 @@ def conjugate(q: Tensor) -> Tensor:
 
 
 def rotated_world(gaussians: Gaussians, camera: Camera, left: Tensor) -> tuple[Gaussians, Camera]:
-    """The Gaussians and the camera turned together about the origin, by a rotation that `left` (4,) picks.
+    """The Gaussians and the camera rotated together about the origin, by the rotation of quaternion `left` (4,).
 
-    v -> l v r with v = x + yi + zj + tk turns space and keeps time when l k r = k, that is r = -k l* k.
-    Colours must not depend on the direction (SH degree 0), for the coefficients are left as they are.
+    v -> l v r with v = x + yi + zj + tk rotates space and keeps time when l k r = k, that is r = -k l* k.
+    SH coefficients are not rotated, so colours must not depend on the direction (SH degree 0).
     """
     left = left / left.norm()
     k = torch.tensor([0.0, 0, 0, 1], dtype=left.dtype)
     right = -quaternion_product(quaternion_product(k, conjugate(left)), k)
     axes = torch.eye(4, dtype=left.dtype)
-    turn = quaternion_product(quaternion_product(left, axes), right).T  # column i is where axis i goes
+    rotation = quaternion_product(quaternion_product(left, axes), right).T  # column i is the image of axis i
     mean = gaussians.mean.clone()
-    mean[:, :3] = mean[:, :3] @ turn[:3, :3].T.to(mean.dtype)
+    mean[:, :3] = mean[:, :3] @ rotation[:3, :3].T.to(mean.dtype)
     if gaussians.motion == "full":
         quat_left = quaternion_product(left.to(mean.dtype), gaussians.quat_left)
         quat_right = quaternion_product(gaussians.quat_right, right.to(mean.dtype))
     else:
-        x, y, z, w = Rotation.from_matrix(turn[:3, :3].numpy()).as_quat()
+        x, y, z, w = Rotation.from_matrix(rotation[:3, :3].numpy()).as_quat()
         quat_left = quaternion_product(torch.tensor([w, x, y, z], dtype=mean.dtype), gaussians.quat_left)
         quat_right = None
-    turned = replace(gaussians, mean=mean, quat_left=quat_left, quat_right=quat_right)
-    return turned, replace(camera, world_to_cam=camera.world_to_cam @ turn.T.numpy())
+    rotated = replace(gaussians, mean=mean, quat_left=quat_left, quat_right=quat_right)
+    return rotated, replace(camera, world_to_cam=camera.world_to_cam @ rotation.T.numpy())

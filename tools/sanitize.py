@@ -1,7 +1,7 @@
-"""Runs the kernel's tests on kernels built with AddressSanitizer and UndefinedBehaviorSanitizer (`make sanitize`).
+"""Runs the kernel's tests with AddressSanitizer and UndefinedBehaviorSanitizer (`make sanitize`).
 
-They are built into build/sanitize, apart from those in use, for each instruction set that this processor has, or those
-that are named: `.venv/bin/python tools/sanitize.py v3`. The first fault ends the run with its place in the source.
+Builds go to build/sanitize, for every instruction set of this processor or the named ones:
+`.venv/bin/python tools/sanitize.py v3`. The first error ends the run with its source location.
 """
 
 from __future__ import annotations
@@ -14,20 +14,20 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 BUILD = ROOT / "build" / "sanitize"
 TESTS = (
-    "test_rasterizer.py",
-    "test_rasterizer_rules.py",
-    "test_depth_order.py",
-    "test_frame.py",
-    "test_adam.py",
-    "test_loss.py",
-    "test_sweeps.py",
+    "rasterizer/test_kernel_vs_reference.py",
+    "rasterizer/test_kernel_properties.py",
+    "rasterizer/test_far_depth_order.py",
+    "rasterizer/test_rasterizer.py",
+    "rasterizer/test_adam.py",
+    "rasterizer/test_loss.py",
+    "rasterizer/test_gradients.py",
 )
 
 
 def main(isas: list[str]) -> int:
-    """Builds and tests; returns the exit status."""
+    """Builds and tests the kernels of `isas` (empty: all); returns the exit status."""
     sys.path.insert(0, str(ROOT))
-    from rasterizer.kernel import available_isas
+    from rasterizer.kernel_loader import available_isas
 
     isas = isas or available_isas()
     if wrong := [isa for isa in isas if isa not in available_isas()]:
@@ -40,7 +40,7 @@ def main(isas: list[str]) -> int:
     for isa in isas:
         print(f"sanitize: {isa}", flush=True)
         tests = [str(ROOT / "tests" / name) for name in TESTS]
-        # Those tests choose kernels of other instruction sets in processes of their own, at their own time.
+        # Tests of other instruction sets would load kernels without sanitizers.
         done = subprocess.run(
             [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-k", "not instruction_set", *tests],
             cwd=ROOT,
@@ -52,49 +52,35 @@ def main(isas: list[str]) -> int:
 
 
 def build(isas: list[str]) -> None:
-    """Configure once, build what changed."""
+    """Configures the sanitized build and compiles what changed."""
     import nanobind
 
     BUILD.mkdir(parents=True, exist_ok=True)
-    subprocess.run(
-        [
-            "cmake",
-            "-S",
-            ROOT,
-            "-B",
-            BUILD,
-            "-G",
-            "Ninja",
-            "-DRASTERIZER_SANITIZE=ON",
-            "-DCMAKE_BUILD_TYPE=Release",
-            f"-Dnanobind_DIR={nanobind.cmake_dir()}",
-            f"-DPython_EXECUTABLE={sys.executable}",
-        ],
-        check=True,
-        stdout=subprocess.DEVNULL,
-        env=tool_path(),
-    )
-    subprocess.run(
-        ["cmake", "--build", BUILD, "--target", *(f"_kernel_{isa}" for isa in isas)],
-        check=True,
-        stdout=subprocess.DEVNULL,
-        env=tool_path(),
-    )
+    configure = [
+        *("cmake", "-S", ROOT, "-B", BUILD, "-G", "Ninja"),
+        "-DRASTERIZER_SANITIZE=ON",
+        "-DCMAKE_BUILD_TYPE=Release",
+        f"-Dnanobind_DIR={nanobind.cmake_dir()}",
+        f"-DPython_EXECUTABLE={sys.executable}",
+    ]
+    compile_kernels = ["cmake", "--build", BUILD, "--target", *(f"_kernel_{isa}" for isa in isas)]
+    for command in (configure, compile_kernels):
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL, env=tool_path())
 
 
 def tool_path() -> dict[str, str]:
-    """The environment with cmake and ninja of .venv."""
+    """The environment with .venv's cmake and ninja on PATH."""
     return {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
 
 
 def environment(isa: str) -> dict[str, str]:
-    """For the tests: the sanitizer's runtime must be loaded before Python, which was built without it."""
+    """For the tests: the sanitizer's runtime must be loaded before Python, which is built without it."""
     found = subprocess.run(["c++", "-print-file-name=libasan.so"], capture_output=True, text=True, check=True)
     standard = subprocess.run(["c++", "-print-file-name=libstdc++.so"], capture_output=True, text=True, check=True)
     return {
         **os.environ,
         "LD_PRELOAD": f"{found.stdout.strip()}:{standard.stdout.strip()}",
-        "ASAN_OPTIONS": "detect_leaks=0",  # Python keeps what it has until the end
+        "ASAN_OPTIONS": "detect_leaks=0",  # Python frees most of its memory only at exit
         "UBSAN_OPTIONS": "print_stacktrace=1",
         "RASTERIZER_KERNELS": str(BUILD),
         "RASTERIZER_ISA": isa,

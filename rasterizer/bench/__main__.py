@@ -157,7 +157,7 @@ def log_frames(name: str, c: WorkCounts, times: dict[int, FrameTime], bound: flo
 
 
 def measure_iteration_and_reference(workload: Workload, threads: list[int], repeats: int, log: Log) -> dict:
-    result = {}
+    result: dict[str, dict] = {}
     for sparse, label in ((False, "adam"), (True, "sparse_adam")):
         for n in threads:
             parts = time_iteration(workload, n, repeats, sparse=sparse)

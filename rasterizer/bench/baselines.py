@@ -62,6 +62,7 @@ def time_reference(workload: Workload, pixels: int) -> tuple[Time, Time]:
     leaves = Gaussians(**{name: p.clone().requires_grad_() for name, p in crop.gaussians.tensors().items()})
     start = time.process_time()
     image = reference_rasterize(leaves, crop.camera, crop.time, duration=crop.duration).color
+    assert image is not None
     image.backward(d_color)
     reference = time.process_time() - start
     kernel = time_frame(crop, 1, 5)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 
@@ -26,7 +27,7 @@ def write_roofline(path: Path, rates: Rates, measured: dict[str, tuple[dict[str,
         lw=1.5,
         label=f"roof: {rates.operations / 1e9:.0f} G operations/s, {rates.bytes / 1e9:.1f} GB/s",
     )
-    colors = {}
+    colors: dict[str, Any] = {}  # by stage
     for marker, (workload, (work, milliseconds)) in zip(MARKERS, measured.items(), strict=False):
         for stage, stage_work in work.items():
             rate = stage_work.operations / (1e-3 * milliseconds[stage]) / 1e9

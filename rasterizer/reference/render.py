@@ -22,7 +22,7 @@ from rasterizer.reference.blend import MIN_MARGINAL, Splats, blend
 from rasterizer.reference.sh import sh_color
 from rasterizer.render_output import OUTPUT_CHANNELS, RenderOutput
 from rasterizer.request import Request
-from rasterizer.validation import check_finite
+from rasterizer.validation import as_float, check_finite
 
 FRUSTUM_MARGIN = 1.3  # the linearised perspective degenerates far outside the image (3DGS)
 DILATION = 0.3  # px², added to Σ2d: no splat is so thin that it falls between pixel centres (3DGS)
@@ -149,7 +149,7 @@ def displacement(sliced: Slice, request: Request) -> Tensor:
     """Optical flow proj(μ(t+δ)) - proj(μ(t)), (N, 2) pixels; zero where μ(t+δ) lies before the near plane."""
     camera = request.camera
     now = world_to_camera(sliced.mean, camera)
-    later = world_to_camera(sliced.mean + sliced.velocity * request.flow_dt, camera)
+    later = world_to_camera(sliced.mean + sliced.velocity * as_float(request.flow_dt), camera)
     later = torch.where(later[:, 2:] > request.near, later, now)
     return project_point(later, camera) - project_point(now, camera)
 
@@ -175,7 +175,7 @@ def make_splats(gaussians: Gaussians, request: Request, min_marginal: float = MI
         features.append(mean_cam[:, 2:])
     if "flow" in request.outputs:
         features.append(displacement(sliced, request))
-    if "stats" in request.outputs:
+    if "stats" in request.outputs and sliced.variance_t is not None:
         features.append(torch.stack([gaussians.mean[:, 3], sliced.variance_t], dim=-1))
     return Splats(
         index=index,

@@ -66,7 +66,8 @@ def time_frame(workload: Workload, threads: int, repeats: int, **options) -> Fra
     rasterizer, gradients = Rasterizer(threads), Gradients.zeros_like(workload.gaussians)
     request, d_color = workload.request(**options), workload.image_gradient()
     d_sh = torch.zeros_like(workload.gaussians.sh)
-    timestamps, stages = [], {stage: [] for stage in STAGES}
+    timestamps: list[list[float]] = []
+    stages: dict[str, list[float]] = {stage: [] for stage in STAGES}
     for _ in range(repeats):
         gradients.zero_(threads)
         at = [clock()]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 
 from rasterizer.adam import adam_step, sh_adam_step
@@ -35,6 +37,7 @@ def time_iteration(
         for _ in range(views):
             t0 = clock()
             image = rasterizer.render(gaussians, workload.request()).color
+            assert image is not None
             t1 = clock()
             d_image = criterion(image, target).d_image
             t2 = clock()
@@ -62,7 +65,7 @@ class _Adam:
 
     def step(self, gradients: Gradients, visible: torch.Tensor | None) -> None:
         self._step += 1
-        options = {"step": self._step, "sparse_rows": visible, "threads": self._threads}
+        options: dict[str, Any] = {"step": self._step, "sparse_rows": visible, "threads": self._threads}
         for name, p in self._parameters.items():
             m, v = self._m[name], self._v[name]
             if name == "sh":

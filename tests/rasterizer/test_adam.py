@@ -1,4 +1,4 @@
-"""The fused Adam against torch.optim.Adam in float64, dense and with rows left out."""
+"""Fused Adam against torch.optim.Adam in float64: all rows, and with rows skipped."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ STEPS = 6
 
 
 def torch_adam(start: Tensor, gradients: list[Tensor], rates: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """(parameter, m, v) after steps of torch.optim.Adam in float64; rates broadcast against the parameter.
+    """(parameter, m, v) after steps of torch.optim.Adam in float64; `rates` broadcast against the parameter.
 
-    Adam's step is proportional to its rate, so that of rate 1 is scaled.
+    Adam's step is proportional to its learning rate, so the step of rate 1 is scaled.
     """
     parameter = start.double()
-    shadow = torch.zeros_like(parameter).requires_grad_()
-    optimiser = torch.optim.Adam([shadow], lr=1.0, betas=(0.9, 0.999), eps=1e-15)
+    unit_rate = torch.zeros_like(parameter).requires_grad_()
+    optimiser = torch.optim.Adam([unit_rate], lr=1.0, betas=(0.9, 0.999), eps=1e-15)
     for gradient in gradients:
-        before = shadow.detach().clone()
-        shadow.grad = gradient.double()
+        before = unit_rate.detach().clone()
+        unit_rate.grad = gradient.double()
         optimiser.step()
-        parameter = parameter + rates * (shadow.detach() - before)
-    state = optimiser.state[shadow]
+        parameter = parameter + rates * (unit_rate.detach() - before)
+    state = optimiser.state[unit_rate]
     return parameter, state["exp_avg"], state["exp_avg_sq"]
 
 
@@ -47,57 +47,57 @@ def random_steps(shape: tuple[int, ...], seed: int) -> tuple[Tensor, list[Tensor
         ((0, 4), 0.1),
     ],
 )
-def test_it_is_adam(shape: tuple[int, ...], rate: float | list[float], threads: int):
+def test_parameters_and_moments_match_torch_adam(shape: tuple[int, ...], rate: float | list[float], threads: int):
     start, gradients = random_steps(shape, 1)
     parameter, m, v = start.clone(), torch.zeros(shape), torch.zeros(shape)
     for step, gradient in enumerate(gradients, start=1):
         adam_step(parameter, gradient, m, v, rate, step, threads=threads)
     expected = torch_adam(start, gradients, torch.tensor(rate, dtype=torch.float64))
-    # Float32 rounds at 6e-8, some roundings a step: 1e-6 of the parameters (about 1), of the second moment,
-    # a sum of squares, and of the gradients that went into the first, which may cancel.
+    # Float32 rounds at 6e-8, several times per step: 1e-6 of the parameters (about 1), of the second moment (a sum of
+    # squares), and of the gradients in the first moment, which may cancel.
     torch.testing.assert_close(parameter.double(), expected[0], rtol=0, atol=1e-6)
     assert ((m - expected[1]).abs() <= 1e-6 * torch.stack(gradients).abs().amax(0)).all()
     torch.testing.assert_close(v.double(), expected[2], rtol=1e-6, atol=0)
 
 
-def test_a_gradient_that_stays_zero_moves_nothing():
+def test_a_zero_gradient_changes_neither_parameters_nor_moments():
     start, _ = random_steps((33, 4), 2)
     parameter, m, v = start.clone(), torch.zeros(33, 4), torch.zeros(33, 4)
     adam_step(parameter, torch.zeros(33, 4), m, v, 0.1, 1)
     assert torch.equal(parameter, start) and not m.any() and not v.any()
 
 
-def test_rows_left_out_are_not_touched_and_the_others_are_stepped_as_ever():
+def test_skipped_rows_stay_and_the_others_equal_the_dense_step():
     shape = (101, 4)
     start, gradients = random_steps(shape, 3)
     dense = [start.clone(), torch.zeros(shape), torch.zeros(shape)]
-    adam_step(dense[0], gradients[0], dense[1], dense[2], 0.01, 1)  # so that there are moments to leave alone
+    adam_step(dense[0], gradients[0], dense[1], dense[2], 0.01, 1)  # so that the moments are not zero
     sparse, before = [tensor.clone() for tensor in dense], [tensor.clone() for tensor in dense]
     mask = (torch.rand(101, generator=generator(4)) < 0.5).to(torch.uint8)
     adam_step(dense[0], gradients[1], dense[1], dense[2], 0.01, 2)
     adam_step(sparse[0], gradients[1], sparse[1], sparse[2], 0.01, 2, sparse_rows=mask)
-    kept, left_out = mask.bool(), ~mask.bool()
+    kept, skipped = mask.bool(), ~mask.bool()
     for found, stepped, untouched in zip(sparse, dense, before):
-        assert torch.equal(found[left_out], untouched[left_out])
+        assert torch.equal(found[skipped], untouched[skipped])
         assert torch.equal(found[kept], stepped[kept])
-        assert not torch.equal(stepped[left_out], untouched[left_out])
+        assert not torch.equal(stepped[skipped], untouched[skipped])
 
 
 def batch(gaussians: Gaussians, times: list[float], seed: int) -> Gradients:
-    """Gradients of a batch of views at the times."""
-    frame, gradients = Rasterizer(threads=1), Gradients.zeros_like(gaussians)
+    """Gradients of a batch of views at these times."""
+    rasterizer, gradients = Rasterizer(threads=1), Gradients.zeros_like(gaussians)
     for number, time in enumerate(times):
         request = Request(off_centre_camera(), time=time)
         weights = output_weights(request, torch.ones(37, 45), generator(seed + number))
-        frame.render(gaussians, request)
-        frame.backward(gradients, d_color=weights["color"].to(torch.float32))
+        rasterizer.render(gaussians, request)
+        rasterizer.backward(gradients, d_color=weights["color"].to(torch.float32))
     return gradients
 
 
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize(("sh_degree", "fourier_order"), [(3, 2), (3, 0), (1, 1), (0, 2), (0, 0)])
-def test_sh_is_stepped_by_adam_on_the_dense_gradient(sh_degree: int, fourier_order: int, threads: int):
-    """Coefficients of neither view nor time, of view, of time and of both at a rate each."""
+def test_the_sh_step_matches_torch_adam_on_the_dense_gradient(sh_degree: int, fourier_order: int, threads: int):
+    """One learning rate each for the constant coefficient, those of direction, of time, and of both."""
     gaussians = random_gaussians(83, "full", generator(5), sh_degree, fourier_order).to(torch.float32)
     batches = [batch(gaussians, [0.1, 0.5, 0.8], 10 * step) for step in range(3)]
     sh, m, v = gaussians.sh.clone(), torch.zeros_like(gaussians.sh), torch.zeros_like(gaussians.sh)
@@ -108,9 +108,8 @@ def test_sh_is_stepped_by_adam_on_the_dense_gradient(sh_degree: int, fourier_ord
     rates = rates.reshape(-1, 1)
     dense = [gradients.sh() for gradients in batches]
     expected = torch_adam(gaussians.sh, dense, rates)
-    # The gradient of a batch is a sum over views, whose rounding may differ by its order: 1e-6 of the
-    # largest. Where it cancels to about 0, Adam divides it by its own size: there the step is as uncertain
-    # as the gradient's sign.
+    # The gradient of a batch is a sum over views, whose rounding depends on their order: 1e-6 of the largest. Where it
+    # cancels to about 0, Adam normalizes it, and the step is as uncertain as the gradient's sign.
     certain = torch.stack([g.abs() > 1e-4 * g.abs().max() for g in dense]).all(0) | torch.stack(
         [g == 0 for g in dense]
     ).all(0)
@@ -120,18 +119,18 @@ def test_sh_is_stepped_by_adam_on_the_dense_gradient(sh_degree: int, fourier_ord
         torch.testing.assert_close(found.double(), truth, rtol=1e-4, atol=1e-6 * truth.abs().max().item())
 
 
-@pytest.mark.parametrize("mask", ["seen", "random", "nobody"])
-def test_sh_rows_left_out_are_not_touched_and_the_others_are_stepped_as_ever(mask: str):
-    """Seen: those some view of the batch saw (sparse Adam). Random: any, as where Gaussians are frozen."""
+@pytest.mark.parametrize("mask", ["visible", "random", "none"])
+def test_skipped_sh_rows_stay_and_the_others_equal_the_dense_step(mask: str):
+    """visible: Gaussians in some view of the batch (sparse Adam). random: any, as when Gaussians are frozen."""
     gaussians = random_gaussians(83, "full", generator(6)).to(torch.float32)
     gradients = batch(gaussians, [0.1, 0.15], 7)
-    seen = torch.zeros(83, dtype=torch.bool)
+    visible = torch.zeros(83, dtype=torch.bool)
     for view in gradients.views:
-        seen[view.visible.long()] = True
-    assert seen.any() and not seen.all()
+        visible[view.visible.long()] = True
+    assert visible.any() and not visible.all()
     chosen = torch.rand(83, generator=generator(9)) < 0.5
-    kept = {"seen": seen, "random": chosen, "nobody": torch.zeros_like(seen)}[mask]
-    assert mask != "random" or ((seen & ~kept).any() and (~seen & kept).any())
+    kept = {"visible": visible, "random": chosen, "none": torch.zeros_like(visible)}[mask]
+    assert mask != "random" or ((visible & ~kept).any() and (~visible & kept).any())
     start = [gaussians.sh, torch.full_like(gaussians.sh, 0.1), torch.full_like(gaussians.sh, 0.2)]
     dense, sparse = [tensor.clone() for tensor in start], [tensor.clone() for tensor in start]
     sh_adam_step(dense[0], gradients, dense[1], dense[2], [0.01, 0.002, 0.005, 0.001], 5)
@@ -144,25 +143,25 @@ def test_sh_rows_left_out_are_not_touched_and_the_others_are_stepped_as_ever(mas
         assert not torch.equal(stepped[~kept], untouched[~kept])
 
 
-def test_degrees_and_orders_no_view_used_are_left_alone_and_the_others_stepped_as_ever():
+def test_sh_degrees_and_fourier_orders_that_no_view_used_are_skipped():
     gaussians = random_gaussians(83, "full", generator(8)).to(torch.float32)
-    low = Rasterizer(threads=1), Gradients.zeros_like(gaussians)
+    rasterizer, gradients = Rasterizer(threads=1), Gradients.zeros_like(gaussians)
     request = Request(off_centre_camera(), time=0.5, sh_degree=1, fourier_order=1)
-    low[0].render(gaussians, request)
-    low[0].backward(low[1], d_color=torch.ones(3, 37, 45))
+    rasterizer.render(gaussians, request)
+    rasterizer.backward(gradients, d_color=torch.ones(3, 37, 45))
     sh, m, v = gaussians.sh.clone(), torch.zeros_like(gaussians.sh), torch.zeros_like(gaussians.sh)
-    sh_adam_step(sh, low[1], m, v, [0.01] * 4, 1)
+    sh_adam_step(sh, gradients, m, v, [0.01] * 4, 1)
     used = torch.zeros(48, dtype=torch.bool)
     used[[0, 1, 2, 3, 16, 17, 18, 19]] = True  # degrees 0 and 1 of Fourier orders 0 and 1
-    seen = low[1].views[0].visible.long()
+    visible = gradients.views[0].visible.long()
     assert torch.equal(sh[:, ~used], gaussians.sh[:, ~used]) and not m[:, ~used].any() and not v[:, ~used].any()
-    torch.testing.assert_close(m[:, used], 0.1 * low[1].sh()[:, used])  # the first step's: (1 - β1) g
-    assert (m[seen][:, used] != 0).float().mean() > 0.5
+    torch.testing.assert_close(m[:, used], 0.1 * gradients.sh()[:, used])  # the first step: (1 - β1) g
+    assert (m[visible][:, used] != 0).float().mean() > 0.5
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-def test_a_moment_too_small_to_matter_ends_at_zero_and_other_arithmetic_keeps_its_denormals(threads: int):
-    """m shrinks by β1 a step for a Gaussian nobody sees; as a denormal it would stay, and slow every step after."""
+def test_denormal_moments_are_flushed_to_zero_inside_adam_only(threads: int):
+    """m of an invisible Gaussian shrinks by β1 per step; as a denormal it would stay and slow down every later step."""
     parameter, m, v = torch.ones(40, 4), torch.full((40, 4), 1e-39), torch.full((40, 4), 1e-12)
     adam_step(parameter, torch.zeros(40, 4), m, v, 0.01, 1000, threads=threads)
     assert not m.any() and torch.equal(parameter, torch.ones(40, 4))
@@ -170,4 +169,4 @@ def test_a_moment_too_small_to_matter_ends_at_zero_and_other_arithmetic_keeps_it
     sh, m, v = gaussians.sh.clone(), torch.full_like(gaussians.sh, 1e-39), torch.full_like(gaussians.sh, 1e-12)
     sh_adam_step(sh, batch(gaussians, [], 0), m, v, [0.01] * 4, 1000, threads=threads)
     assert not m[:, 0].any() and torch.equal(sh, gaussians.sh)
-    assert (torch.full((5,), 1e-39) * 0.5).all()  # the processor's mode is put back
+    assert (torch.full((5,), 1e-39) * 0.5).all()  # the processor's flush-to-zero mode is restored

@@ -1,4 +1,4 @@
-"""The benchmark's command line and its workloads. How fast anything is, is no test."""
+"""The benchmark's command line, its workloads and its baselines; speed itself is not tested."""
 
 from __future__ import annotations
 
@@ -10,16 +10,17 @@ import numpy as np
 import pytest
 import torch
 
+from rasterizer.bench.baselines import torch_loss
 from rasterizer.kernel_loader import available_isas
 from rasterizer.loss import L1Ssim
 from rasterizer.reference import render as reference
 from rasterizer.reference.blend import blending_weights, pixel_centers, splat_alpha
-from rasterizer.timing.measure import count, torch_loss
+from rasterizer.timing.frame_time import count_work
 from rasterizer.timing.workloads import SplitMix64, make_workload
 
 
 def naive_splitmix64(seed: int, count: int) -> list[float]:
-    """The published recurrence, one draw after another, in Python's integers."""
+    """The published recurrence in Python's integers, one draw at a time."""
     mask, out = (1 << 64) - 1, []
     for _ in range(count):
         seed = (seed + 0x9E3779B97F4A7C15) & mask
@@ -30,51 +31,40 @@ def naive_splitmix64(seed: int, count: int) -> list[float]:
     return out
 
 
-def test_draws_are_splitmix64s_also_from_call_to_call() -> None:
+def test_vectorized_draws_equal_the_recurrence_across_calls() -> None:
     generator = SplitMix64(1234567)
     ours = np.concatenate([generator.uniform(3, 4).ravel(), generator.uniform(1, 5).ravel()])
     assert ours.tolist() == naive_splitmix64(1234567, 17)  # 24 bits each: exact in float32
 
 
 @pytest.mark.parametrize("isa", available_isas())
-def test_the_command_measures_the_instruction_set_it_was_told(isa: str) -> None:
-    command = [
-        sys.executable,
-        "-m",
-        "rasterizer.bench",
-        "W1",
-        "--isa",
-        isa,
-        "--repeats",
-        "1",
-        "--threads",
-        "1",
-        "--json",
-    ]
+def test_json_output_and_the_isa_option(isa: str) -> None:
+    options = ["--isa", isa, "--repeats", "1", "--threads", "1", "--json"]
+    command = [sys.executable, "-m", "rasterizer.bench", "W1", *options]
     found = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
     assert found["isa"] == isa
     w1 = found["workloads"]["W1"]
-    assert w1["counts"]["visible"] == 63_657  # as the notes on performance say of W1: the same scene for everybody
+    assert w1["counts"]["visible"] == 63_657  # the scene is the same on every machine
     one = w1["threads"]["1"]
     assert one["total"]["median"] >= one["total"]["minimum"] >= one["forward"]["minimum"] > 0
-    assert (found["workload"], found["threads"]) == ("W1", 1)  # of one workload, the short form too
+    assert (found["workload"], found["threads"]) == ("W1", 1)  # the flat summary of a single workload
     for part in ("forward", "backward", "total"):
         assert found[f"{part}_ms"] == one[part]["minimum"]
     assert found["stages"] == {stage: ms["minimum"] for stage, ms in one["stages"].items()}
     assert w1["bound_ms"] > 0 and found["rates"]["operations"] > 0 and set(one["stages"]) >= {"preprocess", "blend"}
 
 
-def test_contributing_pairs_are_those_of_a_naive_count() -> None:
+def test_contributing_pairs_equal_the_reference_implementations_count() -> None:
     crop = make_workload("W1").cropped(16)  # one tile
     splats = reference.make_splats(crop.gaussians, crop.request())
     weight, _ = blending_weights(splat_alpha(splats, pixel_centers(crop.camera, torch.float32).reshape(-1, 2)))
-    found = count(crop)
+    found = count_work(crop)
     # A pair within float32's rounding of a threshold may fall on either side.
     assert found.contributing == pytest.approx(int((weight > 0).sum()), rel=1e-3)
     assert found.pairs % 16 == 0 and found.pairs >= found.contributing
 
 
-def test_a_crop_is_the_middle_of_the_image() -> None:
+def test_a_crop_shifts_the_principal_point() -> None:
     workload = make_workload("W1")
     points = torch.tensor([[0.0, 0.0, 4.0], [0.1, -0.2, 3.0]], dtype=torch.float64)
     whole = reference.project_point(points, workload.camera)
@@ -82,18 +72,18 @@ def test_a_crop_is_the_middle_of_the_image() -> None:
     assert (whole - part == 188).all()  # (400 - 24) / 2, exact in binary
 
 
-def test_the_loss_it_is_compared_with_is_the_same_loss() -> None:
+def test_the_torch_baseline_computes_the_same_loss_and_gradient() -> None:
     generator = torch.Generator().manual_seed(3)
     image, target = (torch.rand(3, 40, 40, generator=generator) for _ in range(2))
     leaf = image.clone().requires_grad_()
-    theirs = torch_loss(leaf, target)
-    (gradient,) = torch.autograd.grad(theirs, leaf)
+    expected = torch_loss(leaf, target)
+    (gradient,) = torch.autograd.grad(expected, leaf)
     ours = L1Ssim(threads=1)(image, target)
-    assert ours.loss == pytest.approx(theirs.item(), abs=1e-5)  # float32 sums over 4800 values
+    assert ours.loss == pytest.approx(expected.item(), abs=1e-5)  # float32 sums over 4800 values
     assert (ours.d_image - gradient).abs().max() < 1e-4 * gradient.abs().max()
 
 
-def test_w2_is_larger_and_w2h_is_w2_at_half_size() -> None:
+def test_w2h_is_w2_at_half_resolution() -> None:
     full, half = make_workload("W2"), make_workload("W2h")
     assert len(full.gaussians) == len(half.gaussians) == 300_000
     assert (full.camera.width, half.camera.width) == (1352, 676)

@@ -1,7 +1,7 @@
-"""The rules of docs/method.md 1 on the compiled kernel, one small scene each, and the identities every rasterizer
-must keep.
+"""The rules of docs/method.md 1 on the compiled kernel, one small scene each, and invariances of rendering.
 
-Float32 against float64 or work by hand: 3e-5 of an image's largest value, as in `test_rasterizer.py`.
+Tolerance of float32 against float64 or hand calculation: 3e-5 of an image's largest value, as in
+`test_kernel_vs_reference.py`.
 """
 
 from __future__ import annotations
@@ -12,13 +12,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from builders import generator, off_centre_camera, random_gaussians, render, render_and_gradients, rotated_world
+from builders import (
+    MOTIONS,
+    generator,
+    off_centre_camera,
+    random_gaussians,
+    render,
+    render_and_gradients,
+    rotated_world,
+)
 
 from rasterizer import Camera, Gaussians, Request, rasterize
 from rasterizer.reference import render as reference
 from rasterizer.reference.discontinuities import away_from_discontinuities, smooth_pixels
 
-MOTIONS = ("full", "separable", "static")
 IMAGE_TOLERANCE = 3e-5
 
 
@@ -27,7 +34,7 @@ def make_request(**changes) -> Request:
 
 
 def one_gaussian(mean: tuple[float, ...], log_scale: float = -1.5, color: float = 1.0) -> Gaussians:
-    """A static (3 coordinates) or separable (4) round Gaussian, nearly opaque, of one grey."""
+    """A static (mean of 3 numbers) or separable (4) isotropic Gaussian, nearly opaque and grey."""
     sh = torch.full((1, 1, 3), (color - 0.5) * 2 * math.sqrt(math.pi))
     return Gaussians(
         torch.tensor([mean]).float(),
@@ -40,17 +47,15 @@ def one_gaussian(mean: tuple[float, ...], log_scale: float = -1.5, color: float 
 
 
 def join(*parts: Gaussians) -> Gaussians:
-    return Gaussians(
-        **{"quat_right": None, **{name: torch.cat([p.tensors()[name] for p in parts]) for name in parts[0].tensors()}}
-    )
+    return Gaussians.from_tensors({name: torch.cat([p.tensors()[name] for p in parts]) for name in parts[0].tensors()})
 
 
 def front_camera(width: int = 31, height: int = 23) -> Camera:
     return Camera(width, height, 40.0, 40.0, width / 2, height / 2, np.eye(4))
 
 
-def test_coincident_depths_blend_in_the_order_of_their_rows():
-    """All on the plane z = 3, exact in float32: the order is that of the rows in both programs."""
+def test_equal_depths_blend_in_row_order():
+    """All means on the plane z = 3, exact in float32: kernel and reference implementation both use the row order."""
     gaussians = random_gaussians(60, "static", generator(13), log_scale=(-2.5, -1.5))
     gaussians.mean[:, :2] *= 0.7
     gaussians.mean[:, 2] = 3.0
@@ -66,26 +71,26 @@ def test_coincident_depths_blend_in_the_order_of_their_rows():
     assert (rasterize(join(second, first), front_camera()).color[center] < 0.1).all()
 
 
-def test_the_near_plane_cuts():
+def test_gaussians_before_the_near_plane_are_culled():
     gaussians = one_gaussian((0, 0, 0.5))
     assert rasterize(gaussians, front_camera(), near=0.4, outputs=("alpha",)).alpha.max() > 0.9
     for near in (0.5, 0.6):  # z > near, strictly
         assert rasterize(gaussians, front_camera(), near=near, outputs=("alpha",)).alpha.max() == 0
 
 
-def test_a_gaussian_far_from_its_time_contributes_nothing():
+def test_gaussians_with_a_small_temporal_marginal_are_culled():
     """p(t) = 0.05 at √(2 ln 20) = 2.4477 standard deviations."""
     sigma = math.exp(-1.5)
-    for deviations, present in ((2.44, True), (2.455, False)):
+    for deviations, rendered in ((2.44, True), (2.455, False)):
         gaussians = one_gaussian((0, 0, 3, 0.5))
         weights = {"alpha": torch.ones(1, 23, 31)}
         request = make_request(camera=front_camera(), time=0.5 + deviations * sigma, outputs=("alpha",))
         out, gradients = render_and_gradients(rasterize, gaussians, request, weights)
-        assert (out.alpha.max() > 0).item() is present
-        assert any(gradient.abs().max() > 0 for gradient in gradients.values()) is present
+        assert (out.alpha.max() > 0).item() is rendered
+        assert any(gradient.abs().max() > 0 for gradient in gradients.values()) is rendered
 
 
-def test_alpha_is_capped_and_the_cap_passes_no_gradient():
+def test_alpha_is_clamped_at_0_99_without_gradient():
     gaussians = replace(one_gaussian((0, 0, 3), log_scale=3.0), opacity_logit=torch.tensor([9.0]))
     weights = {"alpha": torch.ones(1, 23, 31)}
     out, gradients = render_and_gradients(
@@ -95,7 +100,7 @@ def test_alpha_is_capped_and_the_cap_passes_no_gradient():
     assert gradients["opacity_logit"].item() == 0 and gradients["mean"].abs().max() == 0
 
 
-def test_colour_is_clamped_at_zero_and_the_clamp_passes_no_gradient():
+def test_colour_is_clamped_at_zero_without_gradient():
     gaussians = one_gaussian((0, 0, 3))
     gaussians.sh[0, 0] = torch.tensor([-3.0, 0.0, 3.0])
     request = make_request(camera=front_camera(), background=(0, 0, 0))
@@ -118,31 +123,30 @@ def test_a_zero_quaternion_is_the_identity():
     assert gradients["quat_left"].abs().max() == 0 and torch.isfinite(gradients["quat_right"]).all()
 
 
-# ---- Identities --------------------------------------------------------------------------------------------
+# ---- Invariances -------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
-def test_a_world_rotated_with_its_camera_looks_the_same(motion: str):
+def test_rotating_the_world_with_the_camera_changes_nothing(motion: str):
     request = make_request(outputs=("color", "depth"))
     gaussians = away_from_discontinuities(random_gaussians(50, motion, generator(15), sh_degree=0), request)
-    turned, camera = rotated_world(gaussians, request.camera, torch.tensor([0.3, -0.5, 0.7, 0.4], dtype=torch.float64))
+    rotated, camera = rotated_world(gaussians, request.camera, torch.tensor([0.3, -0.5, 0.7, 0.4], dtype=torch.float64))
     before = render(rasterize, gaussians.to(torch.float32), request)
-    after = render(rasterize, turned.to(torch.float32), replace(request, camera=camera))
+    after = render(rasterize, rotated.to(torch.float32), replace(request, camera=camera))
     smooth = smooth_pixels(gaussians, request)
     assert ((after.color - before.color).abs() * smooth).max() < IMAGE_TOLERANCE
     assert ((after.depth - before.depth).abs() * smooth).max() < IMAGE_TOLERANCE * before.depth.max()
 
 
 @pytest.mark.parametrize("motion", ["full", "separable"])
-def test_a_4d_gaussian_without_motion_is_the_static_one_at_any_time(motion: str):
-    """Its deviation in time is 1e4 durations: float32 must not let that leak into space."""
+def test_a_4d_gaussian_without_motion_equals_the_static_one_at_any_time(motion: str):
+    """Its temporal standard deviation is 1e4 durations, whose rounding must not change the spatial covariance."""
     static = away_from_discontinuities(random_gaussians(50, "static", generator(16)), make_request())
     count = len(static)
     pad = lambda t, value: torch.cat([t, torch.full((count, 1), value, dtype=t.dtype)], dim=1)  # noqa: E731
     timed = replace(static, mean=pad(static.mean, 0.5), log_scale=pad(static.log_scale, math.log(1e4)))
     if motion == "full":
-        # One turn of space alone, and the same one for the static model, from a 4D pair that keeps t: l k r
-        # = k.
+        # A 4D quaternion pair that rotates space only (l k r = k), and the same rotation for the static model.
         identity, camera = (torch.tensor([1.0, 0, 0, 0], dtype=torch.float64).repeat(count, 1), off_centre_camera())
         as_4d = replace(timed, quat_left=identity, quat_right=identity)
         left = torch.tensor([0.3, -0.5, 0.7, 0.4], dtype=torch.float64)
@@ -157,25 +161,21 @@ def test_a_4d_gaussian_without_motion_is_the_static_one_at_any_time(motion: str)
     smooth = smooth_pixels(static, make_request())
     for instant in (0.0, 0.5, 3.0):
         found = rasterize(timed.to(torch.float32), off_centre_camera(), time=instant, background=(0.3, 0.6, 0.1)).color
-        # cos(2πn (t-μt)/T) of coefficients that are not there: the static model has Fourier order 0.
+        # Fourier order 0, as in the static model: colours do not depend on time.
         assert ((found - expected).abs() * smooth).max() < IMAGE_TOLERANCE
 
 
-def test_flow_is_the_displacement_of_an_opaque_gaussian_that_moves():
-    """A turn by θ in the x-t plane moves at sinθ cosθ (sx² - st²)/(sin²θ sx² + cos²θ st²) along x."""
+def test_flow_is_the_displacement_of_a_moving_opaque_gaussian():
+    """Rotated by θ in the x-t plane, it moves along x at sinθ cosθ (sx² - st²)/(sin²θ sx² + cos²θ st²)."""
     theta, sx, st, depth, delta, elapsed = 0.5, 0.2, 0.6, 4.0, 0.15, 0.1
-    speed = (
-        math.sin(theta)
-        * math.cos(theta)
-        * (sx**2 - st**2)
-        / ((math.sin(theta) * sx) ** 2 + (math.cos(theta) * st) ** 2)
-    )
-    turn = torch.tensor([[math.cos(theta / 2), 0, 0, math.sin(theta / 2)]])
+    variance = (math.sin(theta) * sx) ** 2 + (math.cos(theta) * st) ** 2  # Σtt
+    speed = math.sin(theta) * math.cos(theta) * (sx**2 - st**2) / variance
+    quaternion = torch.tensor([[math.cos(theta / 2), 0, 0, math.sin(theta / 2)]])
     gaussians = Gaussians(
         torch.tensor([[0.0, 0, depth, 0.5]]),
         torch.tensor([[sx, 0.2, 0.2, st]]).log(),
-        turn,
-        turn,
+        quaternion,
+        quaternion,
         torch.tensor([6.0]),
         torch.zeros(1, 1, 3),
     )
@@ -188,23 +188,22 @@ def test_flow_is_the_displacement_of_an_opaque_gaussian_that_moves():
     torch.testing.assert_close(flow[0], torch.full_like(flow[0], 40 * speed * delta / depth), rtol=1e-4, atol=0)
     torch.testing.assert_close(flow[1], torch.zeros_like(flow[1]), rtol=0, atol=1e-4)
     torch.testing.assert_close(mean_depth, torch.full_like(mean_depth, depth), rtol=1e-5, atol=0)
-    # the centre of the visible mass lies where the motion has brought it: x = speed × elapsed
+    # the centroid of alpha has moved to x = speed × elapsed
     column = (out.alpha[0].sum(0) * (torch.arange(31) + 0.5)).sum() / out.alpha[0].sum()
     assert abs(column - (15.5 + 40 * speed * elapsed / depth)) < 0.05
-    variance = (math.sin(theta) * sx) ** 2 + (math.cos(theta) * st) ** 2
     stats = out.stats[:, covered] / out.alpha[:, covered]
     torch.testing.assert_close(stats, torch.tensor([[0.5], [variance]]).expand_as(stats), rtol=1e-4, atol=0)
 
 
-def test_flow_that_would_pass_the_near_plane_is_left_out():
-    """The moving Gaussian of the test above, seen along its path: it comes towards the camera."""
+def test_flow_is_zero_where_the_gaussian_would_cross_the_near_plane():
+    """The moving Gaussian of the test above, from a camera on its path: it approaches."""
     theta = 0.5
-    turn = torch.tensor([[math.cos(theta / 2), 0, 0, math.sin(theta / 2)]])
+    quaternion = torch.tensor([[math.cos(theta / 2), 0, 0, math.sin(theta / 2)]])
     gaussians = Gaussians(
         torch.tensor([[0.0, 0.1, 0.1, 0.5]]),
         torch.tensor([[0.05, 0.2, 0.2, 0.6]]).log(),
-        turn,
-        turn,
+        quaternion,
+        quaternion,
         torch.tensor([6.0]),
         torch.zeros(1, 1, 3),
     )

@@ -1,4 +1,4 @@
-"""The kernel without autograd, as training uses it: same numbers, same bits on any threads, errors."""
+"""`Rasterizer`, the kernel without autograd: the same bits as autograd and with any threads, view gradients, errors."""
 
 from __future__ import annotations
 
@@ -7,15 +7,21 @@ from dataclasses import replace
 
 import pytest
 import torch
-from builders import generator, off_centre_camera, output_weights, outputs_of, random_gaussians, render_and_gradients
+from builders import (
+    MOTIONS,
+    generator,
+    off_centre_camera,
+    output_weights,
+    outputs_of,
+    random_gaussians,
+    render_and_gradients,
+)
 from torch import Tensor
 
 from rasterizer import Gaussians, Gradients, Rasterizer, Request, ViewGradient, rasterize
 from rasterizer.reference import render as reference
 from rasterizer.reference.blend import blend
-from rasterizer.reference.discontinuities import away_from_discontinuities, rows, smooth_pixels
-
-MOTIONS = ("full", "separable", "static")
+from rasterizer.reference.discontinuities import away_from_discontinuities, smooth_pixels
 
 
 def request_for(motion: str, **changes) -> Request:
@@ -38,16 +44,16 @@ def image_gradients(request: Request, seed: int = 0) -> dict[str, Tensor]:
     return {f"d_{name}": weight.to(torch.float32) for name, weight in weights.items()}
 
 
-def run_frame(
+def render_and_backward(
     gaussians: Gaussians, requests: list[Request], threads: int
 ) -> tuple[dict[str, Tensor], list[ViewGradient]]:
-    """Images, summed gradients and compact ones of several views through one Frame, by name."""
-    frame, gradients = Rasterizer(threads=threads), Gradients.zeros_like(gaussians)
+    """Images and summed gradients by name, and the view gradients, of several views with one Rasterizer."""
+    rasterizer, gradients = Rasterizer(threads=threads), Gradients.zeros_like(gaussians)
     found, views = {}, []
     for number, request in enumerate(requests):
-        out = frame.render(gaussians, request)
+        out = rasterizer.render(gaussians, request)
         found |= {f"{name}{number}": getattr(out, name) for name in request.outputs}
-        views.append(frame.backward(gradients, **image_gradients(request, number)))
+        views.append(rasterizer.backward(gradients, **image_gradients(request, number)))
     return found | gradients.dense() | {"sh": gradients.sh(threads)}, views
 
 
@@ -55,9 +61,9 @@ def run_frame(
 def test_any_number_of_threads_gives_the_same_bits(motion: str):
     gaussians = random_gaussians(500, motion, generator(1)).to(torch.float32)
     requests = [request_for(motion), request_for(motion, time=0.6)]
-    expected, expected_views = run_frame(gaussians, requests, threads=1)
+    expected, expected_views = render_and_backward(gaussians, requests, threads=1)
     for threads in (2, 3):
-        found, views = run_frame(gaussians, requests, threads)
+        found, views = render_and_backward(gaussians, requests, threads)
         for name, tensor in expected.items():
             assert torch.equal(found[name], tensor), name
         for view, expected_view in zip(views, expected_views):
@@ -68,53 +74,53 @@ def test_any_number_of_threads_gives_the_same_bits(motion: str):
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
-def test_a_frame_and_autograd_give_the_same_bits(motion: str):
+def test_rasterizer_and_autograd_give_the_same_bits(motion: str):
     gaussians, request = random_gaussians(60, motion, generator(2)).to(torch.float32), request_for(motion)
     weights = {name.removeprefix("d_"): weight for name, weight in image_gradients(request).items()}
     out, gradients = render_and_gradients(rasterize, gaussians, request, weights)
-    found, _ = run_frame(gaussians, [request], threads=1)
+    found, _ = render_and_backward(gaussians, [request], threads=1)
     for name in request.outputs:
         assert torch.equal(getattr(out, name), found[f"{name}0"])
     for name, gradient in gradients.items():
         assert torch.equal(gradient, found[name]), name
 
 
-def test_gradients_of_views_add_up():
-    """A Frame used twice holds nothing over: the sum differs from its parts by rounding alone."""
+def test_gradients_of_a_batch_are_the_sum_over_its_views():
+    """A Rasterizer carries nothing over to its next view: the sums differ by rounding alone."""
     gaussians = random_gaussians(60, "full", generator(3)).to(torch.float32)
     requests = [request_for("full"), request_for("full", time=0.7, sh_degree=1, fourier_order=1)]
-    both, _ = run_frame(gaussians, requests, threads=1)
+    both, _ = render_and_backward(gaussians, requests, threads=1)
     expected: dict[str, Tensor] = {}
     for number, request in enumerate(requests):
-        gradients, frame = Gradients.zeros_like(gaussians), Rasterizer(threads=1)
-        frame.render(gaussians, request)
-        frame.backward(gradients, **image_gradients(request, number))
+        gradients, rasterizer = Gradients.zeros_like(gaussians), Rasterizer(threads=1)
+        rasterizer.render(gaussians, request)
+        rasterizer.backward(gradients, **image_gradients(request, number))
         for name, tensor in (gradients.dense() | {"sh": gradients.sh()}).items():
             expected[name] = expected.get(name, 0) + tensor
     for name, tensor in expected.items():
         torch.testing.assert_close(both[name], tensor, rtol=1e-5, atol=1e-6 * tensor.abs().max().item())
 
 
-def test_zeroed_gradients_start_afresh():
+def test_zero_resets_the_gradients():
     gaussians, request = random_gaussians(40, "full", generator(4)).to(torch.float32), request_for("full")
-    frame, gradients = Rasterizer(threads=1), Gradients.zeros_like(gaussians)
+    rasterizer, gradients = Rasterizer(threads=1), Gradients.zeros_like(gaussians)
     for _ in range(2):
         gradients.zero_()
-        frame.render(gaussians, request)
-        frame.backward(gradients, **image_gradients(request))
-    once, _ = run_frame(gaussians, [request], threads=1)
+        rasterizer.render(gaussians, request)
+        rasterizer.backward(gradients, **image_gradients(request))
+    once, _ = render_and_backward(gaussians, [request], threads=1)
     assert torch.equal(gradients.mean, once["mean"]) and torch.equal(gradients.sh(), once["sh"])
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
-def test_what_a_view_says_of_its_gaussians(motion: str):
-    """∂L/∂pixel position, ∂L/∂μt and radius of the visible ones, against the twin."""
+def test_view_gradient_matches_the_reference_implementation(motion: str):
+    """∂L/∂(projected mean), ∂L/∂μt and radius of the visible Gaussians."""
     request = request_for(motion, outputs=("color",))
     gaussians = away_from_discontinuities(random_gaussians(60, motion, generator(5)), request)
     weights = output_weights(request, smooth_pixels(gaussians, request), generator(6))
-    frame, gradients = Rasterizer(threads=1), Gradients.zeros_like(gaussians.to(torch.float32))
-    frame.render(gaussians.to(torch.float32), request)
-    view = frame.backward(gradients, d_color=weights["color"].to(torch.float32))
+    rasterizer, gradients = Rasterizer(threads=1), Gradients.zeros_like(gaussians.to(torch.float32))
+    rasterizer.render(gaussians.to(torch.float32), request)
+    view = rasterizer.backward(gradients, d_color=weights["color"].to(torch.float32))
 
     splats = reference.make_splats(gaussians, request)
     center = splats.center.detach().requires_grad_()
@@ -125,34 +131,30 @@ def test_what_a_view_says_of_its_gaussians(motion: str):
 
     visible = view.visible.long()
     assert (visible[1:] > visible[:-1]).all() and set(visible.tolist()) <= set(splats.index.tolist())
-    unseen = torch.ones(len(gaussians), dtype=torch.bool).index_fill(0, visible, False)
-    assert not expected[unseen].any(), "a Gaussian with an effect is not among the visible"
-    # 1e-4 of the largest: the tolerance of gradients everywhere
+    invisible = torch.ones(len(gaussians), dtype=torch.bool).index_fill(0, visible, False)
+    assert not expected[invisible].any(), "a Gaussian with a gradient is not among the visible ones"
+    # 1e-4 of the largest: the tolerance of gradients in test_kernel_vs_reference.py
     torch.testing.assert_close(view.mean2d.double(), expected[visible], rtol=0, atol=1e-4 * expected.abs().max().item())
     if motion != "static":
         torch.testing.assert_close(view.mean_t, gradients.mean[visible, 3])
-    lean, across, along = splats.ellipse.unbind(1)
-    shear = -lean * along  # cxy
-    covariance = torch.stack([across + lean**2 * along, shear, shear, along], dim=1).reshape(-1, 2, 2)
-    radius = (
-        torch.zeros(len(gaussians))
-        .double()
-        .index_copy(0, splats.index, 3 * torch.linalg.eigvalsh(covariance)[:, 1].sqrt())
-    )
+    shear, variance_x, cyy = splats.ellipse.unbind(1)
+    cxx, cxy = variance_x + shear**2 * cyy, -shear * cyy
+    largest_variance = torch.linalg.eigvalsh(torch.stack([cxx, cxy, cxy, cyy], dim=1).reshape(-1, 2, 2))[:, 1]
+    radius = torch.zeros(len(gaussians)).double().index_copy(0, splats.index, 3 * largest_variance.sqrt())
     torch.testing.assert_close(view.radius.double(), radius[visible], rtol=1e-3, atol=0)
 
 
-def test_visible_and_alive_are_counted():
+def test_counts_of_visible_and_alive_gaussians():
     gaussians, request = random_gaussians(200, "full", generator(7)), request_for("full")
-    frame = Rasterizer(threads=1)
-    frame.render(gaussians.to(torch.float32), request)
+    rasterizer = Rasterizer(threads=1)
+    rasterizer.render(gaussians.to(torch.float32), request)
     marginal = reference.slice_in_time(away_from_discontinuities(gaussians, request), request.time).marginal
-    # away_from_jumps leaves a few out, which may or may not be alive
-    assert abs(frame.alive - (marginal >= 0.05).sum().item()) <= 200 - len(marginal)
-    assert 0 < frame.visible <= frame.alive
+    # away_from_discontinuities drops a few, which may or may not be alive
+    assert abs(rasterizer.alive - (marginal >= 0.05).sum().item()) <= 200 - len(marginal)
+    assert 0 < rasterizer.visible <= rasterizer.alive
 
 
-# ---- Bad input ---------------------------------------------------------------------------------------------
+# ---- Invalid input -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["mean", "log_scale", "quat_left", "quat_right", "opacity_logit", "sh"])
@@ -164,15 +166,15 @@ def test_non_finite_parameters_are_named(name: str):
             rasterize(gaussians, off_centre_camera())
 
 
-@pytest.mark.parametrize("entry", [rasterize, lambda g, camera: Rasterizer(threads=1).render(g, Request(camera))])
-def test_wrong_types_and_layouts_are_named(entry):
+@pytest.mark.parametrize("renderer", [rasterize, lambda g, camera: Rasterizer(threads=1).render(g, Request(camera))])
+def test_wrong_types_and_layouts_are_named(renderer):
     gaussians, camera = random_gaussians(9, "full", generator(9)), off_centre_camera()
     with pytest.raises(ValueError, match=r"^mean must be .*float32 \[9, 4\], got float64"):
-        entry(gaussians, camera)
+        renderer(gaussians, camera)
     gaussians = gaussians.to(torch.float32)
-    spread = torch.empty(9, 8)[:, ::2].copy_(gaussians.quat_left)
+    strided = torch.empty(9, 8)[:, ::2].copy_(gaussians.quat_left)
     with pytest.raises(ValueError, match="^quat_left must be .*contiguous"):
-        entry(replace(gaussians, quat_left=spread), camera)
+        renderer(replace(gaussians, quat_left=strided), camera)
 
 
 def test_wrong_shapes_are_named():
@@ -202,53 +204,53 @@ def test_wrong_shapes_are_named():
         {"fourier_order": 3},
     ],
 )
-def test_bad_requests_are_named(changes: dict):
+def test_invalid_requests_are_named(changes: dict):
     name = next(reversed(changes))
     with pytest.raises(ValueError, match=f"^{name} must be "):
         rasterize(random_gaussians(3, "full", generator(11)).to(torch.float32), off_centre_camera(), **changes)
 
 
-def test_backward_asks_for_what_was_rendered():
+def test_backward_accepts_only_gradients_of_rendered_images():
     gaussians = random_gaussians(9, "full", generator(12)).to(torch.float32)
-    frame, gradients = Rasterizer(threads=1), Gradients.zeros_like(gaussians)
-    with pytest.raises(RuntimeError, match="must follow Frame.render"):
-        frame.backward(gradients)
-    frame.render(gaussians, Request(off_centre_camera()))
+    rasterizer, gradients = Rasterizer(threads=1), Gradients.zeros_like(gaussians)
+    with pytest.raises(RuntimeError, match="must follow Rasterizer.render"):
+        rasterizer.backward(gradients)
+    rasterizer.render(gaussians, Request(off_centre_camera()))
     with pytest.raises(ValueError, match="d_depth: expected .depth. among the outputs"):
-        frame.backward(gradients, d_depth=torch.zeros(1, 37, 45))
+        rasterizer.backward(gradients, d_depth=torch.zeros(1, 37, 45))
     with pytest.raises(ValueError, match=r"d_color must be float32 \[3, 37, 45\], got float32 \[3, 45, 37\]"):
-        frame.backward(gradients, d_color=torch.zeros(3, 45, 37))
+        rasterizer.backward(gradients, d_color=torch.zeros(3, 45, 37))
     with pytest.raises(ValueError, match="d_color must be float32"):
-        frame.backward(gradients, d_color=torch.zeros(3, 37, 45, dtype=torch.float64))
+        rasterizer.backward(gradients, d_color=torch.zeros(3, 37, 45, dtype=torch.float64))
 
 
-def test_backward_refuses_an_image_that_was_changed_in_place():
-    """It reads what render returned, so a changed image would give wrong gradients without a word."""
+def test_backward_rejects_images_changed_in_place():
+    """The backward pass reads the rendered images, so a changed image would silently give wrong gradients."""
     gaussians, request = random_gaussians(80, "full", generator(14)).to(torch.float32), request_for("full")
-    frame, gradients = Rasterizer(threads=1), Gradients.zeros_like(gaussians)
-    image = frame.render(gaussians, request).color
-    frame.backward(gradients, **image_gradients(request))
+    rasterizer, gradients = Rasterizer(threads=1), Gradients.zeros_like(gaussians)
+    image = rasterizer.render(gaussians, request).color
+    rasterizer.backward(gradients, **image_gradients(request))
     image.clamp_(0.0, 0.5)
     with pytest.raises(RuntimeError, match="reads the rendered color, which was changed in place"):
-        frame.backward(gradients, **image_gradients(request))
+        rasterizer.backward(gradients, **image_gradients(request))
 
 
-def test_rows_that_are_not_in_view_get_no_gradient():
+def test_invisible_gaussians_get_no_gradient():
     gaussians, request = random_gaussians(80, "full", generator(13)).to(torch.float32), request_for("full")
-    found, (view,) = run_frame(gaussians, [request], threads=2)
+    found, (view,) = render_and_backward(gaussians, [request], threads=2)
     hidden = torch.ones(80, dtype=torch.bool).index_fill(0, view.visible.long(), False)
     assert hidden.any()
-    for name, tensor in rows(gaussians, hidden.nonzero().squeeze(1)).tensors().items():
-        assert tensor.numel() and not found[name][hidden].any(), name
+    for name in gaussians.tensors():
+        assert not found[name][hidden].any(), name
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
-def test_a_view_for_looking_at_only_is_that_image_and_has_no_backward(motion: str):
+def test_rendering_without_gradients_gives_the_same_image_and_no_backward(motion: str):
     gaussians, request = random_gaussians(80, motion, generator(9)).to(torch.float32), request_for(motion)
-    frame = Rasterizer(threads=1)
-    images = [frame.render(gaussians, request, differentiable=wanted) for wanted in (True, False)]
+    rasterizer = Rasterizer(threads=1)
+    images = [rasterizer.render(gaussians, request, differentiable=value) for value in (True, False)]
     for name in request.outputs:
-        # compiled apart, so a colour's sum may be rounded elsewhere: a few units in the last place
+        # Separate template instances, whose colour sums may round differently: a few units in the last place.
         torch.testing.assert_close(getattr(images[0], name), getattr(images[1], name), rtol=0, atol=5e-7)
     with pytest.raises(RuntimeError, match="differentiable=True"):
-        frame.backward(Gradients.zeros_like(gaussians), **image_gradients(request))
+        rasterizer.backward(Gradients.zeros_like(gaussians), **image_gradients(request))
