@@ -86,6 +86,11 @@ def off_centre_camera() -> Camera:
     return camera_looking_at((0.6, -0.8, -3.0), principal=(19.3, 21.7))
 
 
+def make_request(**changes) -> Request:
+    """One view by `off_centre_camera`, over a coloured background; `changes` as Request's fields."""
+    return replace(Request(off_centre_camera(), time=0.45, duration=0.8, background=(0.3, 0.6, 0.1)), **changes)
+
+
 def output_weights(request: Request, mask: Tensor, rng: torch.Generator) -> dict[str, Tensor]:
     """A random ∂L/∂image of each requested output, zero where `mask` (H, W) is False."""
     size = (request.camera.height, request.camera.width)

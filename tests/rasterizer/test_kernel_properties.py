@@ -15,6 +15,7 @@ import torch
 from builders import (
     MOTIONS,
     generator,
+    make_request,
     off_centre_camera,
     random_gaussians,
     render,
@@ -22,15 +23,11 @@ from builders import (
     rotated_world,
 )
 
-from rasterizer import Camera, Gaussians, Request, rasterize
+from rasterizer import Camera, Gaussians, rasterize
 from rasterizer.reference import render as reference
 from rasterizer.reference.discontinuities import away_from_discontinuities, smooth_pixels
 
 IMAGE_TOLERANCE = 3e-5
-
-
-def make_request(**changes) -> Request:
-    return replace(Request(off_centre_camera(), time=0.45, duration=0.8, background=(0.3, 0.6, 0.1)), **changes)
 
 
 def one_gaussian(mean: tuple[float, ...], log_scale: float = -1.5, color: float = 1.0) -> Gaussians:

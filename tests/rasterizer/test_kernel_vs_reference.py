@@ -11,7 +11,6 @@ import math
 import os
 import subprocess
 import sys
-from dataclasses import replace
 
 import pytest
 import torch
@@ -19,7 +18,7 @@ from builders import (
     MOTIONS,
     camera_looking_at,
     generator,
-    off_centre_camera,
+    make_request,
     output_weights,
     outputs_of,
     random_gaussians,
@@ -36,10 +35,6 @@ from rasterizer.render_output import OUTPUT_NAMES
 
 IMAGE_TOLERANCE = 3e-5
 GRADIENT_TOLERANCE = 1e-4
-
-
-def make_request(**changes) -> Request:
-    return replace(Request(off_centre_camera(), time=0.45, duration=0.8, background=(0.3, 0.6, 0.1)), **changes)
 
 
 def assert_images_agree(found: RenderOutput, expected: RenderOutput, smooth: Tensor) -> None:

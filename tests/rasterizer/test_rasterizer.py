@@ -10,6 +10,7 @@ import torch
 from builders import (
     MOTIONS,
     generator,
+    make_request,
     off_centre_camera,
     output_weights,
     outputs_of,
@@ -25,17 +26,8 @@ from rasterizer.reference.discontinuities import away_from_discontinuities, smoo
 
 
 def request_for(motion: str, **changes) -> Request:
-    return replace(
-        Request(
-            off_centre_camera(),
-            time=0.45,
-            duration=0.8,
-            background=(0.3, 0.6, 0.1),
-            outputs=outputs_of(motion),
-            flow_dt=0.2,
-        ),
-        **changes,
-    )
+    """All outputs of the model, unless changed."""
+    return make_request(**{"outputs": outputs_of(motion), "flow_dt": 0.2, **changes})
 
 
 def image_gradients(request: Request, seed: int = 0) -> dict[str, Tensor]:
