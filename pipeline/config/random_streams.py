@@ -18,7 +18,7 @@ class Stream(IntEnum):
     INIT = 0  # positions, times and orientations of the first Gaussians
     BATCHES = 1  # which views an iteration trains on
     BACKGROUND = 2  # the colours that transparent images are composed over; by iteration
-    SENSITIVITY = 3  # signs of the estimate of what the images would lose without a Gaussian; by iteration
+    SENSITIVITY = 3  # signs of the estimate of image sensitivity; by iteration
 
 
 def stream(seed: int, purpose: Stream, *moment: int) -> np.random.Generator:

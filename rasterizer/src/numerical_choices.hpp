@@ -6,8 +6,8 @@
 
 #include <cstdint>
 
-#ifndef RASTERIZER_MIN_PRESENCE
-#define RASTERIZER_MIN_PRESENCE 0.05
+#ifndef RASTERIZER_MIN_MARGINAL
+#define RASTERIZER_MIN_MARGINAL 0.05
 #endif
 #ifndef RASTERIZER_MIN_ALPHA
 #define RASTERIZER_MIN_ALPHA (1.0 / 255)
@@ -53,7 +53,7 @@ constexpr double constant_ln(double x) {
 
 // A Gaussian whose temporal marginal p(t) is lower is culled, as in the authors' code: 2.4 standard
 // deviations from μt.
-inline constexpr double kMinMarginal = RASTERIZER_MIN_PRESENCE;
+inline constexpr double kMinMarginal = RASTERIZER_MIN_MARGINAL;
 // The test without an exponential: p(t) >= 0.05 ⟺ dt² <= this · Σtt.
 inline constexpr scalar kMinusTwoLnMinMarginal = static_cast<scalar>(-2 * constant_ln(kMinMarginal));
 inline constexpr scalar kLog2MinMarginal =

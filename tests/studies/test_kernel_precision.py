@@ -70,7 +70,7 @@ def test_every_trade_off_contains_the_default_and_names_are_unique() -> None:
     assert {v.trade for v in variants if v.name == DEFAULT} == set(TRADES)
     others = [v.name for v in variants if v.name != DEFAULT]
     assert len(others) == len(set(others)) and all(name.isidentifier() for name in others)
-    assert by_name("min_marginal_0_0001").choices.definitions() == ["RASTERIZER_MIN_PRESENCE=0.0001"]
+    assert by_name("min_marginal_0_0001").choices.definitions() == ["RASTERIZER_MIN_MARGINAL=0.0001"]
     assert by_name("masks_01").choices.definitions() == ["RASTERIZER_EXACT_CULLING=0"]
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from typing import Any
 
 from rasterizer.reference.blend import Thresholds
 
 MACROS = {  # of rasterizer/src/numerical_choices.hpp
-    "min_marginal": "RASTERIZER_MIN_PRESENCE",
+    "min_marginal": "RASTERIZER_MIN_MARGINAL",
     "min_alpha": "RASTERIZER_MIN_ALPHA",
     "min_transmittance": "RASTERIZER_MIN_TRANSMITTANCE",
     "exp_degree": "RASTERIZER_EXP_DEGREE",
@@ -80,7 +81,7 @@ def _digits(value: float) -> str:
     return f"{value:g}".replace(".", "_").replace("-", "m")
 
 
-def _variant(trade: str, name: str, label: str, **values: float | str) -> Variant:
+def _variant(trade: str, name: str, label: str, **values: Any) -> Variant:
     """Named DEFAULT where `values` are the defaults."""
     choices = NumericalChoices(**values)
     return Variant(DEFAULT if choices == NumericalChoices() else name, trade, label, choices)
