@@ -54,7 +54,7 @@ class Series:
 def with_gaussians(workload: Workload, count: int) -> Workload:
     """The first `count` Gaussians. Workloads draw them independently: the same scene at a lower density."""
     rows = {name: tensor[:count].clone() for name, tensor in workload.gaussians.tensors().items()}
-    return replace(workload, gaussians=Gaussians(**{"quat_right": None, **rows}))
+    return replace(workload, gaussians=Gaussians.from_tensors(rows))
 
 
 def with_width(workload: Workload, width: int) -> Workload:

@@ -7,6 +7,7 @@ import io
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 from matplotlib.backends.backend_svg import FigureCanvasSVG
@@ -39,14 +40,14 @@ def csv_text(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 
 
 @contextmanager
-def svg_style(salt: str, **settings: object) -> Iterator[None]:
+def svg_style(salt: str, **settings: Any) -> Iterator[None]:
     """Fonts of a figure, and ids made from `salt`: the same drawing gives the same bytes."""
-    style = {"svg.hashsalt": salt, "font.family": "DejaVu Sans", "font.size": 9.5}
+    style: dict[Any, Any] = {"svg.hashsalt": salt, "font.family": "DejaVu Sans", "font.size": 9.5}
     with matplotlib.rc_context(style | settings):
         yield
 
 
-def svg_figure(width: float, height: float, **options: object) -> Figure:
+def svg_figure(width: float, height: float, **options: Any) -> Figure:
     """An empty white figure, in inches."""
     figure = Figure(figsize=(width, height), facecolor="white", **options)
     FigureCanvasSVG(figure)

@@ -33,7 +33,7 @@ class Length:
     """All seeds of one video length. An estimate is None where a run lacks the value."""
 
     frames: int
-    gaussians: Estimate | None
+    gaussians: Estimate
     alive: Estimate | None  # p(t) >= 0.05, mean over the test views
     psnr: Estimate | None  # dB, final
     seconds: Estimate | None  # of training
@@ -61,16 +61,18 @@ def lengths_of(collection: Collection) -> list[Length]:
                 f"{run}: expected the settings of {first} except {_KEY} and seed, found another {min(differing)}"
             )
     frames = collection.runs["run"].map(lambda run: int(settings[run][_KEY]))
-    found = [_length(count, runs) for count, runs in collection.runs.groupby(frames, sort=True)]
-    if len(found) < 2:
-        raise ValueError(f"{_KEY}: expected runs of at least two lengths, found only {found[0].frames}")
-    return found
+    lengths = [_length(count, runs) for count, runs in collection.runs.groupby(frames, sort=True)]
+    if len(lengths) < 2:
+        raise ValueError(f"{_KEY}: expected runs of at least two lengths, found only {lengths[0].frames}")
+    return lengths
 
 
 def _length(frames: int, runs: pd.DataFrame) -> Length:
+    gaussians = estimate(runs["n_gaussians"])
+    assert gaussians is not None  # metrics.json of every run has it: run_files.REQUIRED
     return Length(
         int(frames),
-        estimate(runs["n_gaussians"]),
+        gaussians,
         estimate(runs["n_alive_mean"]),
         estimate(runs["final.psnr"]),
         estimate(runs["train_seconds"]),

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from pipeline.model.model import Model
-from pipeline.training.optimiser import Adam
+from pipeline.training.optimiser import Adam, LearningRate
 from rasterizer import Gradients
 
 LARGEST = 0.01  # fraction of the Gaussians, those with the largest gradients
@@ -28,16 +28,22 @@ class ClippingAdam(Adam):
         super().__init__(model, threads)
         self._threshold, self._norms, self._concentration = threshold, norms, concentration
 
-    def step(self, gradients: Gradients, *arguments: object) -> None:
+    def step(
+        self,
+        gradients: Gradients,
+        learning_rates: dict[str, LearningRate],
+        rows: Tensor | None = None,
+        d_environment_map: Tensor | None = None,
+    ) -> None:
         squares = squared_norms(gradients)
-        found = {name: math.sqrt(rows.sum().item()) for name, rows in squares.items()}
+        found = {name: math.sqrt(each.sum().item()) for name, each in squares.items()}
         self._norms.append(found)
-        rows = squares["all"]
-        top = rows.topk(max(1, int(LARGEST * len(rows)))).values.sum().item()
-        self._concentration.append(top / max(rows.sum().item(), sys.float_info.min))
+        total = squares["all"]
+        top = total.topk(max(1, int(LARGEST * len(total)))).values.sum().item()
+        self._concentration.append(top / max(total.sum().item(), sys.float_info.min))
         if found["all"] > self._threshold:
             scale_(gradients, self._threshold / found["all"])
-        super().step(gradients, *arguments)
+        super().step(gradients, learning_rates, rows, d_environment_map)
 
 
 def squared_norms(gradients: Gradients) -> dict[str, Tensor]:

@@ -97,7 +97,9 @@ def verdict(clipped: list[Outcome], unclipped: list[Outcome]) -> tuple[str, str]
             "better" if stopped < stopped_without else "worse" if stopped > stopped_without else "no difference shown"
         )
         return "n/a", word
-    found = compare(estimate([o.psnr for o in clipped]), estimate([o.psnr for o in unclipped]))
+    with_clipping, without = estimate([o.psnr for o in clipped]), estimate([o.psnr for o in unclipped])
+    assert with_clipping is not None and without is not None  # no PSNR is NaN: no run was stopped
+    found = compare(with_clipping, without)
     word = {"worse": "better", "better": "worse"}.get(found.word, found.word)  # it is the verdict on the second
     return f"{found.difference:+.2f} ± {2 * found.standard_error:.2f}", word
 

@@ -122,7 +122,9 @@ def train_cases(configs: dict[str, Config], seeds: list[int], log: Callable[[str
 
 def train_case(case: Case, cfg: Config, scene: Scene, seed: int, threshold: float) -> Outcome:
     """One run in a temporary folder. cfg, scene: of the healthy case."""
-    norms, concentration, found = [], [], {"psnr": math.nan}
+    norms: list[dict[str, float]] = []
+    concentration: list[float] = []
+    found: dict[str, float | None] = {"psnr": math.nan}
     adam = partial(ClippingAdam, threshold=threshold, norms=norms, concentration=concentration)
     with tempfile.TemporaryDirectory() as folder, mock.patch.object(training_state, "Adam", adam):
         cfg = replace(with_lr_factor(cfg, case.lr_factor), seed=seed, out=folder)
@@ -142,7 +144,9 @@ def train_case(case: Case, cfg: Config, scene: Scene, seed: int, threshold: floa
                 print(f"{case.name}, seed {seed}: {error}", flush=True)
     by_field = {name: np.array([row[name] for row in norms]) for name in norms[0]}
     clipped = float((by_field["all"] > threshold).mean())
-    return Outcome(found["psnr"], by_field, float(np.mean(concentration)), clipped)
+    psnr = found["psnr"]
+    assert psnr is not None  # every scene of CASES has test views
+    return Outcome(psnr, by_field, float(np.mean(concentration)), clipped)
 
 
 def with_lr_factor(cfg: Config, factor: float) -> Config:

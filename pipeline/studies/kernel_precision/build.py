@@ -14,6 +14,7 @@ import sysconfig
 from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
+from typing import cast
 
 from pipeline.studies.kernel_precision.half_precision_sh import SH_TYPES, HalfPrecisionSH
 from pipeline.studies.kernel_precision.variants import NumericalChoices, Variant
@@ -27,9 +28,7 @@ class BuildError(OSError):
     """A kernel could not be built. One line that names the cause."""
 
 
-def load_variants(
-    variants: Sequence[Variant], folder: Path = SOURCE / "build"
-) -> dict[str, ModuleType | HalfPrecisionSH]:
+def load_variants(variants: Sequence[Variant], folder: Path = SOURCE / "build") -> dict[str, ModuleType]:
     """The kernel of each variant by its name, for the instruction set of this process.
 
     BuildError where CMake or a compiler is missing or fails.
@@ -45,7 +44,7 @@ def load_variants(
         if found != variant.choices:
             raise BuildError(f"variant {variant.name}: expected {variant.choices}, found a kernel with {found}")
     half = {v.name: HalfPrecisionSH(loaded[v.name]) for v in own if v.choices.sh_type in SH_TYPES}
-    return others | loaded | half
+    return others | loaded | cast("dict[str, ModuleType]", half)  # a HalfPrecisionSH stands in for its module
 
 
 def _module(variant: Variant) -> str:

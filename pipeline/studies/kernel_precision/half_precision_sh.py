@@ -20,7 +20,8 @@ class HalfPrecisionSH:
 
     def __init__(self, module: ModuleType) -> None:
         self._module, self._type = module, SH_TYPES[module.choices["sh_type"]]
-        self._given = self._rounded = None
+        self._given: Tensor | None = None
+        self._rounded: Tensor | None = None
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._module, name)

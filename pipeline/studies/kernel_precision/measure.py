@@ -103,6 +103,7 @@ def render_kernel(kernel: ModuleType, workload: Workload, d_color: Tensor) -> Re
     frame = Rasterizer(1, kernel)
     given = _FrameInput.of(workload.gaussians, d_color, frame.dtype)
     color = frame.render(given.gaussians, workload.request()).color
+    assert color is not None  # the default output of a request
     frame.backward(given.gradients, d_color=given.d_color)
     return Rendered(color, given.gradients.dense() | {"sh": given.gradients.sh(kernel=kernel)})
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 from matplotlib.axes import Axes
 
@@ -46,7 +47,7 @@ def _panel(axis: Axes, timed: Sequence[Point], name: str, theme: Theme) -> None:
     front = [point for point, on in zip(points, on_front(*zip(*points, strict=True)), strict=True) if on]
     times, errors = zip(*front, strict=True)
     axis.plot(times, errors, color=theme.ink, lw=1.2, drawstyle="steps-post", zorder=0, label="Pareto front")
-    ring = {"ms": 13, "mfc": "none", "mec": theme.ink, "mew": 1.6}
+    ring: dict[str, Any] = {"ms": 13, "mfc": "none", "mec": theme.ink, "mew": 1.6}
     axis.plot(default.milliseconds, getattr(default.errors, name), "o", **ring, label="default")
     _front_labels(axis, timed, name, set(front), getattr(default.errors, name))
     axis.set(

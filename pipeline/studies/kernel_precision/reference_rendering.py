@@ -41,7 +41,7 @@ def render_reference(
     request, gaussians = workload.request(), workload.gaussians.to(dtype)
     rows = _rows_above_negligible(gaussians, workload, thresholds)
     leaves = {name: tensor[rows].requires_grad_() for name, tensor in gaussians.tensors().items()}
-    splats = reference.make_splats(Gaussians(**{"quat_right": None, **leaves}), request, thresholds.min_marginal)
+    splats = reference.make_splats(Gaussians.from_tensors(leaves), request, thresholds.min_marginal)
     outputs = [splats.center, splats.ellipse, splats.opacity, splats.features]
     leaves_2d = [tensor.detach().requires_grad_() for tensor in outputs]
     detached = Splats(splats.index, *leaves_2d)

@@ -25,7 +25,11 @@ def uniform(shape: Sequence[int], low: float, high: float, rng: torch.Generator)
 
 
 def camera_at(
-    distance: float, width: int = 32, height: int = 24, focal: float = 30.0, target: Sequence[float] = (0.0, 0.0, 0.0)
+    distance: float,
+    width: int = 32,
+    height: int = 24,
+    focal: float = 30.0,
+    target: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0),
 ) -> Camera:
     """A camera at `distance` from `target` that faces it, with no axis parallel to the world's; focal in pixels."""
     away = np.array([0.2, -0.35, -1.0])
@@ -86,7 +90,7 @@ def moving_quaternions(speed: Tensor, space: Tensor) -> tuple[Tensor, Tensor]:
     return quaternion_product(left, tilt), quaternion_product(tilt, right)
 
 
-def with_log_scale(gaussians: Gaussians, *scales: float) -> Gaussians:
+def with_log_scale(gaussians: Gaussians, *scales: float | None) -> Gaussians:
     """The Gaussians with these standard deviations (x, y, z in world units, then time); None keeps one."""
     log_scale = gaussians.log_scale.clone()
     for axis, scale in enumerate(scales):

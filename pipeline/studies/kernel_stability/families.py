@@ -85,6 +85,7 @@ def size(scale: float, seed: int) -> Scene:
 @family(1e-40, 1e37, "length of the quaternions")
 def quaternion_length(length: float, seed: int) -> Scene:
     gaussians = base_gaussians(COUNT, seed)
+    assert gaussians.quat_right is not None  # base_gaussians are full 4D
     unit = lambda q: q / q.norm(dim=-1, keepdim=True)  # noqa: E731
     return replace(
         gaussians, quat_left=unit(gaussians.quat_left) * length, quat_right=unit(gaussians.quat_right) * length
@@ -94,13 +95,14 @@ def quaternion_length(length: float, seed: int) -> Scene:
 @family(0, 2, "0: both quaternions zero, 1: the left one, 2: the left one antipodal to its neighbour's")
 def quaternion_sign(which: float, seed: int) -> Scene:
     gaussians = base_gaussians(COUNT, seed)
+    assert gaussians.quat_right is not None  # base_gaussians are full 4D
+    right = gaussians.quat_right.clone()
     if which < 0.5:
-        gaussians = replace(gaussians, quat_right=torch.zeros_like(gaussians.quat_right))
+        gaussians = replace(gaussians, quat_right=torch.zeros_like(right))
     if which < 1.5:
         return replace(gaussians, quat_left=torch.zeros_like(gaussians.quat_left)), base_request()
     left, mean = gaussians.quat_left.clone(), gaussians.mean.clone()
     left[1::2] = -left[::2]
-    right = gaussians.quat_right.clone()
     right[1::2] = right[::2]
     return replace(gaussians, quat_left=left, quat_right=right, mean=mean), base_request()
 

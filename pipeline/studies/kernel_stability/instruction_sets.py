@@ -49,7 +49,7 @@ def measure_spread(gaussians: Gaussians, request: Request) -> Spread:
         name: largest_difference([g[name] for g in gradients], largest([g[name] for g in gradients]))
         for name in gradients[0]
     }
-    worst_field = max(fields, key=fields.get)
+    worst_field = max(fields, key=fields.__getitem__)
     return Spread(
         tuple(isas),
         max(largest_difference([i[name] for i in images], scale[name]) for name in images[0]),

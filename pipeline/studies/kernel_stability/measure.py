@@ -65,7 +65,7 @@ def images_and_gradients(
 ) -> tuple[RenderOutput, dict[str, Tensor]]:
     """∂L/∂parameter by name for L = Σ weights · images."""
     leaves = leaves_of(gaussians)
-    out = call(rasterize, Gaussians(**{"quat_right": None, **leaves}), request)
+    out = call(rasterize, Gaussians.from_tensors(leaves), request)
     loss = sum((getattr(out, name) * weight.to(gaussians.mean.dtype)).sum() for name, weight in weights.items())
     found = torch.autograd.grad(loss, list(leaves.values()), allow_unused=True) if loss.requires_grad else [None] * 6
     return out, {
@@ -100,7 +100,7 @@ def optimise(
     leaves = leaves_of(gaussians)
     optimiser = torch.optim.Adam(list(leaves.values()), lr=LEARNING_RATE, eps=EPSILON)
     for step in range(steps + 1):
-        out = call(rasterize, Gaussians(**{"quat_right": None, **leaves}), request)
+        out = call(rasterize, Gaussians.from_tensors(leaves), request)
         loss = sum(
             (((getattr(out, name) - getattr(target, name).to(leaves["mean"].dtype)) / scale[name]) ** 2).mean()
             for name in request.outputs
@@ -123,15 +123,12 @@ def step_error(
     if len(gaussians) == 0 or steps == 0:
         return 0.0, 0
     rng = generator(7)
-    jittered = Gaussians(
-        **{
-            "quat_right": None,
-            **{
-                name: tensor * (1 + 0.02 * torch.randn(tensor.shape, generator=rng, dtype=tensor.dtype))
-                if name not in ("mean", "log_scale")
-                else tensor
-                for name, tensor in gaussians.tensors().items()
-            },
+    jittered = Gaussians.from_tensors(
+        {
+            name: tensor * (1 + 0.02 * torch.randn(tensor.shape, generator=rng, dtype=tensor.dtype))
+            if name not in ("mean", "log_scale")
+            else tensor
+            for name, tensor in gaussians.tensors().items()
         }
     )
     target = call(reference.rasterize, jittered, request)
@@ -177,7 +174,7 @@ def measure(
         for name, exact in expected.items()
         if exact.numel()
     }
-    worst_field = max(by_field, key=by_field.get, default="")
+    worst_field = max(by_field, key=by_field.__getitem__, default="")
     # All Gaussians, those next to a discontinuity too, must give finite images and gradients.
     ones = {name: torch.ones_like(weight) for name, weight in weights.items()}
     whole, whole_gradients = images_and_gradients(rasterize, gaussians.to(dtype), request, ones)

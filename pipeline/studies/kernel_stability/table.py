@@ -130,7 +130,9 @@ def errors_csv(rows: list[Row]) -> str:
 def instruction_sets_csv(rows: list[Row]) -> str:
     """One line for each case; several names in one cell are separated by spaces."""
     lines = []
-    for row in (row for row in rows if row.spread is not None):
+    for row in rows:
+        if row.spread is None:
+            continue
         values = (" ".join(v) if isinstance(v, tuple) else v for v in asdict(row.spread).values())
         lines.append([row.case.family, row.case.value, row.case.seed, *values])
     return csv_text(["family", "value", "seed", *Spread.__dataclass_fields__], lines)

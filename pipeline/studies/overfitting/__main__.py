@@ -44,8 +44,8 @@ def main(arguments: list[str]) -> int:
         {f"{NAME}.svg": draw(histories, view_counts), "moment.webp": lambda path: images.save(path, quality=90)},
     )
     print(summary(histories, view_counts))
-    errors = [error_by_motion(run) for run in runs]
-    if None not in errors:
+    errors = [error for run in runs if (error := error_by_motion(run)) is not None]
+    if len(errors) == len(runs):
         print(f"\n{motion_summary(histories, errors)}")
     print(written)
     return 0

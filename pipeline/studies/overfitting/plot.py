@@ -25,7 +25,7 @@ def draw(histories: Sequence[History], view_counts: Sequence[np.ndarray], theme:
     """
     with svg_style("overfitting", **_STYLE):
         figure = svg_figure(11.0, 6.6, layout="constrained")
-        above, below = figure.subfigures(2, 1, height_ratios=(1.15, 1.0))
+        above, below = figure.subfigures(2, 1, squeeze=False, height_ratios=(1.15, 1.0))[:, 0]
         quality, counts = above.subplots(1, 2)
         for run, found, colour in zip(histories, view_counts, theme.ablations, strict=False):
             progress = run.iteration / run.iteration[-1]
@@ -58,6 +58,7 @@ def draw(histories: Sequence[History], view_counts: Sequence[np.ndarray], theme:
 def _lifetimes(axis: Axes, run: History) -> None:
     """One column for each evaluation, scaled to its largest bin."""
     ends = run.iteration / run.iteration[-1]
+    assert run.lifetimes is not None and run.lifetime_counts is not None  # of a dynamic model
     shades = run.lifetime_counts / run.lifetime_counts.max(axis=1, keepdims=True)
     axis.pcolormesh(np.concatenate([[0.0], ends]), BIN_EDGES, shades.T, cmap="Blues", vmin=0, vmax=1, rasterized=True)
     axis.plot(ends - 0.5 * np.diff(ends, prepend=0.0), run.lifetimes[:, 2], color="#d55e00", lw=1.5)
