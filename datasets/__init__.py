@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from datasets.composition import BLACK, WHITE, Color
+from datasets.composition import BLACK, WHITE, Color, as_color
 from datasets.files.errors import SceneError
 from datasets.scene import Scene, View, validate_scene
 from datasets.settings import SceneConfig
@@ -58,7 +58,7 @@ def _read_photographs(cfg: SceneConfig, log: Log) -> Scene:
         test_split=split,
         downscale=cfg.downscale,
         background=background_color(cfg.background),
-        init_box=tuple(cfg.init_box),
+        init_box=(cfg.init_box[0], cfg.init_box[1]),
         log=log,
     )
 
@@ -67,7 +67,7 @@ def background_color(setting: str | Sequence[float]) -> Color | None:
     """scene.background as RGB in [0, 1]; None for auto."""
     if isinstance(setting, str):
         return {"auto": None, "black": BLACK, "white": WHITE}[setting]
-    return tuple(float(channel) for channel in setting)
+    return as_color(setting)
 
 
 def load_posed(cfg: SceneConfig, *, threads: int = 0, log: Log = print) -> PosedFootage:

@@ -21,7 +21,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from datasets.cameras.optical_axes import intersect_axes, mean_direction
-from datasets.scene import Box, Scene, View, camera_extent
+from datasets.scene import Box, Corner, Scene, View, camera_extent
 from rasterizer.camera import Camera
 
 DISTANCE = 4.0  # mean distance of the training cameras from the origin
@@ -60,8 +60,9 @@ class Canonical:
     @property
     def inverse(self) -> Canonical:
         """The transform from canonical coordinates to the scene's own."""
+        x, y, z = self.centre
         return Canonical(
-            tuple(-self.scale * x for x in self.centre),
+            (-self.scale * x, -self.scale * y, -self.scale * z),
             1.0 / self.scale,
             -self.time_scale * self.time_origin,
             1.0 / self.time_scale,
@@ -85,7 +86,12 @@ class Canonical:
         """A box as Scene.init_box, world -> canonical; the same object if the transform keeps space."""
         if self.keeps_space:
             return world
-        return tuple(tuple(self.points(np.broadcast_to(corner, 3)).tolist()) for corner in world)
+        low, high = world
+        return self._corner(low), self._corner(high)
+
+    def _corner(self, world: Corner) -> Corner:
+        x, y, z = self.points(np.broadcast_to(world, 3)).tolist()
+        return x, y, z
 
     def to_dict(self) -> dict:
         """The content of canonical.json."""

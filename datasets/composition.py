@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 
@@ -15,6 +16,11 @@ WHITE: Color = (1.0, 1.0, 1.0)
 
 BORDER_TOLERANCE = 8  # levels of 255: JPEG artefacts in an area of one colour
 BORDER_SHARE = 0.9  # least share of border pixels of that colour; objects may cover the rest
+
+
+def as_color(channels: Sequence[float]) -> Color:
+    """Three channels in [0, 1] as floats; validate_scene checks their number and range."""
+    return cast(Color, tuple(float(channel) for channel in channels))
 
 
 def compose(rgba: np.ndarray, background: Color, downscale: int = 1) -> np.ndarray:
@@ -49,7 +55,8 @@ def reduced_camera(camera: Camera, downscale: int) -> Camera:
 def _block_means(plane: np.ndarray, side: int) -> np.ndarray:
     """Means (H // side, W // side) of the whole side × side blocks of (H, W)."""
     plane = plane[: plane.shape[0] // side * side, : plane.shape[1] // side * side]
-    return sum(plane[i::side, j::side] for i in range(side) for j in range(side)) / np.float32(side**2)
+    total = np.asarray(sum(plane[i::side, j::side] for i in range(side) for j in range(side)))
+    return total / np.float32(side**2)
 
 
 def border_color(images: Sequence[np.ndarray]) -> Color | None:

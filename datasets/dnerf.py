@@ -22,7 +22,7 @@ import numpy as np
 from datasets.cameras.intrinsics import read_distortion, read_pinhole
 from datasets.cameras.transforms import TransformsEntry, read_transforms
 from datasets.canonical import canonical_space
-from datasets.composition import BLACK, WHITE, Color, border_color, compose, coverage, reduced_camera
+from datasets.composition import BLACK, WHITE, Color, as_color, border_color, compose, coverage, reduced_camera
 from datasets.files.errors import SceneError
 from datasets.files.image_files import common_size, read_rgba
 from datasets.scene import Scene, View, camera_extent, make_camera, validate_scene
@@ -72,7 +72,7 @@ def read_dnerf(
         )
 
     cameras = {id(entry): _read_camera(entry, size) for entry in entries}  # checked before any image is decoded
-    composed_over = BLACK if background is None else tuple(float(channel) for channel in background)
+    composed_over = BLACK if background is None else as_color(background)
     views = {
         split: tuple(_read_view(entry, size, downscale, composed_over, *cameras[id(entry)]) for entry in listed)
         for split, listed in splits.items()
@@ -87,7 +87,7 @@ def read_dnerf(
         time_start=time_start,
         background=_background(views["train"], background, log),
         extent=camera_extent(train_cameras),
-        init_box=space.inverse.box(tuple(init_box)),
+        init_box=space.inverse.box((init_box[0], init_box[1])),
         source=root,
         unit=space.unit,
     )
@@ -113,7 +113,7 @@ def _background(views: Sequence[View], requested: Color | None, log: Callable[[s
             log(f"scene.background: {_color_name(border)}, the border colour of the images; "
                 "scene.background=black overrides")  # fmt: skip
         return border or BLACK
-    requested = tuple(float(channel) for channel in requested)
+    requested = as_color(requested)
     if border is not None and border != requested:
         log(f"scene.background: {_color_name(requested)} as set, but the images' borders are {_color_name(border)}")
     return requested
@@ -157,22 +157,24 @@ def _time_range(root: Path, entries: list[TransformsEntry]) -> tuple[float, floa
         )
     if missing:
         return 0.0, 1.0
-    ordered = sorted(entries, key=lambda entry: entry.time)
-    low, high = ordered[0].time, ordered[-1].time
+    timed = [(entry.time, entry) for entry in entries if entry.time is not None]
+    timed.sort(key=lambda pair: pair[0])
+    times = [time for time, _ in timed]
+    low, high = times[0], times[-1]
     if low >= 0 and high <= 1 and (high - low > UNIT_INTERVAL_SPAN or high == low):
         return 0.0, 1.0
-    if len(ordered) > 1:
-        _refuse_outlier(root, ordered[0], [entry.time for entry in ordered[1:]])
-        _refuse_outlier(root, ordered[-1], [entry.time for entry in ordered[:-1]])
+    if len(timed) > 1:
+        _refuse_outlier(root, *timed[0], times[1:])
+        _refuse_outlier(root, *timed[-1], times[:-1])
     duration = high - low or 1.0
     while low + duration < high:  # rounding
         duration = math.nextafter(duration, math.inf)
     return low, duration
 
 
-def _refuse_outlier(root: Path, entry: TransformsEntry, others: list[float]) -> None:
-    """SceneError if the time of `entry`, the first or the last, does not continue the `others` (ascending)."""
-    distance, longest_step = min(abs(entry.time - time) for time in others), np.diff(others).max(initial=0)
+def _refuse_outlier(root: Path, time: float, entry: TransformsEntry, others: list[float]) -> None:
+    """SceneError if the `time` of `entry`, the first or the last, does not continue the `others` (ascending)."""
+    distance, longest_step = min(abs(time - other) for other in others), np.diff(others).max(initial=0)
     in_unit_interval = others[0] >= 0 and others[-1] <= 1
     if in_unit_interval:
         regular = REGULAR_STEP[0] * longest_step < distance < REGULAR_STEP[1] * longest_step
@@ -184,7 +186,7 @@ def _refuse_outlier(root: Path, entry: TransformsEntry, others: list[float]) -> 
             if in_unit_interval
             else f"a time near the other frames', {others[0]:.13g} to {others[-1]:.13g}"
         )
-        raise SceneError(root / view_name(entry), expected, f"{entry.time:.13g}")
+        raise SceneError(root / view_name(entry), expected, f"{time:.13g}")
 
 
 def _read_camera(entry: TransformsEntry, size: tuple[int, int]) -> tuple[Camera, tuple[float, ...]]:

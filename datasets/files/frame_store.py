@@ -101,7 +101,7 @@ def checksum_of(image: np.ndarray) -> str:
 
     It detects accidental damage at 4.8 GB/s on a frame of 1352 x 1014; BLAKE2b reaches 0.9 GB/s.
     """
-    return f"{zlib.crc32(image):08x}"
+    return f"{zlib.crc32(image.data):08x}"
 
 
 def write_frames(

@@ -15,12 +15,13 @@ import math
 import os
 import shutil
 import threading
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import cv2
 import numpy as np
@@ -34,7 +35,8 @@ from datasets.plenoptic.display import DecodingDisplay, Log
 STORE_VERSION = 1  # to be increased by every change that alters the decoded frames
 
 
-class Stream(Protocol):
+@dataclass(frozen=True)
+class Stream(ABC):
     """One camera's images in order of time, all of one size: a video or a folder of images."""
 
     name: str  # "cam00"; unique, the name of its file in the store
@@ -45,9 +47,9 @@ class Stream(Protocol):
     count: int  # frames according to its header
     start: float  # time of the first frame, in frames
 
+    @abstractmethod
     def read(self, first: int, count: int, threads: int) -> Iterator[np.ndarray]:
         """Frames first … first + count - 1, each (height, width, 3) uint8 RGB; SceneError if one cannot be decoded."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -109,8 +111,14 @@ def decode(
     """
     width, height = streams[0].size
     shape = (options.frames, height // options.downscale, width // options.downscale, 3)
-    found = {stream.name: read_frames(folder, stream.name, shape) for stream in streams}
-    if None in found.values():
+
+    def stored() -> dict[str, tuple[StoredFrame, ...]]:
+        """The cameras that are complete."""
+        read = {stream.name: read_frames(folder, stream.name, shape) for stream in streams}
+        return {name: frames for name, frames in read.items() if frames is not None}
+
+    found = stored()
+    if len(found) < len(streams):
         folder.mkdir(parents=True, exist_ok=True)
         with _locked(folder, log):
             for leftover in folder.glob(f"{TEMPORARY}*"):
@@ -119,7 +127,7 @@ def decode(
             _check_space(folder, len(missing) * math.prod(shape))
             with DecodingDisplay(len(missing), options.frames, log) as display:
                 _decode_missing(missing, folder, shape, options, undistortion, threads, display)
-        found = {stream.name: read_frames(folder, stream.name, shape) for stream in streams}
+        found = stored()
     return found
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from datasets.cameras.lens import Undistortion, undistort
 from datasets.canonical import FRAMES_PER_UNIT
-from datasets.composition import reduced_camera
+from datasets.composition import BLACK, Color, as_color, reduced_camera
 from datasets.files.errors import SceneError
 from datasets.plenoptic.decode import DecodeOptions, Stream, decode, store_folder
 from datasets.plenoptic.display import Log
@@ -36,7 +36,7 @@ class FootageOptions:
     first_frame: int = 0
     frames: int = 300  # largest number in use
     cache: str | Path = "results/cache"  # the folder of the frame stores
-    background: Sequence[float] = (0.0, 0.0, 0.0)  # RGB in [0, 1], under transparent pixels
+    background: Color = BLACK  # RGB in [0, 1], under transparent pixels
     threads: int = 0  # 0: all cores
     log: Log = print
 
@@ -45,7 +45,7 @@ class FootageOptions:
             ("test_cameras", tuple(self.test_cameras)),
             ("drop_cameras", tuple(self.drop_cameras)),
             ("cache", Path(self.cache)),
-            ("background", tuple(float(c) for c in self.background)),
+            ("background", as_color(self.background)),
         ):
             object.__setattr__(self, name, value)
 
@@ -131,7 +131,7 @@ class Footage:
         validate_scene(self._scene(small, {name: [blank] * self.count for name in self.names}, unit, init_box))
 
         decoding = DecodeOptions(options.first_frame, self.count, options.downscale)
-        folder = store_folder(options.cache, options.name, self.content, decoding, undistortion)
+        folder = store_folder(Path(options.cache), options.name, self.content, decoding, undistortion)
         images = decode(self.streams, folder, decoding, undistortion, options.cores, options.log)
         return validate_scene(self._scene(small, images, unit, init_box))
 

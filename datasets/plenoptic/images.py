@@ -21,9 +21,10 @@ import numpy as np
 from datasets.cameras.intrinsics import read_distortion, read_pinhole
 from datasets.cameras.lens import Undistortion
 from datasets.cameras.transforms import TransformsEntry, read_transforms
-from datasets.composition import compose
+from datasets.composition import Color, compose
 from datasets.files.errors import SceneError
 from datasets.files.image_files import common_size, read_rgba
+from datasets.plenoptic.decode import Stream
 from rasterizer.camera import Camera
 
 FRAME_NAME = re.compile(r"(?P<camera>\D*(?P<number>\d+))_(?P<frame>\d+)")  # cam00_0000
@@ -47,18 +48,11 @@ class CameraFrame:
 
 
 @dataclass(frozen=True)
-class ImageSequence:
-    """A camera's images. Implements decode.Stream."""
+class ImageSequence(Stream):
+    """A camera's images; its `start` is relative to the earliest image of all cameras."""
 
-    name: str
-    number: int
-    path: Path  # of the first image
-    size: tuple[int, int]  # (width, height)
-    rate: float  # frames per unit of the file's time
-    count: int
-    start: float  # time of the first image, in frames after the earliest image of all cameras
     paths: tuple[Path, ...]
-    background: tuple[float, float, float]  # under transparent pixels
+    background: Color  # under transparent pixels
 
     def read(self, first: int, count: int, threads: int) -> Iterator[np.ndarray]:
         """Images first … first + count - 1, each (height, width, 3) uint8 RGB; read by one thread."""
@@ -85,11 +79,13 @@ def read_cameras(root: Path) -> dict[str, list[CameraFrame]]:
 
 def camera_number(name: str) -> int:
     """cam07 -> 7."""
-    return int(re.search(r"\d+$", name)[0])
+    digits = re.search(r"\d+$", name)
+    assert digits is not None  # a camera's name in FRAME_NAME ends with its number
+    return int(digits[0])
 
 
 def image_sequences(
-    cameras: dict[str, list[CameraFrame]], keep: Collection[int], background: tuple[float, float, float]
+    cameras: dict[str, list[CameraFrame]], keep: Collection[int], background: Color
 ) -> tuple[ImageSequence, ...]:
     """The cameras with the numbers `keep`; SceneError if their frame numbers or times have gaps."""
     kept = {name: frames for name, frames in cameras.items() if camera_number(name) in keep}

@@ -58,7 +58,7 @@ def read_poses(path: Path, names: Sequence[str], keep: Collection[str], size: tu
             )
         nears.append(near)
         corners += [camera.position, camera.position + far * camera.world_to_cam[2, :3]]
-    return Poses(cameras, NEAR_TO_UNIT * float(min(nears)), bounding_cube(corners))
+    return Poses(cameras, NEAR_TO_UNIT * float(min(nears)), bounding_cube(np.stack(corners)))
 
 
 def _load(path: Path) -> np.ndarray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Collection, Hashable, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 from datasets.files.errors import SceneError
 from datasets.plenoptic.decode import Stream
@@ -12,6 +13,8 @@ from datasets.plenoptic.decode import Stream
 # Relative. Accepts 29.97 beside 30 frames a second: over 300 frames they differ by less than half a frame.
 RATE_TOLERANCE = 1.5e-3
 START_TOLERANCE = 0.5  # frames
+
+Value = TypeVar("Value", bound=Hashable)  # of a header
 
 
 def select_cameras(numbers: Sequence[int], root: Path, test: Collection[int], drop: Collection[int]) -> tuple[int, ...]:
@@ -44,10 +47,7 @@ def common_frames(streams: Sequence[Stream], first_frame: int, frames: int, drop
     """
 
     def require_equal(
-        what: str,
-        value: Callable[[Stream], Hashable],
-        equal: Callable[[Hashable, Hashable], bool],
-        show: Callable[[Hashable], str],
+        what: str, value: Callable[[Stream], Value], equal: Callable[[Value, Value], bool], show: Callable[[Value], str]
     ) -> None:
         # In a tie the first value counts: which of two cameras is wrong cannot be known.
         usual = Counter(value(stream) for stream in streams).most_common(1)[0][0]

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from datasets.files.errors import SceneError
+from datasets.plenoptic.decode import Stream
 from datasets.plenoptic.sync import drop_advice
 
 FOOTAGE_SUFFIXES = (".mp4", ".mov", ".mkv", ".avi")
@@ -32,16 +33,9 @@ class VideoFile:
 
 
 @dataclass(frozen=True)
-class Video:
-    """A camera's video with the values of its header. Implements decode.Stream."""
+class Video(Stream):
+    """A camera's video with the values of its header."""
 
-    name: str
-    number: int
-    path: Path
-    size: tuple[int, int]  # (width, height)
-    rate: float  # frames a second
-    count: int
-    start: float  # presentation time of the first frame, in frames
     advice: str  # the setting that drops this camera, for messages
 
     def read(self, first: int, count: int, threads: int) -> Iterator[np.ndarray]:
@@ -78,8 +72,11 @@ class Video:
 
 def find_cameras(root: Path) -> list[VideoFile]:
     """cam00.mp4, cam01.mp4, … of a folder, sorted; a camera's number is the one in the name. Gaps are allowed."""
-    found = sorted((path.name, path) for path in root.iterdir() if PLENOPTIC_NAME.fullmatch(path.name))
-    return [VideoFile(path.stem, int(PLENOPTIC_NAME.fullmatch(name)[1]), path) for name, path in found]
+    return [
+        VideoFile(path.stem, int(found[1]), path)
+        for path in sorted(root.iterdir(), key=lambda path: path.name)
+        if (found := PLENOPTIC_NAME.fullmatch(path.name))
+    ]
 
 
 def find_footage(root: Path) -> list[VideoFile]:

@@ -14,6 +14,7 @@ import importlib
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -47,7 +48,7 @@ def make_scene(
     argument.
     """
     _check_name(name)
-    parameters = {"scene": name, "seed": seed, "size": size}
+    parameters: dict[str, Any] = {"scene": name, "seed": seed, "size": size}
     parameters |= (
         {"cameras": cameras, "frames": frames}
         if name in FILMED

@@ -22,7 +22,9 @@ STRIP_RAYS = 1 << 19  # traced together; each ray takes a few hundred bytes mean
 Block = tuple[slice, slice]  # rows and columns
 
 
-def film(world: World, camera: Camera, times: Sequence[float], *, samples: int = 3) -> Iterator[np.ndarray]:
+def film(
+    world: World, camera: Camera, times: Sequence[float] | np.ndarray, *, samples: int = 3
+) -> Iterator[np.ndarray]:
     """Images (H, W, 3) uint8 of the world at `times`, equal to trace(), rounded; samples × samples rays a pixel (odd).
 
     Raises ValueError for a world that the method cannot render: changing bodies that cast shadows, changing lights,
@@ -95,7 +97,7 @@ def _trace_static(
     return color, depth
 
 
-def _check(world: World, times: Sequence[float]) -> None:
+def _check(world: World, times: Sequence[float] | np.ndarray) -> None:
     if not len(times):
         raise ValueError("times: expected one or more, found none")
     if any(body.changes and body.casts_shadow for body in world.bodies):
@@ -106,4 +108,5 @@ def _check(world: World, times: Sequence[float]) -> None:
 
 
 def _scaled(block: Block, factor: int) -> Block:
-    return tuple(slice(factor * part.start, factor * part.stop) for part in block)
+    rows, columns = block
+    return slice(factor * rows.start, factor * rows.stop), slice(factor * columns.start, factor * columns.stop)

@@ -71,7 +71,7 @@ def mosaic(dark: Colour, light: Colour, size: float, rng: np.random.Generator) -
 
 def average(*parts: Texture) -> Texture:
     """The mean of several textures, for detail at several scales."""
-    return lambda points: sum(part(points) for part in parts) / np.float32(len(parts))
+    return lambda points: np.asarray(sum(part(points) for part in parts)) / np.float32(len(parts))
 
 
 def mottled(dark: Colour, light: Colour, scale: float, rng: np.random.Generator) -> Texture:

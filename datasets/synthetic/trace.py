@@ -154,7 +154,7 @@ def screen_block(item: Placed, camera: Camera, samples: int) -> tuple[slice, sli
 
 def pool(values: np.ndarray, samples: int) -> np.ndarray:
     """The mean over each pixel's samples × samples rays: (…, H·samples, W·samples) -> (…, H, W)."""
-    total = sum(values[..., i::samples, j::samples] for i in range(samples) for j in range(samples))
+    total = np.asarray(sum(values[..., i::samples, j::samples] for i in range(samples) for j in range(samples)))
     return total / np.float32(samples**2)
 
 

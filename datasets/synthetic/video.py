@@ -34,6 +34,7 @@ def write_video(path: Path, frames: Iterable[np.ndarray], width: int, height: in
     ]
     # "-v error" writes a few lines, which fit the pipe's buffer and can be read at the end.
     encoder = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    assert encoder.stdin is not None  # it is a pipe
     try:
         for frame in frames:
             encoder.stdin.write(np.ascontiguousarray(frame).data)

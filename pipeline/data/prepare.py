@@ -124,7 +124,10 @@ def _reconstruct(
     known = [photograph.camera for photograph in photographs if photograph.camera is not None]
     transform = canonical_space(known, unit) if known else Canonical()
     if not transform.is_identity:
-        photographs = [replace(photograph, camera=transform.camera(photograph.camera)) for photograph in photographs]
+        photographs = [  # all of them have a camera, or none has
+            replace(photograph, camera=transform.camera(camera))
+            for photograph, camera in zip(photographs, known, strict=True)
+        ]
     cloud, folder = reconstruct_cached(photographs, cfg.init, unit * transform.scale, source, Path(cfg.scene.cache))
     summary = cloud.summary()
     log(

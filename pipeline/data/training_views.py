@@ -37,8 +37,8 @@ def target_of(view: View, scale: float) -> Target:
     if camera is not view.camera:
         height, width = planes.shape[1:]
         planes = area_weights(height, camera.height) @ planes @ area_weights(width, camera.width).T
-    planes = torch.from_numpy(np.ascontiguousarray(planes))
-    return Target(view.name, view.time, camera, planes[:3], planes[3:] if view.coverage is not None else None)
+    channels = torch.from_numpy(np.ascontiguousarray(planes))
+    return Target(view.name, view.time, camera, channels[:3], channels[3:] if view.coverage is not None else None)
 
 
 def camera_at(camera: Camera, scale: float) -> Camera:

@@ -8,6 +8,7 @@ Gaussians, one after the other.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -31,17 +32,15 @@ def build(rng: np.random.Generator) -> World:
         mottled((0.22, 0.21, 0.22), (0.40, 0.38, 0.38), 0.12, rng),
         0.25,
     )
-    glossy = {"specular": 0.7, "shininess": 30.0}
+    glossy = partial(Material, specular=0.7, shininess=30.0)
     things = [
         Body(Ring(0.0, 1.10, 0.04), Material(floor, specular=0.15, shininess=20.0), rest((0, 0, FLOOR - 0.04))),
-        Body(Sphere(0.34), Material(marble(ink, white, 0.09, rng), **glossy), rest((-0.05, 0.10, FLOOR + 0.34))),
-        Body(Sphere(0.20), Material(plain((0.75, 0.72, 0.70)), **glossy), rest((0.45, -0.28, FLOOR + 0.20))),
-        Body(
-            Sphere(0.15), Material(checker(plain(white), plain(ink), 0.1), **glossy), rest((-0.42, -0.42, FLOOR + 0.15))
-        ),
+        Body(Sphere(0.34), glossy(marble(ink, white, 0.09, rng)), rest((-0.05, 0.10, FLOOR + 0.34))),
+        Body(Sphere(0.20), glossy(plain((0.75, 0.72, 0.70))), rest((0.45, -0.28, FLOOR + 0.20))),
+        Body(Sphere(0.15), glossy(checker(plain(white), plain(ink), 0.1)), rest((-0.42, -0.42, FLOOR + 0.15))),
         Body(
             Box((0.17, 0.17, 0.17)),
-            Material(mottled(grey, white, 0.09, rng), **glossy),
+            glossy(mottled(grey, white, 0.09, rng)),
             rest((0.50, 0.38, FLOOR + 0.17), turn("z", 0.5)),
         ),
         Body(
@@ -50,9 +49,7 @@ def build(rng: np.random.Generator) -> World:
             rest((-0.62, 0.28, FLOOR + 0.32), turn("z", -0.4)),
         ),
         Body(
-            Ring(0.13, 0.24, 0.07),
-            Material(sectors([plain(white), plain(grey)] * 5), **glossy),
-            rest((0.02, -0.56, FLOOR + 0.07)),
+            Ring(0.13, 0.24, 0.07), glossy(sectors([plain(white), plain(grey)] * 5)), rest((0.02, -0.56, FLOOR + 0.07))
         ),
     ]
     lights = [Light((1.5, -2.0, 4.5), 0.3, steady(0.22, 0.22, 0.22), casts_shadow=False)]

@@ -55,7 +55,7 @@ def fingerprint(photographs: Sequence[Photograph], cfg: InitConfig, unit: float)
         described = None if c is None else (c.fx, c.fy, c.cx, c.cy, c.world_to_cam.tolist())
         digest.update(repr((photograph.name, photograph.held_out, photograph.image.shape, described)).encode())
         if c is None or not photograph.held_out:  # a held-out photograph with known pose is not used
-            digest.update(np.ascontiguousarray(photograph.image))
+            digest.update(np.ascontiguousarray(photograph.image).data)
     return digest.hexdigest()
 
 

@@ -49,12 +49,13 @@ def reconstruct(folder: Path, request: Request) -> ColmapResult:
     if not request.poses_known:
         for photograph in request.photographs:
             if photograph.held_out:
-                cameras[photograph.name] = register_held_out(photograph.name, model, folder, request)
-                if cameras[photograph.name] is None:
+                found = register_held_out(photograph.name, model, folder, request)
+                if found is None:
                     raise SfmError(
                         f"{photograph.name}: expected to estimate the pose of the held-out camera, found too "
                         "few matches with the others"
                     )
+                cameras[photograph.name] = found
     points = [model.points3D[index] for index in sorted(model.points3D)]
     return ColmapResult(
         points=np.array([p.xyz for p in points]).reshape(-1, 3),

@@ -45,7 +45,8 @@ class Request:
         return all(p.camera is not None for p in self.photographs)
 
     def camera_of(self, name: str) -> dict:
-        return next(p.camera for p in self.photographs if p.name == name)
+        """The known camera of photograph `name`."""
+        return next(p.camera for p in self.photographs if p.name == name and p.camera is not None)
 
 
 @dataclass(frozen=True)

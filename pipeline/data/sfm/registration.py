@@ -41,6 +41,7 @@ def register_held_out(name: str, model: pycolmap.Reconstruction, folder: Path, r
     pixels, points = [], []
     with pycolmap.Database.open(database) as db:
         held_out = db.read_image_with_name(f"{name}.png")
+        assert held_out is not None  # extract_features has added it
         keypoints = db.read_keypoints(held_out.image_id)[:, :2]
         for image in model.images.values():
             if not (image.has_pose and db.exists_matches(held_out.image_id, image.image_id)):

@@ -61,7 +61,7 @@ def reconstruct(photographs: Sequence[Photograph], cfg: InitConfig, unit: float,
     sizes = {p.name: p.image.shape for p in needed}
     cameras = {name: _calibrated(record, sizes[name]) for name, record in found.cameras.items()}
     if poses == "known":  # exactly as given, without rounding by COLMAP
-        cameras = {p.name: CalibratedCamera(p.camera) for p in used}
+        cameras = {p.name: CalibratedCamera(p.camera) for p in used if p.camera is not None}
     return Reconstruction(
         found.points,
         found.colors,
@@ -104,4 +104,6 @@ def _record(photograph: Photograph) -> PhotographRecord:
 
 
 def _calibrated(record: dict, shape: tuple[int, ...]) -> CalibratedCamera:
-    return CalibratedCamera(Camera(shape[1], shape[0], *record["intrinsics"], record["world_to_cam"]), record["radial"])
+    height, width = shape[:2]
+    fx, fy, cx, cy = record["intrinsics"]
+    return CalibratedCamera(Camera(width, height, fx, fy, cx, cy, record["world_to_cam"]), record["radial"])
