@@ -72,7 +72,7 @@ report: $(BUILT) ## tables, plots and the HTML page from the run folders under R
 	$(RUN) pipeline.report $(RUNS)
 
 sanitize: $(BUILT) ## the kernel's tests with every memory access and operation checked
-	.venv/bin/python tools/sanitize.py
+	.venv/bin/python tests/sanitize.py
 
 fuzz: $(BUILT) ## fuzz every reader with damaged files and rasterize with odd arguments: FUZZ_SECONDS=20 each; fails if a rule breaks
 	PYTHONPATH=tests $(RUN) fuzz all --seconds $(FUZZ_SECONDS)
