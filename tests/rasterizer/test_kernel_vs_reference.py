@@ -185,7 +185,17 @@ OTHER_ISAS = [isa for isa in available_isas() if not kernel.__name__.endswith(f"
 @pytest.mark.parametrize("isa", OTHER_ISAS or available_isas())
 def test_every_other_instruction_set_passes_them_too(isa: str):
     """The tests named core, in a process that loads the kernel of another instruction set."""
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-k", "core and not instruction_set", __file__]
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-q",
+        "-p",
+        "no:cacheprovider",
+        "-k",
+        "core and not instruction_set",
+        __file__,
+    ]
     done = subprocess.run(command, env={**os.environ, "RASTERIZER_ISA": isa}, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-1000:]
 
