@@ -17,7 +17,7 @@ from hydra.errors import HydraException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 
 from datasets.files.errors import clear
-from pipeline.config.renamed_keys import renamed_key
+from pipeline.config.renamed_keys import REMOVED, renamed_key
 from pipeline.config.schema import Config
 from pipeline.config.static_overrides import with_static_overrides
 
@@ -166,7 +166,10 @@ def _there_are(group: str) -> str:
 
 
 def _unknown_key(key: str) -> str:
-    if (new := renamed_key(key)) != key:
+    new = renamed_key(key)
+    if new in REMOVED:
+        return f"{key}: was removed; no study showed a use for it"
+    if new != key:
         return f"{key}: is called {new} now"
     if key in _static_override_keys():
         return f"{key}: not among this schedule's differences; add it as +{key}=..."

@@ -1,8 +1,9 @@
-"""Keys of a configuration that had another name in an earlier version: old run folders open, old commands are told."""
+"""Keys of a configuration that an earlier version had: renamed and removed ones. Old run folders open; old commands end
+with the new name."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 # Old key -> new key, dotted; whole groups too. Applied from top to bottom.
@@ -19,6 +20,12 @@ RENAMED = {
     "train.environment_until": "train.envmap_until",
     "train.where_still": "train.static_overrides",
 }
+# Removed key, under its last name -> the value that changed nothing. No study showed a use for another.
+REMOVED: dict[str, Any] = {
+    "train.densify.time_split": True,  # a second copy of ablation.time_split
+    "train.regularization.lifetime": 0.0,
+    "train.regularization.color": 0.0,
+}
 _OVERRIDES = "train.static_overrides."  # holds keys of `train`
 
 
@@ -33,8 +40,11 @@ def renamed_key(key: str) -> str:
 
 
 def with_renamed_keys(tree: dict[str, Any]) -> dict[str, Any]:
-    """A configuration, as nested dicts, under today's keys. Keys of no configuration stay as they are."""
-    return _moved(tree, renamed_key)
+    """A configuration, as nested dicts, under today's keys. Keys of no configuration stay as they are.
+
+    Removed keys are dropped where they changed nothing, and stay otherwise: the schema then refuses them.
+    """
+    return _moved(tree, renamed_key, REMOVED)
 
 
 def with_first_names(tree: dict[str, Any]) -> dict[str, Any]:
@@ -46,21 +56,35 @@ def with_first_names(tree: dict[str, Any]) -> dict[str, Any]:
                 key = old + key[len(new) :]
         return key
 
-    return _moved(tree, first_name)
+    merged = _moved({**tree}, str)
+    for key, value in REMOVED.items():
+        group, name = key.rsplit(".", 1)
+        _group(merged, group.split("."))[name] = value
+    return _moved(merged, first_name)
 
 
-def _moved(tree: dict[str, Any], rename: Callable[[str], str]) -> dict[str, Any]:
+def _moved(tree: dict[str, Any], rename: Callable[[str], str], without: Mapping[str, Any] = {}) -> dict[str, Any]:
+    """The tree under other keys. without: leaves that are dropped where they have this value."""
     found: dict[str, Any] = {}
     for key, value in _leaves(tree, ""):
-        *groups, last = rename(key).split(".")
-        place = found
-        for group in groups:
-            below = place.setdefault(group, {})
-            if not isinstance(below, dict):
-                return tree  # no configuration of ours: two of its keys become one
-            place = below
-        place[last] = value
+        new = rename(key)
+        if new in without and without[new] == value:
+            continue
+        *groups, last = new.split(".")
+        try:
+            _group(found, groups)[last] = value
+        except TypeError:  # no configuration of ours: a value stands where a group is needed
+            return tree
     return found
+
+
+def _group(tree: dict[str, Any], names: list[str]) -> dict[str, Any]:
+    """The nested dict at `names`, made if need be. TypeError where a value stands in the way."""
+    for name in names:
+        tree = tree.setdefault(name, {})
+        if not isinstance(tree, dict):
+            raise TypeError(name)
+    return tree
 
 
 def _leaves(tree: dict[str, Any], prefix: str) -> list[tuple[str, Any]]:

@@ -46,7 +46,6 @@ class DensifyConfig:
     space_gradient: float = 2e-4  # threshold of the spatial indicator; NDC units, mean per view
     use_time_gradient: bool = True  # False: as the release, which computes the temporal indicator and never uses it
     time_gradient: float = 1e-4  # threshold of the temporal indicator |∂L/∂μt|, time in units of the duration
-    time_split: bool = True  # False: a split samples positions in space only; no temporal indicator
     # False: every split shrinks the temporal scale too, as in the paper. True: only splits by the temporal indicator do
     split_by_cause: bool = False
     split_scale: float = 0.01  # × extent: Gaussians up to this scale are cloned, larger ones split
@@ -101,8 +100,6 @@ class RegularizationConfig:
     """Weights of the regularization terms (pipeline/training/objective/regularization.py). 0: none."""
 
     motion: float = 0.0  # towards no motion: × mean tilt between space and time, radians
-    lifetime: float = 0.0  # towards long lifetimes: × mean of (frame spacing / st)
-    color: float = 0.0  # towards constant colour: weight decay of the other coefficients, per unit of their lr
     opacity: float = 0.0  # towards transparency: × mean opacity
     opacity_views: float = 0.0  # one camera: `opacity` is weaker where more views than this share a lifetime; 0: never
 

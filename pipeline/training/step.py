@@ -20,7 +20,7 @@ from pipeline.training import finite_checks
 from pipeline.training.kernels import Kernels
 from pipeline.training.objective.losses import view_loss
 from pipeline.training.objective.random_background import over_random_background
-from pipeline.training.objective.regularization import DECAY_EVERY, add_regularization_gradients, decay_colors
+from pipeline.training.objective.regularization import add_regularization_gradients
 from pipeline.training.objective.rigid_loss import add_rigid_gradient
 from pipeline.training.schedule import Phase
 from pipeline.training.state import TrainState
@@ -134,11 +134,6 @@ def render_batch(
 
 def optimiser_step(state: TrainState, batch: Batch, phase: Phase, scene: Scene, cfg: Config) -> None:
     """Add the gradients of the regularization and do one step of Adam."""
-    regularization = cfg.train.regularization
-    add_regularization_gradients(state.gradients, state.model, regularization, scene)
+    add_regularization_gradients(state.gradients, state.model, cfg.train.regularization, scene)
     rows = trainable_rows(state.model, phase.sphere, batch.visible)
     state.optimiser.step(state.gradients, phase.lr, rows, batch.d_environment_map)
-    if regularization.color > 0 and state.iteration % DECAY_EVERY == 0:
-        sh_rates = phase.lr["sh"]
-        assert isinstance(sh_rates, tuple)
-        decay_colors(state.model, regularization.color, sh_rates[1])

@@ -8,7 +8,7 @@ import pytest
 from omegaconf import OmegaConf
 
 from pipeline.config.compose import config_of_tree, known_keys, one_line
-from pipeline.config.renamed_keys import RENAMED, renamed_key, with_first_names, with_renamed_keys
+from pipeline.config.renamed_keys import REMOVED, RENAMED, renamed_key, with_first_names, with_renamed_keys
 from pipeline.config.schema import Config
 
 # As version 0.1 wrote it.
@@ -52,6 +52,18 @@ def test_an_old_key_is_refused_with_its_new_name(old: str) -> None:
     with pytest.raises(Exception) as error:
         config_of_tree(OmegaConf.to_container(OmegaConf.from_dotlist([f"{old}=1"])))
     assert renamed_key(old) in one_line(error.value)
+
+
+def test_a_removed_key_is_dropped_where_it_changed_nothing_and_else_refused() -> None:
+    assert with_renamed_keys({"train": {"prior": {"color": 0.0, "motion": 1.0}}}) == {
+        "train": {"regularization": {"motion": 1.0}}
+    }
+    assert with_first_names(asdict(Config()))["train"]["prior"]["color"] == 0.0  # part of the hashes of stages
+    for key in REMOVED:
+        assert key not in known_keys()
+        with pytest.raises(Exception) as error:
+            config_of_tree(with_renamed_keys(OmegaConf.to_container(OmegaConf.from_dotlist([f"{key}=0.5"]))))
+        assert f"{key}: was removed" in one_line(error.value)
 
 
 @pytest.mark.parametrize("tree", [{}, {"model": "resnet"}, {"train": 3}, {"a.b": 1}, {"background": {"x": 1}}])

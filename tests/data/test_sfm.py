@@ -72,8 +72,8 @@ def unposed(photographs: list[Photograph]) -> list[Photograph]:
 
 def project(points: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """(N, 3) world -> (N, 2) pixels, (N,) depths."""
-    seen = points @ camera.world_to_cam[:3, :3].T + camera.world_to_cam[:3, 3]
-    return seen[:, :2] / seen[:, 2:] * [camera.fx, camera.fy] + [camera.cx, camera.cy], seen[:, 2]
+    in_camera = points @ camera.world_to_cam[:3, :3].T + camera.world_to_cam[:3, 3]
+    return in_camera[:, :2] / in_camera[:, 2:] * [camera.fx, camera.fy] + [camera.cx, camera.cy], in_camera[:, 2]
 
 
 def inside(pixels: np.ndarray, camera: Camera) -> np.ndarray:
@@ -161,9 +161,9 @@ def test_points_lie_on_surfaces(known: Reconstruction, posed: list[Photograph], 
     off = np.full(len(known.points), np.inf)
     for camera in (p.camera for p in posed[:6]):
         pixels, depths = project(known.points, camera)
-        seen = np.flatnonzero((depths > 0) & inside(pixels, camera))
-        column, row = pixels[seen].astype(int).T
-        off[seen] = np.minimum(off[seen], np.abs(depths[seen] - depth_of(world, camera, 0.0)[row, column]))
+        visible = np.flatnonzero((depths > 0) & inside(pixels, camera))
+        column, row = pixels[visible].astype(int).T
+        off[visible] = np.minimum(off[visible], np.abs(depths[visible] - depth_of(world, camera, 0.0)[row, column]))
     assert np.isfinite(off).all()
     assert np.median(off) < 0.01 * camera_extent([p.camera for p in posed])
 

@@ -18,10 +18,9 @@ def refine(state: TrainState, phase: Phase, scoring: Sequence[View], scene: Scen
     events = []
     rules = cfg.train.densify
     if densification.due(state.iteration, phase.clock, rules):
-        time_split = cfg.ablation.time_split and rules.time_split
         done = densification.densify(
-            state.optimiser, state.statistics, state.iteration, rules, scene.extent, time_split, state.split_rng,
-            phase.sphere,
+            state.optimiser, state.statistics, state.iteration, rules, scene.extent,
+            cfg.ablation.time_split, state.split_rng, phase.sphere,
         )  # fmt: skip
         state.reset_statistics()
         events.append({

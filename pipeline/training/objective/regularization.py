@@ -1,9 +1,7 @@
-"""Regularization towards a simpler model: static, long-lived, transparent Gaussians of constant colour.
+"""Regularization towards a simpler model: static and transparent Gaussians.
 
 A monocular scene has one view per time: a Gaussian that is visible in one frame only is constrained by one camera, and
-its depth, velocity and colour from other directions are arbitrary. Each term is a soft form of an ablation: an infinite
-`motion` weight is no_4drot, an infinite `color` weight is no_4dsh with SH degree 0, an infinite `lifetime` weight is a
-static scene. None is in the paper.
+its depth and velocity are arbitrary. An infinite `motion` weight is no_4drot. Neither term is in the paper.
 """
 
 from __future__ import annotations
@@ -18,20 +16,16 @@ from pipeline.model.model import Model
 from rasterizer import Gradients
 
 TILT_SOFTENING = 1e-3  # radians: smooths the norm at zero tilt
-DECAY_EVERY = 10  # iterations between decays of the coefficients, which are most of the model's bytes
 
 
 def add_regularization_gradients(gradients: Gradients, model: Model, cfg: RegularizationConfig, scene: Scene) -> None:
-    """Add ∂/∂parameters of the terms on motion, lifetime and opacity to `gradients`, in place."""
+    """Add ∂/∂parameters of the terms on motion and opacity to `gradients`, in place."""
     p, share = model.parameters, 1.0 / len(model)
     if cfg.motion > 0 and model.kind.motion == "full":
         left, right = tilt_gradient(p["quat_left"], p["quat_right"])
         gradients.quat_left.add_(left, alpha=cfg.motion * share)
         assert gradients.quat_right is not None
         gradients.quat_right.add_(right, alpha=cfg.motion * share)
-    if cfg.lifetime > 0 and model.kind.dims == 4:
-        short = torch.exp(-p["log_scale"][:, 3])
-        gradients.log_scale[:, 3].sub_(short, alpha=cfg.lifetime * share * scene.frame_spacing)
     if cfg.opacity > 0:
         opacity = torch.sigmoid(p["opacity_logit"])
         gradients.opacity_logit.addcmul_(
@@ -74,12 +68,6 @@ def tilt_gradient(quat_left: Tensor, quat_right: Tensor) -> tuple[Tensor, Tensor
         length = torch.sqrt(_difference(*leaves).square().sum(dim=1) + TILT_SOFTENING**2)
         left, right = torch.autograd.grad(length.sum(), leaves)
     return left, right
-
-
-def decay_colors(model: Model, strength: float, rate: float) -> None:
-    """Decoupled weight decay (Loshchilov & Hutter 2019) of all SH coefficients but the constant one, in place, for
-    DECAY_EVERY iterations at once. rate: the learning rate of these coefficients."""
-    model.parameters["sh"][:, 1:].mul_((1.0 - min(1.0, strength * rate)) ** DECAY_EVERY)
 
 
 def _difference(quat_left: Tensor, quat_right: Tensor) -> Tensor:

@@ -131,10 +131,10 @@ def spinning(time: float) -> Pose:
 def test_flow_is_the_projected_motion_of_the_surface(shape: Shape) -> None:
     camera, dt = camera_at(2.5, -2.5, 2.0), 0.05
     traced = trace(world_of(Body(shape, WHITE, spinning)), camera, 0.3, flow_dt=dt)
-    seen = traced.depth > 0
-    assert seen.sum() > 60 and (traced.flow_valid == seen).all()
+    visible = traced.depth > 0
+    assert visible.sum() > 60 and (traced.flow_valid == visible).all()
 
-    points = (camera.position + traced.depth[..., None] * world_rays(camera))[seen]  # in the world, at 0.3
+    points = (camera.position + traced.depth[..., None] * world_rays(camera))[visible]  # in the world, at 0.3
     c, s = np.cos(3.0 * dt), np.sin(3.0 * dt)
     moved = (points - [0.2, 0.1, 0]) @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]).T + [0.2, 0.1, 0.5 * dt]
 
@@ -143,8 +143,8 @@ def test_flow_is_the_projected_motion_of_the_surface(shape: Shape) -> None:
         return FOCAL * in_camera[:, :2] / in_camera[:, 2:]
 
     # Rounding of float32 depth: 1e-6 world units are 1e-5 pixels here; with a margin of 10.
-    np.testing.assert_allclose(traced.flow[:, seen].T, project(moved) - project(points), atol=1e-4)
-    assert (traced.flow[:, ~seen] == 0).all()
+    np.testing.assert_allclose(traced.flow[:, visible].T, project(moved) - project(points), atol=1e-4)
+    assert (traced.flow[:, ~visible] == 0).all()
 
 
 def test_vanishing_body_has_no_flow() -> None:
