@@ -37,7 +37,7 @@ def plot_reconstruction(result: Reconstruction, path: Path) -> None:
     axes.legend(loc="lower right")
     error, track = result.errors.mean(), result.track_lengths.mean()
     figure.suptitle(
-        f"{len(result.points):,} points, mean error {error:.2f} px, in {track:.1f} images each; "
+        f"{len(result.points):,} points, mean error {error:.2f} px, mean track length {track:.1f}; "
         f"{len(cameras)} cameras, poses {result.poses}"
     )
     figure.savefig(path, format="png", dpi=110)
