@@ -1,4 +1,4 @@
-"""How the tests run: side by side without getting in each other's way, and what needs a real data set only when asked.
+"""How the tests run: side by side without getting in each other's way, and a test of real data only on request.
 
 `make test` spreads the files over processes (pytest-xdist, `--dist loadscope`: a file's tests stay in one process, so
 that its fixtures are made once). A test that needs a real data set is marked `data`; pyproject.toml deselects it
