@@ -11,7 +11,10 @@ from pathlib import Path
 import pandas as pd
 from report_runs import write_run
 
+from pipeline.presentation.table import Column, Row, Table, text
+from pipeline.report import build
 from pipeline.report.__main__ import main
+from pipeline.report.tables.run_tables import run_tables
 from pipeline.report.write.image_strips import DIFFERENCE_GAIN, choose_views, make_strips, shown_experiment
 from pipeline.runs.read.collect import collect
 
@@ -178,3 +181,13 @@ def test_long_names_of_files_are_shortened(tmp_path) -> None:
     write_run(tmp_path / "runs", "dnerf/b", train="fast" * 60 + "er", out="b", images=2)
     assert main([str(tmp_path / "runs")]) == 0
     assert len(list((tmp_path / "report/strips").iterdir())) == 4
+
+
+def test_every_table_of_the_runs_is_written(tmp_path, monkeypatch) -> None:
+    """Also one that no section names."""
+    write_run(tmp_path / "runs", "synthetic/wheel")
+    own = Table("mine", "A table of mine", (Column("run", "Run", False),), (Row({"run": text("a")}),))
+    monkeypatch.setattr(build, "run_tables", lambda collection, levels: [*run_tables(collection, levels), own])
+    assert main([str(tmp_path / "runs"), "--out", str(tmp_path / "report")]) == 0
+    assert (tmp_path / "report/tables/mine.md").exists() and (tmp_path / "report/tables/all_runs.csv").exists()
+    assert "A table of mine" in (tmp_path / "report/report.md").read_text()

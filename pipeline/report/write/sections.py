@@ -12,8 +12,7 @@ from pipeline.report.tables.summary import Summary, summary_markdown
 from pipeline.report.write.image_strips import Strip
 from pipeline.report.write.sfm_section import SfmSection
 
-_SCHEDULE_TABLES = ("equal_time", "time_to_psnr", "batches")  # slugs
-_RUN_TABLES = ("all_runs", "provenance")
+_RUN_TABLES = ("all_runs", "provenance")  # slugs
 TITLES = {
     "summary": "Summary",
     "strips": "Held-out views",
@@ -62,8 +61,9 @@ class Content:
 
     @property
     def comparisons(self) -> list[Table]:
-        """Tables that compare schedules, batches and changed settings."""
-        return [table for table in self.ours if table.slug in _SCHEDULE_TABLES or table.slug.startswith(STUDY)]
+        """Tables that compare schedules, batches and changed settings: all that no other section has."""
+        elsewhere = {table.slug for table in (*self.ablations, *self.scenes, *self.raw)}
+        return [table for table in self.ours if table.slug not in elsewhere]
 
     @property
     def sfm_tables(self) -> list[Table]:
