@@ -14,6 +14,16 @@ from pathlib import Path
 
 from pipeline.config.compose import CONFIG_DIR
 
+# Overrides of a run that takes seconds.
+TINY = (
+    "scene=synthetic/wheel",
+    "train=smoke",
+    "scene.size=48",
+    "scene.train_views=8",
+    "scene.test_views=3",
+    "threads=1",
+    "evaluate.lpips=false",
+)
 LONGEST_S = 120  # of a command
 # Each command is a process of its own, forked from one that has imported what takes seconds. It has run no parallel
 # region, after which a fork hangs.

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from shell import Shell
+from shell import TINY, Shell
 
 from datasets.files.atomic_write import DiskFull, atomic_file, atomic_folder, disk_errors_named, write_text
 from pipeline.config.compose import CONFIG_DIR
@@ -24,16 +24,7 @@ resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))
 sys.argv = {argv}
 runpy.run_module("pipeline", run_name="__main__")
 """
-TINY = (
-    "scene=synthetic/wheel",
-    "train=smoke",
-    "scene.size=48",
-    "scene.train_views=8",
-    "scene.test_views=3",
-    "threads=1",
-    "evaluate.lpips=false",
-    "out=run",
-)
+COMMAND = (*TINY, "out=run")
 
 
 def limited(folder: Path, limit: int, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -53,12 +44,12 @@ def limited(folder: Path, limit: int, *arguments: str) -> subprocess.CompletedPr
 def completed_run(tmp_path_factory) -> Path:
     """A folder with a run of 20 iterations."""
     folder = tmp_path_factory.mktemp("disk")
-    Shell(folder)(*TINY, "train.iterations=20")
+    Shell(folder)(*COMMAND, "train.iterations=20")
     return folder
 
 
 def test_full_disk_while_init_ply_is_written(completed_run: Path) -> None:
-    done = limited(completed_run, 100_000, *TINY, "out=other")  # only init.ply is larger
+    done = limited(completed_run, 100_000, *COMMAND, "out=other")  # only init.ply is larger
     assert done.returncode == 1 and "Traceback" not in done.stderr
     assert done.stderr.startswith("error: other/init.ply: expected room to write it, found no space left (")
     assert done.stderr.count("\n") == 1 and "make room and give the same command again" in done.stderr
@@ -68,7 +59,7 @@ def test_full_disk_while_init_ply_is_written(completed_run: Path) -> None:
 def test_full_disk_while_a_checkpoint_is_written(completed_run: Path) -> None:
     size = (completed_run / "run/init.ply").stat().st_size
     done = limited(
-        completed_run, 2 * size, *TINY, "out=third"
+        completed_run, 2 * size, *COMMAND, "out=third"
     )  # the checkpoint is larger: it also holds Adam's moments
     assert done.returncode == 1 and "Traceback" not in done.stderr
     assert done.stderr.startswith("error: third/checkpoint.safetensors: expected room to write it, found no space left")
@@ -82,7 +73,7 @@ def test_full_disk_while_a_checkpoint_is_written(completed_run: Path) -> None:
         "init.ply",
         "error_vs_time.csv",
     }
-    Shell(completed_run)(*TINY, "out=third")  # with space again the run continues
+    Shell(completed_run)(*COMMAND, "out=third")  # with space again the run continues
 
 
 def test_full_disk_keeps_the_old_checkpoint(completed_run: Path) -> None:

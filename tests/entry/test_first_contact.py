@@ -15,21 +15,11 @@ from pathlib import Path
 import pytest
 from hydra import compose, initialize_config_dir
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from shell import Shell
+from shell import TINY, Shell
 
 from pipeline.config.compose import CONFIG_DIR, known_keys, one_line, options, quote_paths, register_schema
 from pipeline.runs.run_identity import refuse_foreign
 from pipeline.terminal.help_page import EXAMPLES, GROUPS, WIDTH, help_page
-
-TINY = (
-    "scene=synthetic/wheel",
-    "train=smoke",
-    "scene.size=48",
-    "scene.train_views=8",
-    "scene.test_views=3",
-    "threads=1",
-    "evaluate.lpips=false",
-)
 
 
 @pytest.fixture(scope="module")

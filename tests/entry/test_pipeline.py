@@ -9,17 +9,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from shell import Shell, result
-
-TINY = (
-    "scene=synthetic/wheel",
-    "train=smoke",
-    "scene.size=48",
-    "scene.train_views=8",
-    "scene.test_views=3",
-    "threads=1",
-    "evaluate.lpips=false",
-)
+from shell import TINY, Shell, result
 
 
 @pytest.fixture(scope="module")
