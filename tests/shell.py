@@ -74,6 +74,7 @@ class Command:
 
 def _run(folder: Path, module: str, arguments: tuple[str, ...], out: Path, err: Path) -> None:
     """`python -m module arguments`, in the forked process."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job, as CI may be, ignores it
     os.chdir(folder)
     for stream, path in ((1, out), (2, err)):
         os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT), stream)
