@@ -159,7 +159,8 @@ def canonicalise(scene: Scene, transform: Canonical) -> Scene:
         key = id(view.camera)
         if key not in cameras:
             cameras[key] = transform.camera(view.camera)
-        return replace(view, camera=cameras[key], time=transform.time(view.time))
+        truth = view.truth and view.truth.in_units(transform.scale, transform.time_scale)
+        return replace(view, camera=cameras[key], time=transform.time(view.time), truth=truth)
 
     return replace(
         scene,

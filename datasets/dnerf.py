@@ -25,6 +25,7 @@ from datasets.canonical import canonical_space
 from datasets.composition import BLACK, WHITE, Color, as_color, border_color, compose, coverage, reduced_camera
 from datasets.files.errors import SceneError
 from datasets.files.image_files import common_size, read_rgba
+from datasets.ground_truth import truth_beside
 from datasets.scene import Scene, View, camera_extent, make_camera, validate_scene
 from rasterizer.camera import Camera
 
@@ -216,4 +217,5 @@ def _read_view(
         rgba = undistort_rgba(rgba, Undistortion.of(full_size, *distortion).maps(size))
     camera = make_camera(entry.image_path, lambda: reduced_camera(full_size, downscale))
     image = compose(rgba, background, downscale)
-    return View(camera, entry.time or 0.0, image, view_name(entry), coverage(rgba, downscale))
+    truth = None if distortion else truth_beside(entry.image_path, downscale)  # of undistorted images only
+    return View(camera, entry.time or 0.0, image, view_name(entry), coverage(rgba, downscale), truth)

@@ -15,6 +15,7 @@ from typing import Protocol
 import numpy as np
 
 from datasets.files.errors import SceneError
+from datasets.ground_truth import StoredTruth
 from rasterizer.camera import Camera
 from rasterizer.request import MIN_DURATION
 
@@ -47,6 +48,7 @@ class View:
     image: Image  # already composed over the scene's background
     name: str  # unique in the scene, e.g. "train/r_0"
     coverage: np.ndarray | None = None  # (H, W) uint8, alpha × 255; None: opaque everywhere
+    truth: StoredTruth | None = None  # of motion and geometry, read when asked for; None: unknown
 
 
 @dataclass(frozen=True)

@@ -38,6 +38,12 @@ _HEADINGS = {
     "dssim2": "DSSIM2",
     "lpips_alex": "LPIPS-Alex",
     "lpips_vgg": "LPIPS-VGG",
+    "psnr_moving": "PSNR moving",
+    "psnr_still": "PSNR still",
+    "psnr_foreground": "PSNR foreground",
+    "flow_error": "flow error",
+    "flow_error_px": "flow error, px",
+    "depth_error_median": "depth error",
     "fps_render": "FPS",
     "fps_raster": "FPS (raster)",
 }
@@ -155,9 +161,13 @@ def _report(cfg: Config, metrics: dict) -> None:
     console = Console(highlight=False, soft_wrap=True)
     final, best = metrics["final"], metrics["best_on_test"] or {}
     console.print(_title(cfg, metrics), style="bold")
+    from pipeline.evaluation.motion.motion_metrics import MOTION_METRICS  # late, as it imports torch
+
     table = Table("", "final", "best on test")
     for name, heading in _HEADINGS.items():
-        table.add_row(heading, _cell(final[name]), _cell(best.get(name)))
+        if name in MOTION_METRICS and final.get(name) is None:
+            continue  # the scene has no ground truth for it
+        table.add_row(heading, _cell(final.get(name)), _cell(best.get(name)))
     if final.get("flicker") is not None:  # only where a held-out camera filmed
         table.add_row("flicker, of 255", *(_cell(255 * model["flicker"]) if model else "–" for model in (final, best)))
     table.add_row("iteration", str(metrics["iterations"]), str(best.get("iteration", "–")))

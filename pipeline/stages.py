@@ -27,6 +27,7 @@ from pipeline.config.static_overrides import without_static_overrides
 from pipeline.data.prepare import Prepared, prepare
 from pipeline.evaluation.evaluate import Evaluation, evaluate, evaluate_with_images
 from pipeline.evaluation.lifetimes import lifetimes
+from pipeline.evaluation.motion.moving_pixels import MovingPixels
 from pipeline.evaluation.quick_evaluate import quick_evaluate
 from pipeline.model.initialise import initialise
 from pipeline.model.model import Model
@@ -185,9 +186,10 @@ def _train(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
     """
     scene = data.scene
     rasterizer = Rasterizer(threads=thread_count(cfg.threads))
+    moving = MovingPixels(scene, cfg.train.resolution_scale)
 
     def evaluate_fn(model: Model, progress: Progress) -> dict:
-        found = quick_evaluate(model, scene, cfg, rasterizer)
+        found = quick_evaluate(model, scene, cfg, rasterizer, moving)
         folder.log(
             {
                 "event": "evaluate",

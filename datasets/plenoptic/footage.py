@@ -14,6 +14,7 @@ from datasets.cameras.lens import Undistortion, undistort
 from datasets.canonical import FRAMES_PER_UNIT
 from datasets.composition import BLACK, Color, as_color, reduced_camera
 from datasets.files.errors import SceneError
+from datasets.ground_truth import StoredTruth, film_truth_file
 from datasets.plenoptic.decode import DecodeOptions, Stream, decode, store_folder
 from datasets.plenoptic.display import Log
 from datasets.plenoptic.sync import drop_advice
@@ -161,12 +162,16 @@ class Footage:
         views: dict[str, list[View]] = {"train": [], "test": []}
         for stream in self.streams:
             split = "test" if stream.name in self.held_out else "train"
+            truth_file = film_truth_file(self.source, stream.name)
             views[split] += [
                 View(
                     cameras[stream.name],
                     index / self.rate,
                     image,
                     f"{split}/{stream.name}_{self.options.first_frame + index:04d}",
+                    truth=None
+                    if truth_file is None
+                    else StoredTruth(truth_file, self.options.first_frame + index, self.options.downscale),
                 )
                 for index, image in enumerate(images[stream.name])
             ]

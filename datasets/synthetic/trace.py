@@ -28,6 +28,7 @@ class TracedImage:
     depth: np.ndarray  # (H, W) z at the pixel's centre, world units; 0 without a body
     flow: np.ndarray  # (2, H, W) pixels right and down to time + flow_dt; 0 where flow_valid is False
     flow_valid: np.ndarray  # (H, W) bool: a body is there, also at time + flow_dt, in front of the camera
+    body: np.ndarray  # (H, W) int16 index in World.bodies of the body at the pixel's centre; NOTHING without one
 
 
 @dataclass(frozen=True)
@@ -52,17 +53,20 @@ def trace(world: World, camera: Camera, time: float, *, flow_dt: float = 0.01, s
 
     flow = np.zeros((2, camera.height, camera.width), dtype=np.float32)
     flow_valid = np.zeros((camera.height, camera.width), dtype=bool)
+    body = np.full_like(owner, NOTHING)
     directions = rays(camera, 1)
     for index, item in enumerate(placed):
         y, x = np.nonzero(owner == index)
+        body[y, x] = next(number for number, one in enumerate(world.bodies) if one is item.body)
         local = item.pose.to_body(column(camera.position) + depth[y, x] * directions[:, y, x])
-        flow[:, y, x], flow_valid[y, x] = _flow(item, local, x, y, camera, time + flow_dt)
+        flow[:, y, x], flow_valid[y, x] = flow_of(item, local, x, y, camera, time + flow_dt)
     return TracedImage(
         color=pool(hits.color, samples),
         alpha=pool(hit.astype(np.float32), samples),
         depth=depth,
         flow=flow,
         flow_valid=flow_valid,
+        body=body,
     )
 
 
@@ -158,7 +162,7 @@ def pool(values: np.ndarray, samples: int) -> np.ndarray:
     return total / np.float32(samples**2)
 
 
-def _flow(
+def flow_of(
     item: Placed, local: np.ndarray, x: np.ndarray, y: np.ndarray, camera: Camera, later: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Flow (2, N) in pixels of body points (3, N) at the centres of pixels x, y, and its validity (N,)."""

@@ -6,7 +6,7 @@ is in seconds.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -76,6 +76,15 @@ class World:
     sky: Colour = (0.32, 0.34, 0.38)  # ambient light from above
     ground: Colour = (0.14, 0.13, 0.12)  # ambient light from below
     is_static: bool = False
+
+
+def moves(motion: Motion, times: Sequence[float] | np.ndarray) -> bool:
+    """Whether a body changes its pose between any two of `times`: it moves, turns, grows, appears or vanishes."""
+    first, *others = (motion(time) for time in times)
+    return any(
+        pose.scale != first.scale or (pose.position != first.position).any() or (pose.rotation != first.rotation).any()
+        for pose in others
+    )
 
 
 def rest(position: tuple[float, float, float], rotation: np.ndarray | None = None) -> Motion:

@@ -1,7 +1,7 @@
 """Writes a photographed synthetic scene in the D-NeRF layout, atomically, with ground truth of its test views.
 
 transforms_{train,val,test}.json, {train,val}/r_N.png, test/r_NNN.png     as datasets/dnerf.py reads them
-test/r_NNN.npz     depth (H, W), flow (2, H, W), flow_valid (H, W) at pixel centres, see trace.TracedImage
+test/r_NNN.npz     moving, depth, flow, flow_valid, flow_dt, see datasets/ground_truth.py
 meta.json          the arguments that made the scene
 """
 
@@ -15,25 +15,19 @@ from PIL import Image
 from datasets.files.atomic_write import atomic_folder, write_json
 from datasets.synthetic.camera_path import ANGLE_X, TimedPose
 from datasets.synthetic.trace import TracedImage, trace
-from datasets.synthetic.world import World
+from datasets.synthetic.world import World, moves
 from rasterizer.camera import Camera
 
 
 def write_scene(world: World, poses: dict[str, list[TimedPose]], size: int, meta: dict, folder: Path) -> Path:
     """Renders all poses of the splits "train", "val" and "test" at size × size pixels into `folder`."""
+    times = [pose.time for split_poses in poses.values() for pose in split_poses]
+    moving = [index for index, body in enumerate(world.bodies) if moves(body.motion, times)]
     with atomic_folder(folder, marker="meta.json") as temporary:
         for split, split_poses in poses.items():
-            _write_split(world, split, split_poses, size, meta["flow_dt"], temporary)
+            _write_split(world, moving, split, split_poses, size, meta["flow_dt"], temporary)
         write_json(temporary / "meta.json", meta)
     return folder
-
-
-def read_ground_truth(folder: str | Path, view_name: str) -> TracedImage:
-    """Ground truth of a test view, e.g. "test/r_000": depth and flow as traced, colour from the PNG."""
-    stem = Path(folder) / view_name
-    rgba = np.moveaxis(np.asarray(Image.open(stem.with_suffix(".png")), dtype=np.float32) / 255, -1, 0)
-    with np.load(stem.with_suffix(".npz")) as arrays:
-        return TracedImage(color=rgba[:3] * rgba[3], alpha=rgba[3], **arrays)
 
 
 def to_rgba(traced: TracedImage) -> np.ndarray:
@@ -46,7 +40,10 @@ def to_rgba(traced: TracedImage) -> np.ndarray:
     return np.concatenate([colour, alpha[None]]).transpose(1, 2, 0).astype(np.uint8)
 
 
-def _write_split(world: World, split: str, poses: list[TimedPose], size: int, flow_dt: float, folder: Path) -> None:
+def _write_split(
+    world: World, moving: list[int], split: str, poses: list[TimedPose], size: int, flow_dt: float, folder: Path
+) -> None:
+    """moving: indices in world.bodies of the bodies that move."""
     (folder / split).mkdir()
     focal = 0.5 * size / np.tan(0.5 * ANGLE_X)
     frames = []
@@ -57,9 +54,11 @@ def _write_split(world: World, split: str, poses: list[TimedPose], size: int, fl
         if split == "test":
             np.savez_compressed(
                 folder / f"{name}.npz",
+                moving=np.isin(traced.body, moving),
                 depth=traced.depth.astype(np.float32),
                 flow=traced.flow.astype(np.float32),
                 flow_valid=traced.flow_valid,
+                flow_dt=np.float64(flow_dt),
             )
         frame = {"file_path": f"./{name}", "time": pose.time, "transform_matrix": pose.cam_to_world.tolist()}
         if world.is_static:

@@ -3,6 +3,7 @@
 camNN.mp4              H.264, video.FRAME_RATE frames a second; frame i is the world at time i / FRAME_RATE
 poses_bounds.npy       (N, 17) float64, LLFF's convention, see llff_row
 truth/camNN_depth.npy  (H, W) float32 depth z at the pixels' centres of frame 0, world units
+truth/camNN.npz        moving, depth, flow, flow_valid of every frame, flow_dt, see datasets/ground_truth.py
 meta.json              the arguments that made the scene
 """
 
@@ -22,6 +23,7 @@ import numpy as np
 from datasets.files.atomic_write import atomic_folder, write_json
 from datasets.files.errors import SceneError
 from datasets.synthetic.film import depth_of, film
+from datasets.synthetic.film_truth import write_film_truth
 from datasets.synthetic.rig import rig
 from datasets.synthetic.video import FRAME_RATE, write_video
 from datasets.synthetic.world import World
@@ -112,10 +114,11 @@ def llff_row(camera: Camera, near: float, far: float) -> np.ndarray:
 
 
 def _film_camera(settings: FilmSettings, folder: Path, number: int) -> int:
-    """Writes one camera's video and ground-truth depth; returns its number."""
+    """Writes one camera's video and ground truth; returns its number."""
     world, cameras = settings.set_up()
     camera = cameras[number]
     np.save(_depth_path(folder, number), depth_of(world, camera, settings.times[0]))
+    write_film_truth(folder / "truth" / f"cam{number:02d}.npz", world, camera, settings.times, 1 / FRAME_RATE)
     write_video(
         folder / f"cam{number:02d}.mp4",
         film(world, camera, settings.times, samples=settings.samples),

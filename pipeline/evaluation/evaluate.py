@@ -16,12 +16,14 @@ import numpy as np
 from datasets.scene import Scene
 from pipeline.config.schema import Config
 from pipeline.data.frame_order import film_order
-from pipeline.data.training_views import evenly_spaced, target_of
+from pipeline.data.training_views import Target, evenly_spaced, target_of
 from pipeline.evaluation.films import HeldOutFilms
 from pipeline.evaluation.flicker import FlickerMeter, mean_flicker
 from pipeline.evaluation.metrics import METRICS, MS_SSIM_NOTE, mean, measure
+from pipeline.evaluation.motion.motion_metrics import measure_motion, motion_means
+from pipeline.evaluation.motion.moving_pixels import MovingPixels
 from pipeline.evaluation.perceptual import Perceptual
-from pipeline.evaluation.pictures import SaveImages, png_saver, write_bullet_time
+from pipeline.evaluation.pictures import SaveImages, png_saver, write_bullet_time, write_moving
 from pipeline.evaluation.renderer import Renderer
 from pipeline.evaluation.speed import frames_per_second
 from pipeline.model.model import Model
@@ -35,8 +37,9 @@ MEASURE_BYTES = 4 * 1024**3  # memory limit for the views that are measured in p
 class Evaluation:
     """Means over the test views, and the rows that they are means of."""
 
-    metrics: dict[str, float | str | None]  # METRICS, lpips_*, flicker, fps_*; *_note where a number is missing
-    per_image: list[dict]  # view, time, METRICS, lpips_*, flicker, n_alive
+    # METRICS, MOTION_METRICS, lpips_*, flicker, fps_*; *_note where a number is missing; moving_by: BY_TRUTH, BY_COLOUR
+    metrics: dict[str, float | str | None]
+    per_image: list[dict]  # view, time, METRICS, lpips_*, MOTION_METRICS, moving_share, flicker, n_alive
     n_alive_mean: float  # Gaussians with temporal marginal p(t) >= 0.05, mean over the views
 
     def note(self) -> str | None:
@@ -64,7 +67,9 @@ def evaluate(
             f"model to evaluate: expected finite values, found NaN or Inf in {found[0]} of Gaussian {found[1]}"
         )
     perceptual, flicker = Perceptual(cfg, scene), FlickerMeter(scene.frame_rate)
+    moving = MovingPixels(scene, cfg.train.resolution_scale)
     renderer = Renderer(model, scene, cfg, Rasterizer(threads=threads))
+    has_alpha = any(view.coverage is not None for view in scene.test)
     saved = set(evenly_spaced(len(scene.test), cfg.evaluate.renders))
     rows: dict[int, dict] = {}  # by index of the view
 
@@ -77,17 +82,19 @@ def evaluate(
     with ThreadPoolExecutor(parallel) as pool:
         for first in range(0, len(order), parallel):
             indices = order[first : first + parallel]
-            images, truths, n_alive = [], [], []
+            images, truths, n_alive, motion = [], [], [], []
             for index in indices:
                 target = target_of(scene.test[index], cfg.train.resolution_scale)
                 images.append(renderer.image(target.camera, target.time))
                 truths.append(target.image.numpy().transpose(1, 2, 0))
                 n_alive.append(renderer.rasterizer.alive)
+                motion.append(_motion(renderer, moving, index, target, images[-1], has_alpha))
             found_rows = pool.map(measured, indices, images, truths)
-            for index, image, truth, alive, row in zip(indices, images, truths, n_alive, found_rows):
+            for index, image, truth, alive, of_motion, row in zip(indices, images, truths, n_alive, motion, found_rows):
                 view = scene.test[index]
                 change = flicker.next(view, image, truth)
-                rows[index] = {"view": view.name, "time": view.time, **row, "flicker": change, "n_alive": alive}
+                seen = {"flicker": change, "n_alive": alive}
+                rows[index] = {"view": view.name, "time": view.time, **row, **of_motion, **seen}
                 if save is not None and index in saved:
                     save(view.name, image, truth)
                 if film is not None:
@@ -97,6 +104,8 @@ def evaluate(
     metrics = {**{name: mean(per_image, name) for name in METRICS}, **perceptual.means(per_image)}
     if metrics["ms_ssim"] is None:
         metrics["ms_ssim_note"] = MS_SSIM_NOTE
+    metrics.update(motion_means(per_image))
+    metrics["moving_by"] = next(filter(None, map(moving.source, range(len(scene.test)))), None)
     metrics["flicker"] = mean_flicker([row["flicker"] for row in per_image])
     metrics.update(frames_per_second(model, scene, cfg, threads))
     return Evaluation(metrics, per_image, float(np.mean([row["n_alive"] for row in per_image])))
@@ -106,12 +115,27 @@ def evaluate_with_images(model: Model, scene: Scene, cfg: Config, threads: int, 
     """`evaluate`, with images in `folder` and, for a filmed scene with `evaluate.videos`, videos: one per test camera
     (films.HeldOutFilms) and bullet_time.mp4 (pictures.write_bullet_time)."""
     save = png_saver(folder)
+    write_moving(folder, scene, cfg)
     if not cfg.evaluate.videos or scene.frame_rate is None:
         return evaluate(model, scene, cfg, threads, save)
     with HeldOutFilms(folder, scene.playback_rate or scene.frame_rate) as film:
         found = evaluate(model, scene, cfg, threads, save, film)
     write_bullet_time(folder / "bullet_time.mp4", Renderer(model, scene, cfg, Rasterizer(threads=threads)))
     return found
+
+
+def _motion(
+    renderer: Renderer, moving: MovingPixels, index: int, target: Target, image: np.ndarray, has_alpha: bool
+) -> dict[str, float | None]:
+    """measure_motion of one test view. has_alpha: of any test view, so that an opaque one is all foreground."""
+    truth, known = target.image.numpy().transpose(1, 2, 0), moving.truth_of(index)
+    geometry = None
+    if known is not None and (known.depth is not None or known.flow is not None):
+        geometry = renderer.geometry(target.camera, target.time, known.flow_dt)
+    foreground = None
+    if has_alpha:
+        foreground = np.ones(image.shape[:2], bool) if target.alpha is None else target.alpha.numpy()[0] > 0
+    return measure_motion(image, truth, moving.of(index, known), foreground, geometry, known)
 
 
 def _parallel_views(camera: Camera, threads: int, lpips_bytes: int) -> int:

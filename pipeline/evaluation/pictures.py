@@ -9,9 +9,12 @@ import numpy as np
 from PIL import Image
 
 from datasets.files.atomic_write import atomic_file
-from pipeline.data.training_views import camera_at
+from datasets.scene import Scene
+from pipeline.config.schema import Config
+from pipeline.data.training_views import camera_at, evenly_spaced
 from pipeline.evaluation.camera_path import FRAME_RATE, bullet_time, ellipse_among, median_depth
 from pipeline.evaluation.films import video
+from pipeline.evaluation.motion.moving_pixels import MovingPixels
 from pipeline.evaluation.renderer import Renderer
 
 DIFFERENCE_GAIN = 4  # brightness of a difference image relative to |render - truth|, clipped at white
@@ -33,6 +36,15 @@ def png_saver(folder: Path) -> SaveImages:
                 Image.fromarray(np.round(picture * 255.0).astype(np.uint8)).save(temporary)
 
     return save
+
+
+def write_moving(folder: Path, scene: Scene, cfg: Config) -> None:
+    """<view>_moving.png of the test views that `cfg.evaluate.renders` selects: white what moves; none where unknown."""
+    moving = MovingPixels(scene, cfg.train.resolution_scale)
+    for index in evenly_spaced(len(scene.test), cfg.evaluate.renders):
+        if (mask := moving.of(index)) is not None:
+            with atomic_file(folder / f"{scene.test[index].name.replace('/', '_')}_moving.png") as temporary:
+                Image.fromarray(mask).save(temporary)
 
 
 def write_bullet_time(path: Path, renderer: Renderer) -> None:

@@ -10,30 +10,39 @@ from datasets.scene import Scene, View
 from pipeline.config.schema import Config
 from pipeline.data.training_views import evenly_spaced, target_of
 from pipeline.evaluation.metrics import mean, psnr
+from pipeline.evaluation.motion.motion_metrics import masked_psnr, mean_of_known
+from pipeline.evaluation.motion.moving_pixels import MovingPixels
 from pipeline.evaluation.renderer import Renderer
 from pipeline.model.model import Model
 from rasterizer import Rasterizer
 from rasterizer.loss import l1_ssim
 
 
-def quick_evaluate(model: Model, scene: Scene, cfg: Config, rasterizer: Rasterizer) -> dict[str, float | None]:
-    """{psnr, ssim, test_loss} over `train.eval_views` evenly spread test views, and train_psnr over as many training
-    views.
+def quick_evaluate(
+    model: Model, scene: Scene, cfg: Config, rasterizer: Rasterizer, moving: MovingPixels | None = None
+) -> dict[str, float | None]:
+    """{psnr, ssim, test_loss, psnr_moving} over `train.eval_views` evenly spread test views, and train_psnr over as
+    many training views.
 
     Renders have the final resolution, also while training is at a coarser one, so that the numbers of a run can be
     compared. SSIM is the loss's (zero padding at the border, as 3DGS), which differs from metrics.ssim in the third
-    decimal.
+    decimal. moving: of this scene, kept between evaluations; None: made here.
     """
+    moving = moving or MovingPixels(scene, cfg.train.resolution_scale)
     renderer = Renderer(model, scene, cfg, rasterizer)
 
     def means(views: Sequence[View]) -> dict[str, float | None]:
-        rows = []
+        rows, of_moving = [], []
         for index in evenly_spaced(len(views), cfg.train.eval_views):
             target = target_of(views[index], cfg.train.resolution_scale)
             image = renderer.tensor(target.camera, target.time).clamp_(0.0, 1.0)
             loss, _, ssim, _ = l1_ssim(image, target.image, cfg.train.ssim_weight, rasterizer.threads)
             rows.append({"psnr": psnr(image.numpy(), target.image.numpy()), "ssim": ssim, "test_loss": loss})
-        return {name: mean(rows, name) for name in ("psnr", "ssim", "test_loss")}
+            if views is scene.test and (mask := moving.of(index)) is not None:
+                render, truth = (pixels.numpy().transpose(1, 2, 0) for pixels in (image, target.image))
+                of_moving.append(masked_psnr(render, truth, mask))
+        found = {name: mean(rows, name) for name in ("psnr", "ssim", "test_loss")}
+        return {**found, "psnr_moving": mean_of_known(of_moving)}
 
     return {**means(scene.test), "train_psnr": means(scene.train)["psnr"]}
 

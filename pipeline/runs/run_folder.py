@@ -26,7 +26,8 @@ from omegaconf import OmegaConf
 from datasets.files.atomic_write import disk_errors_named, write_json, write_text
 from pipeline.runs.run_identity import FILES, UNFINISHED, Resolve, read_stages, refuse_foreign, refuse_other_run
 
-CURVE_COLUMNS = ("train_seconds", "iteration", "psnr", "ssim", "test_loss", "n_gaussians")
+CURVE_COLUMNS = ("train_seconds", "iteration", "psnr", "ssim", "test_loss", "n_gaussians", "psnr_moving")
+OLD_CURVE_COLUMNS = CURVE_COLUMNS[:-1]  # up to version 0.1
 
 
 def write_csv(path: Path, rows: list[dict]) -> None:
@@ -139,6 +140,8 @@ class RunFolder:
             write_text(self.log_file, "".join(json.dumps(row) + "\n" for row in rows))
         if self.curve.exists():
             header, *lines = self.curve.read_text(errors="replace").splitlines() or [""]
+            if header == ",".join(OLD_CURVE_COLUMNS):
+                lines = [line + "," for line in lines if line.count(",") == len(OLD_CURVE_COLUMNS) - 1]
             complete = [line for line in lines if line.count(",") == len(CURVE_COLUMNS) - 1]
             kept = [line for line in complete if _iteration_of(line.split(",")[1]) <= iteration]
             write_text(self.curve, "\n".join([",".join(CURVE_COLUMNS), *kept]) + "\n")

@@ -48,7 +48,7 @@ class TrainResult:
     optimiser_bytes: int  # of Adam's moments
 
 
-EvaluateFn = Callable[[Model, Progress], dict]  # returns psnr, and optionally ssim and test_loss
+EvaluateFn = Callable[[Model, Progress], dict]  # returns psnr, and optionally ssim, test_loss and psnr_moving
 
 
 def train(
@@ -112,6 +112,7 @@ def _evaluate(
         run.append_error_vs_time({
             "train_seconds": reached.train_seconds, "iteration": reached.iteration, "psnr": metrics["psnr"],
             "ssim": metrics.get("ssim"), "test_loss": metrics.get("test_loss"), "n_gaussians": len(state.model),
+            "psnr_moving": metrics.get("psnr_moving"),
         })  # fmt: skip
         if state.best is None or metrics["psnr"] > state.best["psnr"]:
             state.best, state.best_model = dict(metrics, iteration=reached.iteration), state.model.copy()

@@ -10,6 +10,7 @@ from tiny import evaluation_config, tiny_config, tiny_scene
 from tiny_film import tiny_film
 
 from pipeline.evaluation.evaluate import evaluate
+from pipeline.evaluation.motion.moving_pixels import MovingPixels
 from pipeline.evaluation.quick_evaluate import held_out_psnr, quick_evaluate
 from pipeline.model.initialise import initialise
 from pipeline.model.model import Model
@@ -34,7 +35,8 @@ def test_psnr_equals_that_of_the_full_evaluation(model: Model) -> None:
 def test_views_are_evenly_spread(model: Model) -> None:
     scene, cfg = tiny_film(frames=5, held_out=("cam00",)), evaluation_config()
     few = replace(cfg, train=replace(cfg.train, eval_views=3))
-    found = quick_evaluate(model, scene, few, Rasterizer(threads=1))
-    spread = replace(scene, test=scene.test[::2], train=[scene.train[i] for i in (0, len(scene.train) // 2, -1)])
-    assert found == quick_evaluate(model, spread, cfg, Rasterizer(threads=1))
+    moving = MovingPixels(scene, 1.0)  # by the colours of all frames
+    found = quick_evaluate(model, scene, few, Rasterizer(threads=1), moving)
+    spread = replace(scene, test=scene.test[::2], train=tuple(scene.train[i] for i in (0, len(scene.train) // 2, -1)))
+    assert found == quick_evaluate(model, spread, cfg, Rasterizer(threads=1), moving)
     assert found != quick_evaluate(model, scene, cfg, Rasterizer(threads=1))

@@ -10,7 +10,7 @@ import pytest
 from shell import FORKING
 
 from datasets.files.atomic_write import atomic_file, write_text
-from pipeline.runs.run_folder import CURVE_COLUMNS, RunFolder, write_csv, write_json
+from pipeline.runs.run_folder import CURVE_COLUMNS, OLD_CURVE_COLUMNS, RunFolder, write_csv, write_json
 
 CONFIG = {
     "scene": {"path": None, "cache": "a"},
@@ -67,7 +67,7 @@ def test_curve_and_log_forget_what_comes_after_the_checkpoint(tmp_path: Path) ->
             folder.append_error_vs_time({"train_seconds": 0.5, "iteration": iteration, "psnr": 20.0, "n_gaussians": 7})
         folder.truncate_after(20)
         assert [row.get("iteration") for row in folder.log_rows()] == [None, 10, 20]
-        assert folder.curve.read_text() == (",".join(CURVE_COLUMNS) + "\n0.5,10,20.0,,,7\n0.5,20,20.0,,,7\n")
+        assert folder.curve.read_text() == (",".join(CURVE_COLUMNS) + "\n0.5,10,20.0,,,7,\n0.5,20,20.0,,,7,\n")
 
 
 def test_a_line_cut_short_by_a_kill_is_dropped(tmp_path: Path) -> None:
@@ -80,7 +80,15 @@ def test_a_line_cut_short_by_a_kill_is_dropped(tmp_path: Path) -> None:
         folder.append_error_vs_time({"iteration": 2})
         folder.truncate_after(5)
         assert [row["iteration"] for row in folder.log_rows()] == [2]
-        assert folder.curve.read_text().splitlines()[1:] == [",2,,,,"]
+        assert folder.curve.read_text().splitlines()[1:] == [",2,,,,,"]
+
+
+def test_a_curve_of_an_older_version_gets_the_new_columns(tmp_path: Path) -> None:
+    with RunFolder(tmp_path / "run", CONFIG) as folder:
+        write_text(folder.curve, ",".join(OLD_CURVE_COLUMNS) + "\n0.5,10,20.0,0.9,0.1,7\n0.9,20,21.0,0.9,0.1,7\n0.9,3")
+        folder.truncate_after(10)
+        folder.append_error_vs_time({"iteration": 20, "psnr_moving": 9.5})
+        assert folder.curve.read_text() == ",".join(CURVE_COLUMNS) + "\n0.5,10,20.0,0.9,0.1,7,\n,20,,,,,9.5\n"
 
 
 def test_a_curve_cut_within_its_header(tmp_path: Path) -> None:

@@ -13,6 +13,8 @@ from pipeline.report.tables.batch_sampling import batch_sampling
 from pipeline.report.tables.changed_settings import changed_settings
 from pipeline.report.tables.equal_time import equal_time
 from pipeline.report.tables.footnotes import left_out_notes, missing_metric_notes
+from pipeline.report.tables.motion_columns import NOTE as MOTION_NOTE
+from pipeline.report.tables.motion_columns import motion_columns
 from pipeline.report.tables.scene_tables import scene_tables
 from pipeline.report.tables.time_to_psnr import time_to_psnr
 from pipeline.runs.read.collect import Collection
@@ -44,6 +46,7 @@ def run_tables(collection: Collection, levels: tuple[float, ...] = ()) -> list[T
 def all_runs(runs: pd.DataFrame) -> Table:
     """Quality and cost, one row per run."""
     with_flicker, with_selection = runs["final.flicker"].notna().any(), runs["selection.gain"].notna().any()
+    motion = motion_columns(runs)
     columns = (
         Column("run", "Run", False),
         Column("model", "Model", False, fold=True),
@@ -57,6 +60,7 @@ def all_runs(runs: pd.DataFrame) -> Table:
         Column("final_lpips_alex", "LPIPS-Alex", group="quality"),
         Column("final_lpips_vgg", "LPIPS-VGG", group="quality"),
         *([Column("final_flicker", "Flicker, levels of 255", group="quality")] if with_flicker else []),
+        *(column.column for column in motion),
         Column("fps_raster", "FPS raster", group="cost"),
         Column("fps_render", "FPS render", group="cost"),
         Column("iterations", "Iterations", fold=True, group="cost"),
@@ -79,6 +83,7 @@ def all_runs(runs: pd.DataFrame) -> Table:
         "final_lpips_alex": ("final.lpips_alex", 3),
         "final_lpips_vgg": ("final.lpips_vgg", 3),
         "final_flicker": ("final.flicker_levels", 2),
+        **{column.key: (column.metric, column.decimals) for column in motion},
         "fps_raster": ("final.fps_raster", 1),
         "fps_render": ("final.fps_render", 1),
         "iterations": ("iterations", 0),
@@ -108,6 +113,7 @@ def all_runs(runs: pd.DataFrame) -> Table:
         notes=(
             *missing_metric_notes(runs),
             ("", "FPS raster: blending only. FPS render: slicing, sorting and blending. Train s: without evaluation."),
+            *([MOTION_NOTE] if motion else []),
             *([("", SELECTION_NOTE)] if with_selection else []),
             *left_out_notes(runs["ablation"]),
         ),

@@ -17,6 +17,8 @@ from pipeline.report.tables.footnotes import (
     left_out_notes,
     missing_metric_notes,
 )
+from pipeline.report.tables.motion_columns import NOTE as MOTION_NOTE
+from pipeline.report.tables.motion_columns import MotionColumn, motion_columns
 from pipeline.runs.read.collect import Collection
 
 _FAMILY_TITLE = {
@@ -48,25 +50,28 @@ def scene_table(runs: pd.DataFrame, family: str, split_notes: Sequence[tuple[str
     """
     present = runs[runs["scene"].map(scenes.family) == family]
     with_flicker, net = present["final.flicker"].notna().any(), "alex" if family in _ALEX else "vgg"
+    motion = motion_columns(present)
     rows = []
     for scene in scenes.in_order(present["scene"]):
         of_scene = present[present["scene"] == scene]
         for train in sorted(of_scene["train"].unique()):
             for name in scenes.ablations_in_order(of_scene[of_scene["train"] == train]["ablation"]):
                 head = {"scene": text(scene), "train": text(train), "ablation": text(name)}
-                rows.append(Row(head | _scene_cells(of_scene, scene, name, train, net)))
+                rows.append(Row(head | _scene_cells(of_scene, scene, name, train, net, motion)))
     notes = [PROTOCOL_NOTE, *missing_metric_notes(present, ("LPIPS",)), *left_out_notes(present["ablation"])]
     if any(row.cells["verdict"] != NOTHING for row in rows):
         notes.append(("", "vs full: final PSNR, compared as in the table of ablations."))
     if with_flicker:
         notes.append(FLICKER_NOTE)
+    if motion:
+        notes.append(MOTION_NOTE)
     notes += [("", note) for scene, note in split_notes if scene in set(present["scene"])]
     return Table(
-        f"scenes_{family}", _FAMILY_TITLE[family], _columns(net, with_flicker), tuple(rows), notes=tuple(notes)
+        f"scenes_{family}", _FAMILY_TITLE[family], _columns(net, with_flicker, motion), tuple(rows), notes=tuple(notes)
     )
 
 
-def _columns(net: str, with_flicker: bool) -> tuple[Column, ...]:
+def _columns(net: str, with_flicker: bool, motion: Sequence[MotionColumn]) -> tuple[Column, ...]:
     return (
         Column("scene", "Scene", False),
         Column("train", "Schedule", False, fold=True),
@@ -81,12 +86,15 @@ def _columns(net: str, with_flicker: bool) -> tuple[Column, ...]:
         Column("best_ssim", "SSIM ↑ best on test", group="quality"),
         Column(f"final_lpips_{net}", f"LPIPS-{'Alex' if net == 'alex' else 'VGG'} ↓ final", group="quality"),
         *([Column("final_flicker", FLICKER_HEADER, group="quality")] if with_flicker else []),
+        *(column.column for column in motion),
         Column("n_gaussians", "Gaussians", group="cost"),
         Column("train_seconds", "Train s", group="cost"),
     )
 
 
-def _scene_cells(runs: pd.DataFrame, scene: str, ablation: str, train: str, net: str) -> dict[str, Cell]:
+def _scene_cells(
+    runs: pd.DataFrame, scene: str, ablation: str, train: str, net: str, motion: Sequence[MotionColumn]
+) -> dict[str, Cell]:
     def cell(metric: str, decimals: int) -> Cell:
         return measured(over_seeds(runs, scene, ablation, train, metric), decimals)
 
@@ -98,6 +106,7 @@ def _scene_cells(runs: pd.DataFrame, scene: str, ablation: str, train: str, net:
         "best_ssim": cell("best_on_test.ssim", 3),
         f"final_lpips_{net}": cell(f"final.lpips_{net}", 3),
         "final_flicker": cell("final.flicker_levels", 2),
+        **{column.key: cell(column.metric, column.decimals) for column in motion},
         "n_gaussians": cell("n_gaussians", 0),
         "train_seconds": cell("train_seconds", 0),
     }

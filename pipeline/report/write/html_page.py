@@ -9,7 +9,6 @@ from pathlib import Path
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from pipeline.presentation.table_layout import laid_out
-from pipeline.report.write.image_strips import DIFFERENCE_GAIN
 from pipeline.report.write.sections import TITLES, Content
 
 # Visible items of each kind; more are in an element that can be expanded.
@@ -34,7 +33,6 @@ def render_page(content: Content) -> str:
         shown_scenes=_SCENES,
         shown_plots=_PLOTS,
         shown_rows=_ROWS,
-        difference_gain=DIFFERENCE_GAIN,
         sections=_sections(content),
     )
 

@@ -1,7 +1,8 @@
 """Image strips, render | truth | difference, from the images in a run's renders/ folder.
 
 Per scene one schedule: the one with the best mean final PSNR of `full`. Shown are the median and the worst view of
-`full`, and the same median view of the ablation that the scene was made for. Other models are compared in tables.
+`full` and, where it is known what moves, the view in which most does, as in moving_picture.py; of the ablation that
+the scene was made for the same median view, and that of motion. Other models are compared in tables.
 """
 
 from __future__ import annotations
@@ -16,11 +17,14 @@ from PIL import Image
 from datasets.files.errors import clear
 from pipeline.presentation.seed_statistics import select
 from pipeline.report.read import scenes
+from pipeline.report.write.moving_picture import PARTS as MOVING_PARTS
+from pipeline.report.write.moving_picture import moving_count, moving_parts
 from pipeline.runs.read.model_labels import ablation_of, baseline_of, requested
 from pipeline.runs.read.run_files import read_view_psnr
 from pipeline.runs.read.run_names import file_name, parts_of
 
 PARTS = ("render", "truth", "difference")
+MOTION = "most motion"  # the choice of a view
 _MAX_SIDE = 512  # pixels of a view, to limit the size of the page
 _GAP = 6  # pixels between the parts
 _QUALITY = 90  # of WebP; the exact images are in the run's renders/
@@ -29,14 +33,14 @@ DIFFERENCE_GAIN = 4  # of the difference images that pipeline/evaluation/picture
 
 @dataclass(frozen=True)
 class Strip:
-    """One view of one run; `webp` has render, truth and difference side by side."""
+    """One view of one run; `webp` has the pictures of `parts` side by side."""
 
     scene: str
     ablation: str
     train: str
     seed: int
     view: str
-    choice: str  # median | worst | example: how the view was chosen
+    choice: str  # median | worst | example | MOTION: how the view was chosen
     chosen_for: str  # the model by whose PSNR it was chosen
     psnr: float | None  # of this view, dB
     webp: bytes
@@ -44,7 +48,13 @@ class Strip:
     @property
     def choice_text(self) -> str:
         """How the view was chosen, such as `median of full`."""
-        return self.choice if self.chosen_for == self.ablation else f"{self.choice} of {self.chosen_for}"
+        same = self.chosen_for == self.ablation or self.choice == MOTION
+        return self.choice if same else f"{self.choice} of {self.chosen_for}"
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """What is side by side."""
+        return MOVING_PARTS if self.choice == MOTION else ("render", "truth", f"difference × {DIFFERENCE_GAIN}")
 
     @property
     def filename(self) -> str:
@@ -71,7 +81,8 @@ def make_strips(runs: pd.DataFrame, no_pictures: tuple[str, ...] = ()) -> tuple[
         for label in scenes.ablations_in_order(of_schedule["ablation"]):
             made_for = (scene, ablation_of(label)) in scenes.MADE_FOR_SCENE
             if made_for and baseline_of(label) == model:
-                wanted += [(_first_seed(runs, scene, label, train), *view) for view in views[:1]]
+                compared = [view for number, view in enumerate(views) if number == 0 or view[0] == MOTION]
+                wanted += [(_first_seed(runs, scene, label, train), *view) for view in compared]
         for run, choice, view in wanted:
             try:
                 strips.append(_strip(run, choice, view, model))
@@ -100,7 +111,10 @@ def _first_seed(runs: pd.DataFrame, scene: str, model: str, train: str) -> pd.Se
 def _strip(run: pd.Series, choice: str, view: str, chosen_for: str) -> Strip:
     """Raises whatever PIL raises for missing and damaged images."""
     folder = Path(run["folder"])
-    webp = compose([folder / "renders" / f"{view}_{part}.png" for part in PARTS])
+    if choice == MOTION:
+        webp = compose(moving_parts(folder / "renders", view))
+    else:
+        webp = compose([opened(folder / "renders" / f"{view}_{part}.png") for part in PARTS])
     psnr = read_view_psnr(folder / "per_image.csv").get(view)
     return Strip(run["scene"], run["ablation"], run["train"], int(run["seed"]), view, choice, chosen_for, psnr, webp)
 
@@ -116,21 +130,26 @@ def is_excluded(scene: str, no_pictures: tuple[str, ...]) -> bool:
 
 
 def choose_views(renders: Path, psnr_of: dict[str, float]) -> list[tuple[str, str]]:
-    """(choice, view) of median and worst PSNR; without PSNRs the middle view by name; [] without images."""
+    """(choice, view) of median and worst PSNR, and of most motion where it is known; without PSNRs the middle view by
+    name; [] without images."""
     views = sorted(p.name.removesuffix("_render.png") for p in renders.glob("*_render.png"))
+    moving = {view: moving_count(renders, view) for view in views}
+    motion = [(MOTION, max(views, key=moving.__getitem__))] if any(moving.values()) else []
     known = sorted((psnr_of[v], v) for v in views if v in psnr_of)
     if not known:
-        return [("example", views[len(views) // 2])] if views else []
+        return [("example", views[len(views) // 2]), *motion] if views else []
     median, worst = known[len(known) // 2][1], known[0][1]
-    return [("median", median)] + ([("worst", worst)] if worst != median else [])
+    return [("median", median)] + ([("worst", worst)] if worst != median else []) + motion
 
 
-def compose(paths: list[Path], max_side: int = _MAX_SIDE) -> bytes:
+def opened(path: Path) -> Image.Image:
+    """An image in RGB. Raises whatever PIL raises for missing and damaged images."""
+    with Image.open(path) as image:
+        return image.convert("RGB")
+
+
+def compose(images: list[Image.Image], max_side: int = _MAX_SIDE) -> bytes:
     """The images side by side as WebP, with transparent gaps; images larger than `max_side` pixels are scaled down."""
-    images = []
-    for path in paths:
-        with Image.open(path) as image:
-            images.append(image.convert("RGB"))
     scale = min(1.0, max_side / max(images[0].size))
     size = (max(1, round(images[0].width * scale)), max(1, round(images[0].height * scale)))
     strip = Image.new("RGBA", (len(images) * size[0] + (len(images) - 1) * _GAP, size[1]), (0, 0, 0, 0))

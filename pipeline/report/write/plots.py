@@ -28,6 +28,7 @@ _LOG_RATIO = 4  # of the longest to the shortest run; from this ratio the x axis
 _ROWS = (("train_seconds", "training time, s (without evaluation)"), ("iteration", "iteration"))
 _COLUMNS = (
     ("psnr", "PSNR, dB, test views"),
+    ("psnr_moving", "PSNR of moving pixels, dB"),
     ("ssim", "SSIM, test views"),
     ("test_loss", "loss, test views"),
     ("n_gaussians", "Gaussians"),

@@ -16,7 +16,7 @@ import pandas as pd
 from datasets.files.errors import clear
 from pipeline.presentation.table import Column, Row, Table, number, text
 from pipeline.report.read import scenes
-from pipeline.report.write.image_strips import compose, is_excluded, webp_name
+from pipeline.report.write.image_strips import compose, is_excluded, opened, webp_name
 from pipeline.runs.read.run_files import BrokenRun, read_sfm
 
 _MAX_SIDE = 1024  # pixels
@@ -56,7 +56,7 @@ def sfm_section(runs: pd.DataFrame, no_pictures: tuple[str, ...] = ()) -> tuple[
             if is_excluded(scene, no_pictures):
                 continue
             try:
-                webp = compose([folder / "sfm.png"], _MAX_SIDE)
+                webp = compose([opened(folder / "sfm.png")], _MAX_SIDE)
             except Exception as error:  # PIL raises many types for damaged files
                 warnings.append(f"{scene}: no picture of points and cameras: {clear(error)}")
                 continue

@@ -42,7 +42,7 @@ class Collection:
         selection.gain, selection.standard_error (dB; NaN: no selection), selection.kept: selection of 4DSH.
         model.motion ("": not recorded), model.fourier_order, model.sh_degree (NaN: not recorded): the trained model.
     curves: one row per evaluation: run, scene, ablation, train, seed, train_seconds (s), iteration, psnr (dB),
-        n_gaussians, ssim, test_loss (NaN: not measured).
+        n_gaussians, ssim, test_loss, psnr_moving (NaN: not measured).
     settings: run -> its resolved configuration, flattened to dotted keys.
     left_out: one line for each run that can't be used. warnings: one line for each file that can't be used.
     """

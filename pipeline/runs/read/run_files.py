@@ -23,6 +23,14 @@ QUALITY = (
     "dssim2",
     "lpips_alex",
     "lpips_vgg",
+    "psnr_moving",
+    "psnr_still",
+    "psnr_foreground",
+    "flow_error",
+    "flow_error_px",
+    "flow_true_px",
+    "depth_error_median",
+    "depth_error_mean",
     "flicker",
     "fps_raster",
     "fps_render",
@@ -38,7 +46,7 @@ COST = (
 )
 REQUIRED = ("final.psnr", "final.ssim", "iterations", "train_seconds", "n_gaussians")
 CURVE_COLUMNS = ("train_seconds", "iteration", "psnr", "n_gaussians")
-CURVE_OPTIONAL = ("ssim", "test_loss")
+CURVE_OPTIONAL = ("ssim", "test_loss", "psnr_moving")
 PROVENANCE = ("machine", "date", "git_commit", "command")
 MOTIONS = ("static", "separable", "full")  # rasterizer.gaussians.Motion
 SFM_NUMBERS = ("points", "mean_error_px", "mean_track_length", "cameras", "registered", "seconds")

@@ -109,7 +109,7 @@ def test_bytes_depend_on_the_seed_and_not_on_processes(scene: Path, tmp_path: Pa
         "cam02.mp4",
         "meta.json",
         "poses_bounds.npy",
-        *(f"truth/cam0{number}_depth.npy" for number in range(3)),
+        *(name for n in range(3) for name in (f"truth/cam0{n}.npz", f"truth/cam0{n}_depth.npy")),
     ]
 
 

@@ -11,12 +11,13 @@ import pytest
 from datasets import load_scene
 from datasets.dnerf import read_dnerf
 from datasets.files.errors import SceneError
+from datasets.ground_truth import StoredTruth
 from datasets.settings import SceneConfig
 from datasets.synthetic import PHOTOGRAPHED, build_scene, make_scene
 from datasets.synthetic.__main__ import main
 from datasets.synthetic.camera_path import held_out_poses, training_poses
 from datasets.synthetic.trace import TracedImage, trace
-from datasets.synthetic.write import read_ground_truth, to_rgba
+from datasets.synthetic.write import to_rgba
 from fuzz.target import read_files
 from rasterizer.camera import Camera
 
@@ -75,10 +76,10 @@ def test_round_trip_of_traced_images(name: str, tmp_path: Path, monkeypatch: pyt
     ]
     assert times == [name != "still"] * 6
     for view, truth in zip(scene.test, originals[-2:]):
-        stored = read_ground_truth(folder, view.name)
+        assert view.truth is not None
+        stored = view.truth.read()
         for array in ("depth", "flow", "flow_valid"):
             np.testing.assert_array_equal(getattr(stored, array), getattr(truth, array))
-        np.testing.assert_allclose(stored.color, truth.color, atol=1.01 / 255)
 
 
 @pytest.mark.parametrize("name", PHOTOGRAPHED)
@@ -86,7 +87,8 @@ def test_surfaces_lie_in_the_box_of_random_points(name: str, tmp_path: Path) -> 
     folder = build_scene(tmp_path / name, scene=name, seed=1, size=24, train_views=3, test_views=8)
     corner = np.zeros(3)
     for view in read_dnerf(folder, name=name, downscale=1).test:
-        depth, camera = read_ground_truth(folder, view.name).depth, view.camera
+        depth, camera = StoredTruth(folder / f"{view.name}.npz").read().depth, view.camera
+        assert depth is not None
         rows, columns = np.nonzero(depth)
         pixels = np.stack(
             [(columns + 0.5 - camera.cx) / camera.fx, (rows + 0.5 - camera.cy) / camera.fy, np.ones(len(rows))]
@@ -138,7 +140,7 @@ def test_to_rgba_has_straight_alpha() -> None:
     empty = np.zeros((1, 3), dtype=np.float32)
     alpha = np.array([[0.0, 4 / 9, 1.0]], dtype=np.float32)
     color = np.stack([alpha * 0.5] * 3)
-    rgba = to_rgba(TracedImage(color, alpha, empty, np.stack([empty] * 2), empty > 0))
+    rgba = to_rgba(TracedImage(color, alpha, empty, np.stack([empty] * 2), empty > 0, empty.astype(np.int16)))
     assert rgba[0, 0].tolist() == [0, 0, 0, 0] and rgba[0, 2].tolist() == [128, 128, 128, 255]
     assert rgba[0, 1, 3] == 113 and abs(int(rgba[0, 1, 0]) - 128) <= 1  # straight, not premultiplied
 

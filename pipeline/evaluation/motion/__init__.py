@@ -1,0 +1,1 @@
+"""How well a model shows what moves: error in moving pixels, of its optical flow and of its depth."""
