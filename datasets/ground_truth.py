@@ -77,11 +77,11 @@ class StoredTruth:
             self, length_scale=self.length_scale * length_scale, time_scale=self.time_scale * time_scale
         )  # fmt: skip
 
-    def read(self) -> GroundTruth:
-        """SceneError for a file that cannot be read."""
+    def read(self, moving_only: bool = False) -> GroundTruth:
+        """moving_only: leaves depth and flow unread, as if unknown. SceneError for a file that cannot be read."""
         try:
             with np.load(self.path) as file:
-                truth = self._of(file)
+                truth = self._of(file, moving_only)
         except (OSError, ValueError, BadZipFile, EOFError) as error:
             raise SceneError(self.path, "arrays of ground truth (datasets/ground_truth.py)", str(error)) from None
         if self.downscale == 1:
@@ -92,11 +92,14 @@ class StoredTruth:
         height, width = (side // self.downscale for side in next(iter(arrays.values())).shape[-2:])
         return truth.cropped(width * self.downscale, height * self.downscale).resized(width, height)
 
-    def _of(self, file: np.lib.npyio.NpzFile) -> GroundTruth:
+    def _of(self, file: np.lib.npyio.NpzFile, moving_only: bool) -> GroundTruth:
         def array(name: str, kind: type) -> np.ndarray | None:
             key = name if self.frame is None else f"{name}_{self.frame:04d}"
             return file[key].astype(kind) if key in file else None
 
+        moving = array("moving", bool)
+        if moving_only:
+            return GroundTruth(moving)
         depth = array("depth", np.float32)
         if depth is not None and "still_depth" in file:
             depth = np.where(depth > 0, depth, file["still_depth"].astype(np.float32))
@@ -105,7 +108,7 @@ class StoredTruth:
         if flow is not None and valid is None:
             valid = np.ones(flow.shape[1:], dtype=bool)
         return GroundTruth(
-            moving=array("moving", bool),
+            moving=moving,
             depth=None if depth is None else depth * np.float32(self.length_scale),
             flow=flow,
             flow_valid=None if flow is None else valid,

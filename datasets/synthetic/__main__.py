@@ -22,8 +22,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="python -m datasets.synthetic",
         description="Makes a synthetic scene in the "
-        "D-NeRF layout, with exact depth and optical flow for its test views, or "
-        f"({', '.join(FILMED)}) in the Plenoptic Video layout, with exact depth.",
+        "D-NeRF layout, with exact depth, optical flow and moving pixels for its test views, or "
+        f"({', '.join(FILMED)}) in the Plenoptic Video layout, with the same for every frame.",
     )
     parser.add_argument("scene", choices=SCENE_NAMES)
     parser.add_argument("--out", type=Path, required=True, help="folder to make; must not exist or be empty")

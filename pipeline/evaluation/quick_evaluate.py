@@ -26,7 +26,7 @@ def quick_evaluate(
 
     Renders have the final resolution, also while training is at a coarser one, so that the numbers of a run can be
     compared. SSIM is the loss's (zero padding at the border, as 3DGS), which differs from metrics.ssim in the third
-    decimal. moving: of this scene, kept between evaluations; None: made here.
+    decimal. moving: of this scene, to be kept between evaluations; None: made here.
     """
     moving = moving or MovingPixels(scene, cfg.train.resolution_scale)
     renderer = Renderer(model, scene, cfg, rasterizer)

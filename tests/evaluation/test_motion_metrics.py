@@ -127,6 +127,26 @@ def test_flow_error_of_a_gaussian_with_a_known_velocity(times_as_fast: float, er
     assert found.metrics["moving_by"] == BY_TRUTH and found.metrics["psnr_foreground"] is None
 
 
+def test_a_model_without_time_has_flow_error_1(tmp_path: Path) -> None:
+    moving = moving_gaussian(0.0)
+    still = Model(
+        ModelKind("static", 0, 0),
+        {name: tensor[:, :3] if name in ("mean", "log_scale") else tensor
+         for name, tensor in moving.parameters.items() if name != "quat_right"},
+    )  # fmt: skip
+    found = evaluate(still, scene_with_truth(tmp_path), evaluation_config(), 1).metrics
+    assert found["flow_error"] == 1.0 and found["depth_error_median"] == pytest.approx(0.0, abs=1e-5)
+
+
+def test_final_resolution_reduces_mask_and_flow(tmp_path: Path) -> None:
+    """At half the size motion in pixels is half, and its error as a share of it stays."""
+    cfg = evaluation_config()
+    half = replace(cfg, train=replace(cfg.train, resolution_scale=0.5))
+    found = evaluate(moving_gaussian(0.5 * VELOCITY), scene_with_truth(tmp_path), half, 1).metrics
+    assert found["flow_true_px"] == pytest.approx(0.5 * FOCAL * VELOCITY * DT / DEPTH, rel=1e-6)
+    assert found["flow_error"] == pytest.approx(0.5, abs=1e-4)
+
+
 def test_parts_of_an_image_have_its_squared_error(tmp_path: Path) -> None:
     """The MSE is the mean of those of moving and of other pixels, weighted by their numbers."""
     found = evaluate(moving_gaussian(0.0), scene_with_truth(tmp_path), evaluation_config(), 1).per_image[0]

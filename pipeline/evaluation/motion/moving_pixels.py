@@ -6,6 +6,8 @@ counts as moving if its true colour changes over the camera's test views; that i
 
 from __future__ import annotations
 
+from collections import Counter
+
 import numpy as np
 
 from datasets.ground_truth import GroundTruth, any_moving
@@ -23,14 +25,14 @@ class MovingPixels:
     def __init__(self, scene: Scene, scale: float) -> None:
         self._views, self._scale = scene.test, scale
         self._by_pose: dict[bytes, np.ndarray] = {}
-        poses = [_pose(view) for view in scene.test]
-        self._still = {pose for pose in poses if poses.count(pose) >= STILL_VIEWS} if not scene.is_static else set()
+        views_of = Counter(map(_pose, scene.test))
+        self._still = set() if scene.is_static else {pose for pose, views in views_of.items() if views >= STILL_VIEWS}
 
     def of(self, index: int, truth: GroundTruth | None = None) -> np.ndarray | None:
         """(H, W) bool of test view `index`; None: unknown. truth: of the view, if it has been read."""
         view = self._views[index]
         camera = camera_at(view.camera, self._scale)
-        truth = truth or self.truth_of(index)
+        truth = truth or self.truth_of(index, moving_only=True)
         if truth is not None and truth.moving is not None:
             return truth.moving
         if (pose := _pose(view)) not in self._still:
@@ -40,11 +42,11 @@ class MovingPixels:
             self._by_pose[pose] = any_moving(moving, camera.width, camera.height)
         return self._by_pose[pose]
 
-    def truth_of(self, index: int) -> GroundTruth | None:
+    def truth_of(self, index: int, moving_only: bool = False) -> GroundTruth | None:
         """The ground truth of test view `index` at the final resolution; None: it has none."""
         view = self._views[index]
         camera = camera_at(view.camera, self._scale)
-        return None if view.truth is None else view.truth.read().resized(camera.width, camera.height)
+        return None if view.truth is None else view.truth.read(moving_only).resized(camera.width, camera.height)
 
     def source(self, index: int) -> str | None:
         """BY_TRUTH, BY_COLOUR or None, by what the mask of test view `index` is known."""
