@@ -61,6 +61,8 @@ class DensifyConfig:
     # Gaussians of the lowest image sensitivity are pruned, together this share of the total sensitivity; 0: none
     prune_sensitivity: float = 0.0
     prune_sensitivity_every: int = 500  # iterations between prunings by sensitivity
+    error_points: int = 0  # Gaussians added where and when the error is (pipeline/training/density/error_sampling.py)
+    error_points_every: int = 500  # iterations between such additions
     opacity_reset_every: int = 3000  # iterations between opacity resets; 0: never
     opacity_reset_to: float = 0.01  # highest opacity after a reset
 
@@ -75,6 +77,8 @@ class DensifyConfig:
             "opacity_reset_to": between("(0, 1)", 0, 1),
             "prune_sensitivity": between("[0, 1)", 0, 1).but("0: nothing"),
             "prune_sensitivity_every": positive_count(),
+            "error_points": at_least(0).but("0: none"),
+            "error_points_every": positive_count(),
             "every": positive_count(),
             "max_gaussians": positive_count(),
             "split_shrink": above(1),

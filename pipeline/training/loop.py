@@ -13,8 +13,7 @@ from datasets.scene import Scene
 from pipeline.config.schema import Config
 from pipeline.data.training_views import TrainingViews
 from pipeline.model.model import Model
-from pipeline.training.density.refinement import refine
-from pipeline.training.density.sensitivity_pruning import scoring_views
+from pipeline.training.density.refinement import RefinementViews, refine
 from pipeline.training.objective.losses import psnr
 from pipeline.training.progress import TrainingProgress
 from pipeline.training.run_log import RunLog
@@ -67,7 +66,7 @@ def train(
     Raises finite_checks.NonFiniteError, with the last checkpoint kept, and ValueError for a checkpoint of another run.
     """
     state = start(model, scene, cfg, run, start_iteration, start_seconds)
-    views, scoring = TrainingViews(scene.train), scoring_views(scene)
+    views, refinement_views = TrainingViews(scene.train), RefinementViews.of(scene)
 
     with TrainingProgress(state.iteration, cfg.train.iterations, cfg.train.time_budget_s) as progress:
         finished = state.is_finished(cfg.train)
@@ -75,7 +74,7 @@ def train(
             phase = state.begin_iteration(scene, cfg)
             batch = render_batch(state, draw_batch(state, views, phase, scene, cfg), phase, scene, cfg)
             optimiser_step(state, batch, phase, scene, cfg)
-            for event in refine(state, phase, scoring, scene, cfg):
+            for event in refine(state, phase, refinement_views, scene, cfg):
                 run.log(event)
 
             if state.iteration % PROGRESS_EVERY == 0:

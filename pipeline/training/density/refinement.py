@@ -1,20 +1,34 @@
-"""Changes of the set of Gaussians after an optimiser step: densification, pruning by sensitivity, opacity resets."""
+"""Changes of the set of Gaussians after an optimiser step: densification, addition by error, pruning, opacity resets."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from datasets.scene import Scene, View
 from pipeline.config.random_streams import Stream, stream
 from pipeline.config.schema import Config
-from pipeline.training.density import densification, sensitivity_pruning
+from pipeline.training.density import densification, error_sampling, sensitivity_pruning
+from pipeline.training.density.error_sampling import ErrorSampler
 from pipeline.training.schedule import Phase
 from pipeline.training.state import TrainState
 
 
-def refine(state: TrainState, phase: Phase, scoring: Sequence[View], scene: Scene, cfg: Config) -> list[dict]:
-    """Densify, prune by sensitivity and reset opacities in the iterations scheduled for it. Returns the events as rows
-    of log.jsonl. scoring: the views that sensitivity is measured on."""
+@dataclass(frozen=True)
+class RefinementViews:
+    """The training views as refinement uses them."""
+
+    scoring: Sequence[View]  # sensitivity is measured on these
+    errors: ErrorSampler
+
+    @classmethod
+    def of(cls, scene: Scene) -> RefinementViews:
+        return cls(sensitivity_pruning.scoring_views(scene), ErrorSampler(scene))
+
+
+def refine(state: TrainState, phase: Phase, views: RefinementViews, scene: Scene, cfg: Config) -> list[dict]:
+    """Densify, add Gaussians by error, prune by sensitivity and reset opacities in the iterations scheduled for it.
+    Returns the events as rows of log.jsonl."""
     events = []
     rules = cfg.train.densify
     if densification.due(state.iteration, phase.clock, rules):
@@ -27,13 +41,15 @@ def refine(state: TrainState, phase: Phase, scoring: Sequence[View], scene: Scen
             "event": "densify", "iteration": state.iteration, "cloned": done.cloned, "split": done.split,
             "pruned": done.pruned, "n_gaussians": done.total,
         })  # fmt: skip
+    if cfg.ablation.time_split and error_sampling.due(state.iteration, phase.clock, cfg.train):
+        events.append(_add_by_error(state, views.errors, scene, cfg))
     if sensitivity_pruning.due(state.iteration, cfg.train):
         rng = stream(cfg.seed, Stream.SENSITIVITY, state.iteration)
         sensitivity = sensitivity_pruning.image_sensitivity(
-            state.model, scoring, scene, cfg, phase.resolution, rng, state.threads
+            state.model, views.scoring, scene, cfg, phase.resolution, rng, state.threads
         )
         pruned = sensitivity_pruning.prune_by_sensitivity(
-            state.optimiser, sensitivity, rules.prune_sensitivity, all_scored=len(scoring) == len(scene.train)
+            state.optimiser, sensitivity, rules.prune_sensitivity, all_scored=len(views.scoring) == len(scene.train)
         )
         state.reset_statistics()
         events.append({
@@ -43,3 +59,18 @@ def refine(state: TrainState, phase: Phase, scoring: Sequence[View], scene: Scen
     if densification.opacity_reset_due(state.iteration, phase.clock, rules):
         densification.reset_opacity(state.optimiser, rules, phase.sphere)
     return events
+
+
+def _add_by_error(state: TrainState, sampler: ErrorSampler, scene: Scene, cfg: Config) -> dict:
+    """Add `error_points` Gaussians, as far as `max_gaussians` allows, where and when the error is."""
+    rules, sphere = cfg.train.densify, state.model.sphere
+    room = rules.max_gaussians - (len(state.model) if sphere is None else int((~sphere).sum()))
+    count, added = min(rules.error_points, room), 0
+    if count > 0 and state.model.kind.dims == 4:
+        rng = stream(cfg.seed, Stream.ERROR_POINTS, state.iteration)
+        rows = sampler.draw(state.model, cfg, count, rng, state.threads)
+        if rows is not None:
+            added = len(rows["mean"])
+            state.optimiser.append(rows)
+            state.reset_statistics()
+    return {"event": "add_by_error", "iteration": state.iteration, "added": added, "n_gaussians": len(state.model)}
