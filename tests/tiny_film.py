@@ -1,4 +1,4 @@
-"""A tiny multi-camera video scene, with the cameras of tiny.py; two of them are held out."""
+"""Tiny video scenes: one of several cameras, those of tiny.py, two of them held out; one of a textured plane."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy.ndimage import gaussian_filter
 from tiny import SIZE, tiny_scene
 
 from datasets.scene import Scene, View, camera_extent
 
 RATE = 10.0  # frames a second
+PLANE = (96, 128)  # height and width of the textured plane's images
 
 
 def tiny_film(frames: int = 4, height: int = SIZE, held_out: tuple[str, ...] = ("cam00", "cam05")) -> Scene:
@@ -42,3 +44,26 @@ def tiny_film(frames: int = 4, height: int = SIZE, held_out: tuple[str, ...] = (
         Path("tiny_film"),
         frame_rate=RATE,
     )
+
+
+def texture(seed: int = 0) -> np.ndarray:
+    """(3 H, 3 W) in [0, 255], of PLANE: noise without details below two pixels."""
+    noise = np.random.default_rng(seed).normal(size=(3 * PLANE[0], 3 * PLANE[1]))
+    smooth = gaussian_filter(noise, 1.5)
+    return np.clip(127 + 50 * smooth / smooth.std(), 0, 255)
+
+
+def plane_image(right: int, down: int) -> np.ndarray:
+    """(H, W, 3) uint8: the middle of the texture, moved by so many pixels."""
+    y, x = PLANE[0] - down, PLANE[1] - right
+    grey = np.rint(texture()[y : y + PLANE[0], x : x + PLANE[1]]).astype(np.uint8)
+    return np.repeat(grey[..., None], 3, axis=2)
+
+
+def moving_plane() -> Scene:
+    """One camera's four frames of the textured plane, which moves by 2 pixels right and 1 down a frame."""
+    film = tiny_film(frames=4)
+    height, width = PLANE
+    camera = replace(film.train[0].camera, width=width, height=height, cx=width / 2, cy=height / 2)
+    frames = [plane_image(2 * frame, frame) for frame in range(4)]
+    return replace(film, train=tuple(replace(v, camera=camera, image=i) for v, i in zip(film.train, frames)))

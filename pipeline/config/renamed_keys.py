@@ -1,5 +1,5 @@
-"""Keys of a configuration that an earlier version had: renamed and removed ones. Old run folders open; old commands end
-with the new name."""
+"""Keys of a configuration that an earlier version had, renamed and removed ones, or had not. Old run folders open; old
+commands end with the new name."""
 
 from __future__ import annotations
 
@@ -26,6 +26,12 @@ REMOVED: dict[str, Any] = {
     "train.regularization.lifetime": 0.0,
     "train.regularization.color": 0.0,
 }
+# Added key -> the value that changes nothing, under which it is no part of the hashes of stages.
+ADDED: dict[str, Any] = {
+    "train.regularization.flow": 0.0,
+    "train.densify.error_points": 0,
+    "train.densify.error_points_every": 500,
+}
 _OVERRIDES = "train.static_overrides."  # holds keys of `train`
 
 
@@ -48,7 +54,8 @@ def with_renamed_keys(tree: dict[str, Any]) -> dict[str, Any]:
 
 
 def with_first_names(tree: dict[str, Any]) -> dict[str, Any]:
-    """A configuration, as nested dicts, under the keys it had before any was renamed; for hashes that must last."""
+    """A configuration, as nested dicts, under the keys it had before any was renamed or added; for hashes that must
+    last."""
 
     def first_name(key: str) -> str:
         for old, new in reversed(RENAMED.items()):
@@ -56,7 +63,7 @@ def with_first_names(tree: dict[str, Any]) -> dict[str, Any]:
                 key = old + key[len(new) :]
         return key
 
-    merged = _moved({**tree}, str)
+    merged = _moved({**tree}, str, ADDED)
     for key, value in REMOVED.items():
         group, name = key.rsplit(".", 1)
         _group(merged, group.split("."))[name] = value

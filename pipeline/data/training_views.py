@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from datasets.scene import View
+from pipeline.data.optical_flow import FlowTargets, MeasuredFlow
 from rasterizer import Camera
 
 # Above this size float images are not cached but converted from uint8 at each use.
@@ -25,6 +26,7 @@ class Target:
     camera: Camera
     image: Tensor  # (3, H, W) float32 in [0, 1]
     alpha: Tensor | None = None  # (1, H, W) float32 in [0, 1]; None: 1 everywhere
+    motion: MeasuredFlow | None = None  # None: not measured
 
 
 def target_of(view: View, scale: float) -> Target:
@@ -65,8 +67,11 @@ def area_weights(pixels: int, fewer: int) -> np.ndarray:
 class TrainingViews:
     """`target_of` for a fixed list of views; caches the images of the last scale if they fit cache_limit_bytes."""
 
-    def __init__(self, views: Sequence[View], cache_limit_bytes: int = CACHE_LIMIT_BYTES) -> None:
-        self._views = views
+    def __init__(
+        self, views: Sequence[View], flows: FlowTargets | None = None, cache_limit_bytes: int = CACHE_LIMIT_BYTES
+    ) -> None:
+        """flows: of the same views; None: targets have no motion."""
+        self._views, self._flows = views, flows
         self._pixels = sum(view.image.shape[0] * view.image.shape[1] for view in views)
         self._limit = cache_limit_bytes
         self._scale: float | None = None
@@ -80,4 +85,4 @@ class TrainingViews:
             target = target_of(self._views[index], scale)
             if self._pixels * scale**2 * 12 <= self._limit:  # 3 channels of 4 bytes
                 self._cache[index] = target
-        return target
+        return target if self._flows is None else replace(target, motion=self._flows.at(index, target.camera))

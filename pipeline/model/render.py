@@ -28,6 +28,7 @@ class Composite:
 class Rendered:
     image: Tensor  # (3, H, W), not clamped
     composite: Composite | None  # None without an environment map
+    flow: Tensor | None = None  # (2, H, W) pixels; None unless requested
 
 
 def render_image(rasterizer: Rasterizer, model: Model, request: Request) -> Tensor:
@@ -36,21 +37,22 @@ def render_image(rasterizer: Rasterizer, model: Model, request: Request) -> Tens
 
 
 def render(rasterizer: Rasterizer, model: Model, request: Request, differentiable: bool = True) -> Rendered:
-    """Render the colour of `model`; other outputs of the request are ignored.
+    """Render the colour of `model`, and its optical flow on request; other outputs of the request are ignored.
 
     An environment map replaces the request's background.
     """
     gaussians, environment_map = model.gaussians(), model.environment_map
+    flow = ("flow",) if "flow" in request.outputs else ()
     if environment_map is None:
-        color = rasterizer.render(gaussians, replace(request, outputs=("color",)), differentiable).color
-        assert color is not None
-        return Rendered(color, None)
-    request = replace(request, outputs=("color", "alpha"), background=(0.0, 0.0, 0.0))
+        out = rasterizer.render(gaussians, replace(request, outputs=("color", *flow)), differentiable)
+        assert out.color is not None
+        return Rendered(out.color, None, out.flow)
+    request = replace(request, outputs=("color", "alpha", *flow), background=(0.0, 0.0, 0.0))
     out = rasterizer.render(gaussians, request, differentiable)
     assert out.color is not None and out.alpha is not None
     grid = environment_map.grid(request.camera)
     colors = environment_map.sample(grid)
-    return Rendered(out.color + (1 - out.alpha) * colors, Composite(out.alpha, colors, grid))
+    return Rendered(out.color + (1 - out.alpha) * colors, Composite(out.alpha, colors, grid), out.flow)
 
 
 def backward(
@@ -60,13 +62,14 @@ def backward(
     d_image: Tensor,  # (3, H, W) ∂L/∂image
     gradients: Gradients,
     d_environment_map: Tensor | None = None,  # (3, h, 2h); None: the environment map is not trained
+    d_flow: Tensor | None = None,  # (2, H, W) ∂L/∂flow; None: zero
 ) -> ViewGradient:
     """Add ∂L/∂parameters to `gradients` and ∂L/∂environment map to `d_environment_map`, both in place."""
     composite = rendered.composite
     if composite is None:
-        return rasterizer.backward(gradients, d_color=d_image)
+        return rasterizer.backward(gradients, d_color=d_image, d_flow=d_flow)
     if d_environment_map is not None:
         assert model.environment_map is not None
         model.environment_map.add_gradient(d_environment_map, composite.grid, (1 - composite.alpha) * d_image)
     d_alpha = -(d_image * composite.colors).sum(dim=0, keepdim=True)
-    return rasterizer.backward(gradients, d_color=d_image, d_alpha=d_alpha)
+    return rasterizer.backward(gradients, d_color=d_image, d_alpha=d_alpha, d_flow=d_flow)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from datasets.scene import Scene
 from pipeline.config.schema import Config
+from pipeline.data.optical_flow import FlowTargets
 from pipeline.data.training_views import TrainingViews
 from pipeline.model.model import Model
 from pipeline.training.density.refinement import RefinementViews, refine
@@ -66,7 +67,8 @@ def train(
     Raises finite_checks.NonFiniteError, with the last checkpoint kept, and ValueError for a checkpoint of another run.
     """
     state = start(model, scene, cfg, run, start_iteration, start_seconds)
-    views, refinement_views = TrainingViews(scene.train), RefinementViews.of(scene)
+    flows = FlowTargets(scene) if cfg.train.regularization.flow > 0 and state.model.kind.motion == "full" else None
+    views, refinement_views = TrainingViews(scene.train, flows), RefinementViews.of(scene)
 
     with TrainingProgress(state.iteration, cfg.train.iterations, cfg.train.time_budget_s) as progress:
         finished = state.is_finished(cfg.train)

@@ -18,6 +18,7 @@ from pipeline.model.render import backward, render
 from pipeline.model.sphere import trainable_rows
 from pipeline.training import finite_checks
 from pipeline.training.kernels import Kernels
+from pipeline.training.objective.flow_loss import flow_loss
 from pipeline.training.objective.losses import view_loss
 from pipeline.training.objective.random_background import over_random_background
 from pipeline.training.objective.regularization import add_regularization_gradients
@@ -64,14 +65,20 @@ class Batch:
             target.time,
             scene.duration,
             background,
+            outputs=("color",) if target.motion is None else ("color", "flow"),
+            flow_dt=None if target.motion is None else target.motion.step,
             near=cfg.scene.near * scene.unit,
             sh_degree=self._phase.sh_degree,
             fourier_order=self._phase.fourier_order,
         )
         rendered = render(rasterizer, self._model, request)
         value = view_loss(self._kernels.criterion, rendered.image, target.image, self._size)
-        gradient = backward(rasterizer, self._model, rendered, value.d_image, gradients, self.d_environment_map)
-        loss = value.loss
+        loss, d_flow = value.loss, None
+        if target.motion is not None and rendered.flow is not None:
+            weight = cfg.train.regularization.flow
+            flow_error, d_flow = flow_loss(rendered.flow, target.motion.flow, weight / self._size)
+            loss += weight * flow_error
+        gradient = backward(rasterizer, self._model, rendered, value.d_image, gradients, self.d_environment_map, d_flow)
         if cfg.train.rigid_weight > 0 and self._model.kind.motion == "full":
             loss += self._add_rigid_gradient(target.time, gradients)
         if self.visible is not None:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from functools import reduce
+from operator import getitem
 
 import pytest
 from omegaconf import OmegaConf
 
 from pipeline.config.compose import config_of_tree, known_keys, one_line
-from pipeline.config.renamed_keys import REMOVED, RENAMED, renamed_key, with_first_names, with_renamed_keys
+from pipeline.config.renamed_keys import ADDED, REMOVED, RENAMED, renamed_key, with_first_names, with_renamed_keys
 from pipeline.config.schema import Config
+from pipeline.config.train_schema import RegularizationConfig, TrainConfig
 
 # As version 0.1 wrote it.
 OLD = """
@@ -43,6 +46,9 @@ def test_todays_configuration_stays_as_it_is_and_first_names_come_back() -> None
     old = with_first_names(tree)
     assert {"rate", "prior", "trial", "where_still", "environment_until"} <= old["train"].keys()
     assert old["train"]["rate"].keys() >= {"hold", "environment", "mean"} and "background" in old
+    for key in ADDED:
+        *groups, name = key.split(".")
+        del reduce(getitem, groups, tree)[name]
     assert "leave_out" in old["train"]["densify"] and with_renamed_keys(old) == tree
 
 
@@ -64,6 +70,15 @@ def test_a_removed_key_is_dropped_where_it_changed_nothing_and_else_refused() ->
         with pytest.raises(Exception) as error:
             config_of_tree(with_renamed_keys(OmegaConf.to_container(OmegaConf.from_dotlist([f"{key}=0.5"]))))
         assert f"{key}: was removed" in one_line(error.value)
+
+
+@pytest.mark.parametrize("name", ["flow"])
+def test_an_added_key_is_part_of_the_hashes_of_stages_only_where_it_changes_something(name: str) -> None:
+    nothing = ADDED[f"train.regularization.{name}"]
+    assert getattr(RegularizationConfig(), name) == nothing
+    for value, expected in ((nothing, None), (0.5, 0.5)):
+        cfg = Config(train=TrainConfig(regularization=RegularizationConfig(**{name: value})))
+        assert with_first_names(asdict(cfg))["train"]["prior"].get(name) == expected
 
 
 @pytest.mark.parametrize("tree", [{}, {"model": "resnet"}, {"train": 3}, {"a.b": 1}, {"background": {"x": 1}}])

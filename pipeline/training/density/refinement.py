@@ -1,4 +1,4 @@
-"""Changes of the set of Gaussians after an optimiser step: densification, addition by error, pruning, opacity resets."""
+"""Changes of the set of Gaussians after an optimiser step: densification, pruning, opacity resets."""
 
 from __future__ import annotations
 

@@ -1,0 +1,72 @@
+"""Optical flow measured in the images: a textured plane that moves, what appears, pairs of frames, and the cache."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from tiny import tiny_scene
+from tiny_film import PLANE, RATE, moving_plane, plane_image, texture, tiny_film
+
+from pipeline.data.optical_flow import FlowTargets, measure_flow, measured_size, neighbours, resized_flow
+
+
+@pytest.mark.parametrize("shift", [(0, 0), (3, -1), (-6, 4)])
+def test_the_flow_of_a_moving_plane_is_its_motion(shift: tuple[int, int]) -> None:
+    flow = measure_flow(plane_image(0, 0), plane_image(*shift)) * PLANE[1]
+    trusted = np.isfinite(flow[..., 0])
+    assert trusted.mean() > 0.8, "all but the border that leaves the image"
+    # Of a pixel: the search's own accuracy on 8-bit images.
+    assert np.median(np.abs(flow[trusted] - shift)) < 0.05
+
+
+def test_what_appears_is_not_trusted() -> None:
+    first, second = plane_image(0, 0), plane_image(2, 1)
+    hidden = np.s_[30:60, 40:80]
+    second[hidden] = texture(seed=1)[hidden][..., None]
+    trusted = np.isfinite(resized_flow(measure_flow(first, second), PLANE[1], PLANE[0])[0].numpy())
+    inside = np.s_[34:56, 44:76]
+    assert trusted[inside].mean() < 0.2 < 0.8 < trusted.mean()
+
+
+def test_flow_is_averaged_over_what_is_trusted() -> None:
+    flow = np.zeros((4, 4, 2), np.float16)
+    flow[:2, :2] = [[[1, 2], [3, 4]], [[5, 6], [np.nan, np.nan]]]
+    flow[2:, 2:] = np.nan
+    half = resized_flow(flow, 2, 2).numpy()
+    np.testing.assert_allclose(half[:, 0, 0], [3, 4], rtol=1e-6)  # of three trusted pixels
+    np.testing.assert_array_equal(half[:, 1, 0], [0, 0])
+    assert np.isnan(half[:, 1, 1]).all()
+    np.testing.assert_array_equal(resized_flow(flow, 4, 4).numpy(), flow.astype(np.float32).transpose(2, 0, 1))
+
+
+def test_pairs_are_consecutive_frames_of_one_camera() -> None:
+    views = tiny_film(frames=4).train  # four frames each of three cameras
+    gap = 1.5 / RATE
+    assert neighbours(views, gap) == {i: i + 1 if i % 4 < 3 else i - 1 for i in range(12)}
+    assert neighbours(views[::2], gap) == {}, "frames in between are missing"
+    assert neighbours(tiny_scene(views=12).train, 1.0 / 11) == {}, "a camera that moves"
+
+
+def test_flow_of_a_film_has_the_sign_of_its_step() -> None:
+    """The last frame's flow leads back to the one before."""
+    targets = FlowTargets(moving_plane())
+    first, last = (targets.at(index, moving_plane().train[0].camera) for index in (0, 3))
+    assert first.step == pytest.approx(1 / RATE) and last.step == pytest.approx(-1 / RATE)
+    moved = [np.nanmedian(found.flow.numpy(), axis=(1, 2)) * PLANE[1] for found in (first, last)]
+    np.testing.assert_allclose(moved, [[2, 1], [-2, -1]], atol=0.1)
+
+
+def test_what_the_cache_does_not_hold_is_measured_anew() -> None:
+    film = moving_plane()
+    cached, uncached = FlowTargets(film), FlowTargets(film, cache_limit_bytes=0)
+    camera = film.train[0].camera.resized(64, 48)
+    for _ in range(2):
+        found = [targets.at(1, camera).flow.numpy() for targets in (cached, uncached)]
+        assert found[0].shape == (2, 48, 64)
+        np.testing.assert_array_equal(*found)
+
+
+def test_flow_is_measured_at_a_size_of_its_own() -> None:
+    assert measured_size(160, 120) == (320, 240)
+    assert measured_size(338, 254) == (338, 254)
+    assert measured_size(1352, 1014) == (338, 254)  # 253.5, to even
