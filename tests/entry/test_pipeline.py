@@ -49,7 +49,7 @@ def test_a_run_folder_is_complete(finished: Path) -> None:
         "per_image.csv",
         "renders",
     }
-    assert len(list((finished / "renders").glob("*.png"))) == 9  # 3 test views, 3 pictures each
+    assert len(list((finished / "renders").glob("*.png"))) == 12  # 3 test views, 3 pictures each and a mask
 
 
 def test_metrics(finished: Path) -> None:

@@ -92,7 +92,7 @@ def test_every_kind_of_model_learns(tmp_path, static: bool, ablation: AblationCo
 def test_logs_and_checkpoint_of_a_run(uninterrupted: Path) -> None:
     run = TinyRun(uninterrupted)
     assert [row["iteration"] for row in run.rows("error_vs_time.jsonl")] == [10, 20, 30, 40, 50, 60]
-    columns = {"train_seconds", "iteration", "psnr", "ssim", "test_loss", "n_gaussians"}
+    columns = {"train_seconds", "iteration", "psnr", "ssim", "test_loss", "n_gaussians", "psnr_moving"}
     assert set(run.rows("error_vs_time.jsonl")[0]) == columns
     seconds = [row["train_seconds"] for row in run.rows("error_vs_time.jsonl")]
     assert seconds == sorted(seconds) and seconds[0] > 0

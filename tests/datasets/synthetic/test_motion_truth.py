@@ -86,6 +86,21 @@ def test_truth_of_the_counter_equals_a_full_trace(tmp_path: Path) -> None:
             np.testing.assert_array_equal(truth.flow_valid, traced.flow_valid)
 
 
+def test_a_film_from_a_later_frame_at_half_size_has_the_truth_of_its_frames(tmp_path: Path) -> None:
+    common = {"reader": "synthetic", "size": 64, "cameras": 3, "frames": 4, "cache": str(tmp_path)}
+    cfg = SceneConfig(name="synthetic/counter", downscale=2, first_frame=1, **common)
+    scene = load_scene(cfg, threads=1)
+    assert [view.name for view in scene.test] == [f"test/cam00_{frame:04d}" for frame in (1, 2, 3)]
+    for frame, view in enumerate(scene.test, 1):
+        assert view.truth is not None
+        small, full = view.truth.read(), StoredTruth(scene.source / "truth" / "cam00.npz", frame).read()
+        assert small.moving is not None and small.moving.shape == (view.camera.height, view.camera.width)
+        assert full.moving is not None and full.depth is not None
+        np.testing.assert_array_equal(small.moving, full.moving.reshape(24, 2, 32, 2).any(axis=(1, 3)))
+        np.testing.assert_array_equal(small.depth, full.depth[1::2, 1::2])
+        assert view.truth.read(moving_only=True).depth is None
+
+
 @pytest.mark.parametrize("name, moves_there", [("wheel", True), ("burst", True), ("lamp", False), ("still", False)])
 def test_moving_pixels_of_photographed_scenes(name: str, moves_there: bool, tmp_path: Path) -> None:
     """Lamps change their light and nothing else; of the others, a moving body's flow is not that of a still world."""
