@@ -1,0 +1,166 @@
+"""Addition of Gaussians by error: against spheres whose place, time and colour are known."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from tiny import TinyRun, tiny_config, tiny_scene, train_tiny
+
+from datasets.scene import Scene, View
+from pipeline.config.schema import AblationConfig
+from pipeline.config.train_schema import DensifyConfig, TrainConfig
+from pipeline.model.initialise import initialise
+from pipeline.model.model import Model
+from pipeline.training.density import error_sampling
+from pipeline.training.density.error_sampling import FEWEST_VIEWS, LIFETIME, MIN_ERROR, ErrorSampler, due
+
+CENTRE, RADIUS = np.array([0.45, -0.2, 0.3]), 0.35  # of the sphere, world units
+COLOR = (40, 200, 90)
+SHOWN = range(8, 13)  # the views, and so the times, that show it
+
+
+def sphere_scene(cameras: int = 1, frames: int = 21) -> Scene:
+    """Black, but for a sphere that exists at the times SHOWN; `cameras` views of each time, from other directions."""
+    corner, views = tiny_scene(4), []
+    for frame in range(frames):
+        for number in range(cameras):
+            camera = corner.train[(frame + number) % 4].camera
+            image = np.zeros((camera.height, camera.width, 3), np.uint8)
+            if frame in SHOWN:
+                y, x = np.mgrid[: camera.height, : camera.width] + 0.5
+                direction = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones_like(x)], -1)
+                direction = direction @ camera.world_to_cam[:3, :3]
+                direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
+                to_centre = CENTRE - camera.position
+                closest = np.linalg.norm(np.cross(direction, to_centre), axis=-1)  # of the ray to the centre
+                image[closest < RADIUS] = COLOR
+            views.append(View(camera, frame / (frames - 1), image, f"train/{frame}_{number}"))
+    return replace(corner, train=tuple(views))
+
+
+def transparent_model(scene: Scene) -> Model:
+    model = initialise(scene, tiny_config(), np.random.default_rng(0))
+    model.parameters["opacity_logit"].fill_(-30.0)
+    return model
+
+
+def draw(scene: Scene, count: int = 300, model: Model | None = None, seed: int = 0) -> dict[str, torch.Tensor] | None:
+    model = transparent_model(scene) if model is None else model
+    return ErrorSampler(scene).draw(model, tiny_config(), count, np.random.default_rng(seed), threads=1)
+
+
+@pytest.mark.parametrize("cameras", [1, 4])
+def test_new_gaussians_are_where_and_when_the_object_is(cameras: int):
+    scene = sphere_scene(cameras)
+    rows = draw(scene)
+    assert rows is not None
+    position, time = rows["mean"][:, :3].numpy(), rows["mean"][:, 3].numpy()
+    # The four cameras are 0.3 rad apart on an arc. Where their silhouettes of the sphere meet is up to 1 / sin(0.45) =
+    # 2.3 radii from its centre along the viewing direction, and the errors are averages over 3 × 3 of 32 pixels, 0.1
+    # world units each.
+    distance = np.linalg.norm(position - CENTRE, axis=1)
+    assert np.median(distance) < 1.2 * RADIUS and distance.max() < 2.3 * RADIUS + 0.3
+    # A neighbour's error counts too with one camera: a quarter of five views is the second smallest.
+    margin = 1 if cameras == 1 else 0
+    frame = time * 20
+    assert SHOWN[0] - margin - 0.01 < frame.min() and frame.max() < SHOWN[-1] + margin + 0.01
+    color = 0.5 + 0.28209479177387814 * rows["sh"][:, 0].numpy()
+    inside = distance < RADIUS
+    assert inside.mean() > 0.3  # of points uniform in the box: 0.013
+    # The median of at least three of five views that show the sphere's colour; elsewhere its border's.
+    np.testing.assert_allclose(np.median(color[inside], axis=0), np.array(COLOR) / 255, atol=1e-3)
+    assert not rows["sh"][:, 1:].any()
+
+
+def test_new_gaussians_are_small_short_lived_and_at_rest():
+    scene = sphere_scene()
+    rows = draw(scene)
+    assert rows is not None
+    np.testing.assert_allclose(rows["log_scale"][:, 3].exp(), LIFETIME * scene.frame_spacing, rtol=1e-6)
+    depth = np.linalg.norm(rows["mean"][:, :3].numpy() - scene.train[0].camera.position, axis=1)
+    pixel = depth / scene.train[0].camera.fx
+    # All cameras are at a distance of 4 from the origin; depth along the axis and distance differ by at most a tenth.
+    ratio = rows["log_scale"][:, :3].exp().numpy() / (error_sampling.RADIUS * pixel[:, None])
+    assert ratio.min() > 0.6 and ratio.max() < 1.6
+    for name in ("quat_left", "quat_right"):
+        assert (rows[name] == torch.tensor([1.0, 0, 0, 0])).all()
+
+
+def test_nothing_is_added_where_the_model_is_right():
+    scene = sphere_scene()
+    black = replace(scene, train=tuple(replace(view, image=np.zeros_like(view.image)) for view in scene.train))
+    assert draw(black) is None
+    # A constant error below the threshold.
+    faint = np.full((32, 32, 3), int(255 * MIN_ERROR) - 1, np.uint8)
+    assert draw(replace(scene, train=tuple(replace(view, image=faint) for view in scene.train))) is None
+
+
+def test_score_and_colour_equal_those_of_a_naive_loop():
+    scene = sphere_scene()
+    sampler, rng = ErrorSampler(scene), np.random.default_rng(3)
+    views = [6, 7, 8, 9, 10]
+    errors = sampler._errors(transparent_model(scene), views, 0.2, 1)
+    points = rng.uniform(-1.5, 1.5, size=(200, 3))
+    score, color = sampler._scored(points, views, errors, 0.2)
+    for i, point in enumerate(points):
+        found, colors = [], []
+        for index in views:
+            camera, image = scene.train[index].camera, scene.train[index].image / 255
+            x, y, z = camera.world_to_cam[:3, :3] @ point + camera.world_to_cam[:3, 3]
+            column, row = int(np.floor(camera.fx * x / z + camera.cx)), int(np.floor(camera.fy * y / z + camera.cy))
+            if 0 <= column < 32 and 0 <= row < 32:
+                found.append(errors[index][row, column])
+                colors.append(image[row, column])
+        expected = np.quantile(found, 0.25) if len(found) >= FEWEST_VIEWS else 0.0
+        assert score[i] == pytest.approx(expected, abs=1e-6)  # float32 errors
+        np.testing.assert_allclose(color[i], np.median(colors, axis=0) if expected else color[i], atol=1e-6)
+
+
+def test_the_draw_is_a_function_of_its_generator():
+    scene = sphere_scene()
+    first, again, other = draw(scene), draw(scene), draw(scene, seed=1)
+    assert first is not None and again is not None and other is not None
+    assert all(torch.equal(first[name], again[name]) for name in first)
+    assert not torch.equal(first["mean"], other["mean"])
+
+
+def test_of_a_long_film_some_times_are_rendered(monkeypatch: pytest.MonkeyPatch):
+    scene = sphere_scene(cameras=4)
+    monkeypatch.setattr(error_sampling, "MAX_VIEWS", 24)
+    windows = ErrorSampler(scene)._windows(np.random.default_rng(0))
+    assert len(windows) == 6 and all(len(views) == 4 for views in windows.values())
+    assert all(scene.train[view].time == time for time, views in windows.items() for view in views)
+
+
+def test_schedule():
+    cfg = TrainConfig(densify=DensifyConfig(start=20, stop=100, error_points=5, error_points_every=10))
+    assert [i for i in range(1, 130) if due(i, float(i), cfg)] == [20, 30, 40, 50, 60, 70, 80, 90]
+    assert not due(20, 20.0, TrainConfig(densify=DensifyConfig(start=20, stop=100)))
+
+
+def train_with(path: Path, time_split: bool = True, **densify) -> list[dict]:
+    cfg = tiny_config()
+    cfg = replace(
+        cfg,
+        ablation=AblationConfig(time_split=time_split),
+        train=replace(
+            cfg.train,
+            densify=dataclasses.replace(cfg.train.densify, space_gradient=1e9, use_time_gradient=False, **densify),
+        ),
+    )
+    train_tiny(path, cfg, sphere_scene(frames=8))
+    return [row for row in TinyRun(path).rows("log.jsonl") if row["event"] == "add_by_error"]
+
+
+def test_training_adds_up_to_the_cap_and_never_without_densification_in_time(tmp_path: Path):
+    events = train_with(tmp_path / "full", error_points=30, error_points_every=10)
+    assert [row["iteration"] for row in events] == [10, 20, 30, 40]
+    assert all(0 < row["added"] <= 30 and row["n_gaussians"] <= 400 for row in events)
+    capped = train_with(tmp_path / "capped", error_points=30, error_points_every=10, max_gaussians=210)
+    assert all(row["n_gaussians"] <= 210 for row in capped)
+    assert train_with(tmp_path / "ablation", time_split=False, error_points=30, error_points_every=10) == []
