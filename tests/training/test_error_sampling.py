@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,13 +20,14 @@ from pipeline.training.density.error_sampling import FEWEST_VIEWS, LIFETIME, MIN
 
 CENTRE, RADIUS = np.array([0.45, -0.2, 0.3]), 0.35  # of the sphere, world units
 COLOR = (40, 200, 90)
+FRAMES = 21
 SHOWN = range(8, 13)  # the views, and so the times, that show it
 
 
-def sphere_scene(cameras: int = 1, frames: int = 21) -> Scene:
+def sphere_scene(cameras: int = 1) -> Scene:
     """Black, but for a sphere that exists at the times SHOWN; `cameras` views of each time, from other directions."""
     corner, views = tiny_scene(4), []
-    for frame in range(frames):
+    for frame in range(FRAMES):
         for number in range(cameras):
             camera = corner.train[(frame + number) % 4].camera
             image = np.zeros((camera.height, camera.width, 3), np.uint8)
@@ -39,7 +39,7 @@ def sphere_scene(cameras: int = 1, frames: int = 21) -> Scene:
                 to_centre = CENTRE - camera.position
                 closest = np.linalg.norm(np.cross(direction, to_centre), axis=-1)  # of the ray to the centre
                 image[closest < RADIUS] = COLOR
-            views.append(View(camera, frame / (frames - 1), image, f"train/{frame}_{number}"))
+            views.append(View(camera, frame / (FRAMES - 1), image, f"train/{frame}_{number}"))
     return replace(corner, train=tuple(views))
 
 
@@ -67,7 +67,7 @@ def test_new_gaussians_are_where_and_when_the_object_is(cameras: int):
     assert np.median(distance) < 1.2 * RADIUS and distance.max() < 2.3 * RADIUS + 0.3
     # A neighbour's error counts too with one camera: a quarter of five views is the second smallest.
     margin = 1 if cameras == 1 else 0
-    frame = time * 20
+    frame = time * (FRAMES - 1)
     assert SHOWN[0] - margin - 0.01 < frame.min() and frame.max() < SHOWN[-1] + margin + 0.01
     color = 0.5 + 0.28209479177387814 * rows["sh"][:, 0].numpy()
     inside = distance < RADIUS
@@ -145,15 +145,9 @@ def test_schedule():
 
 def train_with(path: Path, time_split: bool = True, **densify) -> list[dict]:
     cfg = tiny_config()
-    cfg = replace(
-        cfg,
-        ablation=AblationConfig(time_split=time_split),
-        train=replace(
-            cfg.train,
-            densify=dataclasses.replace(cfg.train.densify, space_gradient=1e9, use_time_gradient=False, **densify),
-        ),
-    )
-    train_tiny(path, cfg, sphere_scene(frames=8))
+    rules = replace(cfg.train.densify, space_gradient=1e9, use_time_gradient=False, **densify)
+    cfg = replace(cfg, ablation=AblationConfig(time_split=time_split), train=replace(cfg.train, densify=rules))
+    train_tiny(path, cfg, sphere_scene())
     return [row for row in TinyRun(path).rows("log.jsonl") if row["event"] == "add_by_error"]
 
 
