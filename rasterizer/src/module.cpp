@@ -214,11 +214,11 @@ void mark_seen(Array<const int32_t> id, Array<uint8_t> seen, int threads) {
 }
 
 std::tuple<double, double> l1_ssim(In image, In target, Out gradient, scalar ssim_weight, scalar share,
-                                   int threads) {
+                                   int threads, bool copy_background) {
     const int height = static_cast<int>(image.shape(1)), width = static_cast<int>(image.shape(2));
     nb::gil_scoped_release release;
     const auto value = splat::l1_ssim(image.data(), target.data(), width, height, ssim_weight, share,
-                                      gradient.data(), threads);
+                                      gradient.data(), copy_background, threads);
     return {value.l1, value.ssim};
 }
 
@@ -286,5 +286,6 @@ NB_MODULE(KERNEL_MODULE_NAME, m) {
         return std::tuple{rates.fma_per_second, rates.copy_bytes_per_second};
     });
     m.def("l1_ssim", &l1_ssim, nb::arg("image"), nb::arg("target"), nb::arg("gradient"),
-          nb::arg("ssim_weight"), nb::arg("share"), nb::arg("threads"));
+          nb::arg("ssim_weight"), nb::arg("share"), nb::arg("threads"),
+          nb::arg("copy_background") = true);  // false, for tests: every block is computed
 }

@@ -10,6 +10,7 @@ import torch.nn.functional as F
 from builders import generator
 from torch import Tensor
 
+from rasterizer.kernel_loader import kernel
 from rasterizer.loss import l1_ssim
 
 
@@ -70,6 +71,69 @@ def test_any_number_of_threads_gives_the_same_bits():
     for threads in (2, 3):
         found = l1_ssim(image, target, threads=threads)
         assert found[:3] == expected[:3] and torch.equal(found[3], expected[3])
+
+
+def on_background(size: tuple[int, int], color: tuple[float, float, float], shape: str) -> tuple[Tensor, Tensor]:
+    """(image, target): noise in the pixels of `shape`, shifted between the two, and `color` everywhere else."""
+    height, width = size
+    rng = generator(6)
+    mask = torch.zeros(height, width, dtype=torch.bool)
+    if shape == "object":  # within, so that blocks on all four sides of the image are background
+        mask[height // 3 : height // 2, width // 3 : width // 2] = True
+    elif shape == "border":
+        mask[-2:], mask[:, -1] = True, True
+    elif shape == "dots":  # single pixels, at the beginning, in the middle and at the end of blocks
+        mask[height // 2, [width // 2, width // 2 + 21, -17]] = True
+        mask[-1, 0] = True
+    elif shape == "nearly everything":  # all that is background are the first pixels
+        mask[:, 3:] = True
+    empty = torch.tensor(color)[:, None, None].expand(3, height, width)
+    noise = lambda: torch.rand(3, height, width, generator=rng)  # noqa: E731
+    return torch.where(mask, noise(), empty), torch.where(mask.roll(1, 0) & mask, noise(), empty)
+
+
+@pytest.mark.parametrize("color", [(0, 0, 0), (1, 1, 1), (0.3, 0, 0.7)], ids=["black", "white", "coloured"])
+@pytest.mark.parametrize("shape", ["nothing", "object", "border", "dots", "nearly everything"])
+@pytest.mark.parametrize("size", [(128, 160), (90, 119), (61, 64)])
+def test_background_is_copied_to_the_same_bits(size: tuple[int, int], shape: str, color: tuple[float, float, float]):
+    image, target = on_background(size, color, shape)
+
+    def run(copy_background: bool, threads: int) -> tuple[tuple[float, float], Tensor]:
+        gradient = torch.full_like(image, math.nan)
+        value = kernel.l1_ssim(image, target, gradient, 0.2, 1.0, threads, copy_background=copy_background)
+        return value, gradient.view(torch.int32)  # bits: -0 is not 0
+
+    expected, expected_gradient = run(copy_background=False, threads=1)
+    for threads in (1, 2, 3):
+        value, gradient = run(copy_background=True, threads=threads)
+        assert value == expected and torch.equal(gradient, expected_gradient)
+
+    leaf = image.double().requires_grad_()
+    loss, l1, ssim = plain_loss(leaf, target.double(), 0.2)
+    (truth,) = torch.autograd.grad(loss, leaf)
+    for found, true in zip(expected, (l1, ssim)):
+        assert found == pytest.approx(true.item(), rel=2e-5, abs=1e-6)
+    # as in test_loss_and_gradient_match_the_formula; of the gradient of L1 where the two images are equal
+    scale = max(truth.abs().max().item(), 1 / truth.numel())
+    assert (expected_gradient.view(torch.float32) - truth).abs().max() <= 2e-4 * scale
+
+
+def test_what_is_not_background_is_never_skipped():
+    """Image and target agree in the first pixel only, or one of them alone is empty, or a pixel is not a number."""
+    image, target = pair((64, 48), 7)
+    for a, b in ((image, target), (torch.zeros_like(image), target), (image, torch.zeros_like(image))):
+        a, b = a.clone(), b.clone()
+        a[:, 0, 0] = b[:, 0, 0] = 0
+        leaf = a.double().requires_grad_()
+        expected = plain_loss(leaf, b.double(), 0.2)
+        (gradient,) = torch.autograd.grad(expected[0], leaf)
+        loss, _, _, d_image = l1_ssim(a, b)
+        assert loss == pytest.approx(expected[0].item(), rel=2e-5, abs=1e-6)
+        assert (d_image - gradient).abs().max() <= 2e-4 * gradient.abs().max()
+    empty = torch.zeros(3, 64, 64)
+    broken = empty.clone()
+    broken[2, 40, 40] = math.nan
+    assert math.isnan(l1_ssim(broken, empty)[0]) and math.isnan(l1_ssim(empty, broken)[0])
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])

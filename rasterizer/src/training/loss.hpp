@@ -8,7 +8,8 @@
 // and since the window is symmetric, ∂ΣSSIM/∂x = window(∂/∂m) + 2x window(∂/∂s) + y window(∂/∂r).
 //
 // A thread goes down a band of rows, four at a time, and keeps only the last rows of each intermediate map,
-// in the second-level cache. No map of the whole image is written.
+// in the second-level cache. No map of the whole image is written. Blocks of background copy their values
+// from the first such block (loss_background.hpp).
 #pragma once
 
 #include <algorithm>
@@ -17,6 +18,7 @@
 #include <vector>
 
 #include "simd/vec.hpp"
+#include "training/loss_background.hpp"
 
 namespace splat {
 
@@ -70,6 +72,7 @@ struct LossBand {
     double *row_l1, *row_ssim;  // sums of each row
     int width, height, first, last;
     scalar l1_scale, ssim_scale;  // of the gradient
+    bool copy_background;         // false: every block is computed
 };
 
 // Scratch rows of one thread, with zeros on both sides: filtering along a row then needs no border case.
@@ -104,7 +107,8 @@ SPLAT_INLINE scalar sum_of_lanes(const Float& v) {
 }
 
 // Rows [row, row + kRows): the three partial derivatives of ΣSSIM, and the sums of SSIM.
-inline void ssim_rows(const LossBand& p, const scalar* w, int row, LossRows& rows) {
+inline void ssim_rows(const LossBand& p, const scalar* w, int row, LossRows& rows,
+                      LossBackground& background) {
     const scalar *x[kWindow + kRows - 1], *y[kWindow + kRows - 1];
     for (int k = 0; k < kWindow + kRows - 1; ++k) {
         const int r = row + k - kWindowReach;
@@ -112,7 +116,15 @@ inline void ssim_rows(const LossBand& p, const scalar* w, int row, LossRows& row
         x[k] = inside ? p.image + static_cast<size_t>(r) * p.width : rows.zeros();
         y[k] = inside ? p.target + static_cast<size_t>(r) * p.width : rows.zeros();
     }
+    background.find(row - kWindowReach, row + kRows + kWindowReach);
     auto filter_lanes = [&](int i, auto&& load) {
+        const bool is_background = background.at(i / kLanes);
+        if (is_background && background.mean.known) {
+            if (background.ssim_and_partial.known && background.far_around(i / kLanes)) return;
+            for (int m = 0; m < kMeans; ++m)
+                for (int j = 0; j < kRows; ++j) background.mean.of[m].store(rows.column_filtered(m, j) + i);
+            return;
+        }
         Float mean[kMeans][kRows];
         filter_columns<kMeans>(
             w,
@@ -123,6 +135,7 @@ inline void ssim_rows(const LossBand& p, const scalar* w, int row, LossRows& row
             mean);
         for (int m = 0; m < kMeans; ++m)
             for (int j = 0; j < kRows; ++j) mean[m][j].store(rows.column_filtered(m, j) + i);
+        if (is_background) background.mean.set({mean[0][0], mean[1][0], mean[2][0], mean[3][0]});
     };
     const int whole = p.width / kLanes * kLanes, rest = p.width - whole;
     for (int i = 0; i < whole; i += kLanes)
@@ -133,6 +146,15 @@ inline void ssim_rows(const LossBand& p, const scalar* w, int row, LossRows& row
     for (int j = 0; j < std::min(kRows, p.height - row); ++j) {
         Float total(0.f);
         for (int i = 0; i < p.width; i += kLanes) {
+            const int count = p.width - i;
+            const bool is_background = background.around(i / kLanes);
+            if (is_background && background.ssim_and_partial.known) {
+                const auto& of = background.ssim_and_partial.of;
+                total += first_lanes(of[0], count);
+                for (int m = 0; m < kPartials; ++m)
+                    first_lanes(of[1 + m], count).store(rows.partial(m, row + j) + i);
+                continue;
+            }
             Float mean[kMeans];
             for (int m = 0; m < kMeans; ++m) mean[m] = filter_row(w, rows.column_filtered(m, j) + i);
             const Float &a = mean[0], &b = mean[1], ab = a * b, q = a * a + b * b;
@@ -140,26 +162,41 @@ inline void ssim_rows(const LossBand& p, const scalar* w, int row, LossRows& row
                         b2 = mean[2] - q + c2;
             const Float inverse = one / (b1 * b2), inverse1 = inverse * b2, inverse2 = inverse * b1;
             const Float ssim = a1 * a2 * inverse;
-            const int count = p.width - i;
             total += first_lanes(ssim, count);
             const Float by_mean = two * b * (a2 - a1) * inverse - two * a * ssim * (inverse1 - inverse2);
             first_lanes(by_mean, count).store(rows.partial(0, row + j) + i);
             first_lanes(-ssim * inverse2, count).store(rows.partial(1, row + j) + i);
             first_lanes(two * a1 * inverse, count).store(rows.partial(2, row + j) + i);
+            if (is_background)
+                background.ssim_and_partial.set({ssim, by_mean, -ssim * inverse2, two * a1 * inverse});
+            else
+                background.partials_differ(i / kLanes, row + j);
         }
         if (row + j >= p.first && row + j < p.last) p.row_ssim[row + j] = sum_of_lanes(total);
     }
 }
 
 // Those of rows [row, row + kRows) that are the band's: the gradient, and the sums of |x - y|.
-inline void gradient_rows(const LossBand& p, const scalar* w, int row, LossRows& rows) {
+inline void gradient_rows(const LossBand& p, const scalar* w, int row, LossRows& rows,
+                          LossBackground& background) {
     const scalar* partial[kPartials][kWindow + kRows - 1];
     for (int k = 0; k < kWindow + kRows - 1; ++k) {
         const int r = row + k - kWindowReach;
         for (int m = 0; m < kPartials; ++m)
             partial[m][k] = r >= 0 && r < p.height ? rows.partial(m, r) : rows.zeros();
     }
+    background.find_in_partials(row - kWindowReach, row + kRows + kWindowReach);
     for (int i = 0; i < p.width; i += kLanes) {
+        const int count = p.width - i;
+        const bool is_background = background.at(i / kLanes);
+        if (is_background && background.filtered_partial.known) {
+            if (background.gradient.known && background.far_around(i / kLanes)) continue;
+            for (int m = 0; m < kPartials; ++m) {
+                const Float value = first_lanes(background.filtered_partial.of[m], count);
+                for (int j = 0; j < kRows; ++j) value.store(rows.column_filtered(m, j) + i);
+            }
+            continue;
+        }
         Float filtered[kPartials][kRows];
         filter_columns<kPartials>(
             w,
@@ -169,6 +206,8 @@ inline void gradient_rows(const LossBand& p, const scalar* w, int row, LossRows&
             filtered);
         for (int m = 0; m < kPartials; ++m)
             for (int j = 0; j < kRows; ++j) filtered[m][j].store(rows.column_filtered(m, j) + i);
+        if (is_background && count >= kLanes)
+            background.filtered_partial.set({filtered[0][0], filtered[1][0], filtered[2][0]});
     }
     const Float l1_scale(p.l1_scale), ssim_scale(-p.ssim_scale), two(2.f), zero(0.f);
     for (int j = 0; j < std::min(kRows, p.last - row); ++j) {
@@ -176,6 +215,11 @@ inline void gradient_rows(const LossBand& p, const scalar* w, int row, LossRows&
         Float total(0.f);
         for (int i = 0; i < p.width; i += kLanes) {
             const int count = std::min(kLanes, p.width - i);
+            const bool is_background = background.around(i / kLanes);
+            if (is_background && background.gradient.known) {
+                background.gradient.of[0].store_first(p.gradient + at + i, count);
+                continue;  // |x - y| is zero
+            }
             const Float x = Float::load_first(p.image + at + i, count),
                         y = Float::load_first(p.target + at + i, count);
             const Float d_ssim = filter_row(w, rows.column_filtered(0, j) + i) +
@@ -185,7 +229,9 @@ inline void gradient_rows(const LossBand& p, const scalar* w, int row, LossRows&
             total += abs(difference);
             const Float sign =
                 zero_unless(difference > zero, l1_scale) - zero_unless(difference < zero, l1_scale);
-            (sign + ssim_scale * d_ssim).store_first(p.gradient + at + i, count);
+            const Float gradient = sign + ssim_scale * d_ssim;
+            gradient.store_first(p.gradient + at + i, count);
+            if (is_background) background.gradient.set({gradient});
         }
         p.row_l1[row + j] = sum_of_lanes(total);
     }
@@ -194,20 +240,23 @@ inline void gradient_rows(const LossBand& p, const scalar* w, int row, LossRows&
 // One band. The partial derivatives five rows around it are computed too, so that bands are independent.
 inline void loss_band(const LossBand& p, const scalar* w, LossRows& rows) {
     const int end = std::min(p.height, p.last + kWindowReach);
+    const int first = std::max(0, p.first - kWindowReach);
+    LossBackground background(p.image, p.target, p.width, p.height, first - kWindowReach,
+                              p.copy_background);
     int next = p.first;
-    for (int row = std::max(0, p.first - kWindowReach); row < end; row += kRows) {
-        ssim_rows(p, w, row, rows);
+    for (int row = first; row < end; row += kRows) {
+        ssim_rows(p, w, row, rows, background);
         const int done = std::min(p.height, row + kRows);
         for (; next < p.last &&
                std::min({next + kRows + kWindowReach, p.last + kWindowReach, p.height}) <= done;
              next += kRows)
-            gradient_rows(p, w, next, rows);
+            gradient_rows(p, w, next, rows, background);
     }
 }
 
 // image, target: planes [3, height, width]. gradient = share · ∂ ((1-λ) L1 + λ (1-SSIM)) / ∂ image.
 inline LossValue l1_ssim(const scalar* image, const scalar* target, int width, int height, scalar ssim_weight,
-                         scalar share, scalar* gradient, int threads) {
+                         scalar share, scalar* gradient, bool copy_background, int threads) {
     const auto w = window_weights();
     const size_t plane = static_cast<size_t>(width) * height;
     const scalar scale = share / (3.f * plane);
@@ -229,7 +278,8 @@ inline LossValue l1_ssim(const scalar* image, const scalar* target, int width, i
                              height * band / bands,
                              height * (band + 1) / bands,
                              (1 - ssim_weight) * scale,
-                             ssim_weight * scale};
+                             ssim_weight * scale,
+                             copy_background};
             loss_band(p, w.data(), rows);
         }
     }
