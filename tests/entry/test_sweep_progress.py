@@ -118,3 +118,10 @@ def test_a_single_run_has_no_plan() -> None:
     assert planned_work([["scene=synthetic/wheel"]]) == {}
     assert planned_work([["--cfg", "job", "experiment=synthetic_suite"]]) == {}
     assert len(planned_work([["-m", "scene=synthetic/wheel", "seed=0,1"]])) == 2
+
+
+def test_reproduce_begins_with_each_scene_once() -> None:
+    """Runs side by side then trace different scenes."""
+    register_schema()
+    first = list(planned_work([["experiment=synthetic_suite"]]))[:5]
+    assert len({out.split("/short/")[0] for out in first}) == 5
