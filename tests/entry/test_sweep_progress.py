@@ -75,12 +75,13 @@ def test_on_a_terminal_one_line_is_updated_below_the_results(
 ) -> None:
     monkeypatch.setattr("sys.stdout.isatty", lambda: True)
     with sweep({"a": 1.0, "b": 1.0}):
-        began(60)
+        began(600)
         trained("a")
         joined("b").update(50, 100)
-    clear = "\r\x1b[K"
+    clear, done = "\r\x1b[K", 1 + TRAINING_SHARE / 2
     assert capsys.readouterr().out == (
-        f"{clear}0/2 runs, 2 min left{clear}result of a\n1/2 runs, 1 min left{clear}1/2 runs, 1 min left\n"
+        f"{clear}0/2 runs, {10 * (2 - TRAINING_SHARE) / TRAINING_SHARE:.0f} min left"
+        f"{clear}result of a\n1/2 runs, 10 min left{clear}1/2 runs, {10 * (2 - done) / done:.0f} min left\n"
     )
 
 
