@@ -48,8 +48,7 @@ test-data: $(BUILT) ## the tests that need real data: DATA_DIR=/path holds dnerf
 	@$(call took,passed)
 
 reproduce: $(BUILT) ## train the synthetic suite and its ablations, write tables, plots, report
-	$(RUN) pipeline experiment=synthetic_suite
-	$(RUN) pipeline experiment=synthetic_ablation
+	$(RUN) pipeline experiment=synthetic_suite,synthetic_ablation
 	$(RUN) pipeline.report $(RUNS)
 	@echo "make reproduce: the report is $(dir $(RUNS))report/report.html"
 	@$(call took,done)

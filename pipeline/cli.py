@@ -21,8 +21,11 @@ from rich.table import Table
 
 from pipeline.config.compose import CONFIG_DIR, one_line, options, quote_paths, register_schema, to_config
 from pipeline.config.schema import Config
+from pipeline.config.sweep_plan import one_per_experiment, planned_work
+from pipeline.terminal import sweep_progress
 from pipeline.terminal.closed_pipe import quiet_on_closed_pipe
 from pipeline.terminal.help_page import help_page
+from pipeline.terminal.sweep_progress import SweepRun
 from rasterizer.allocator import keep_freed_memory
 
 # What a user can cause, by a wrong key, bad data, a full disk or a training that diverges. Anything else is a bug of
@@ -63,11 +66,18 @@ def main() -> None:
     os.environ[_FULL_ERROR] = "1"  # so that Hydra raises and does not print: what is printed is decided here
     os.environ.setdefault("PIPELINE_TRACEBACK", "1" if traceback_wanted else "0")  # for the workers of a sweep
     register_schema()
-    sys.argv[1:] = quote_paths(sys.argv[1:])
+    commands = one_per_experiment(quote_paths(sys.argv[1:]))
+    failed = False
     try:
-        hydra.main(config_path=str(CONFIG_DIR), config_name="config", version_base="1.3")(run_one)()
-    except RunFailed:
-        sys.exit(1)
+        with sweep_progress.sweep(planned_work(commands)):
+            for command in commands:
+                sys.argv[1:] = command
+                try:
+                    hydra.main(config_path=str(CONFIG_DIR), config_name="config", version_base="1.3")(run_one)()
+                except RunFailed:
+                    failed = True  # the other experiments go on
+        if failed:
+            sys.exit(1)
     except KeyboardInterrupt as interrupt:
         _complain(f"interrupted; {interrupt or 'finished runs are kept, and the same command goes on with the others'}")
         sys.exit(130)
@@ -82,7 +92,9 @@ def run_one(composed: DictConfig) -> None:
     job = HydraConfig.get()
     command = shlex.join(["python", "-m", "pipeline", *job.overrides.task])
     cfg: Config | None = None
+    sweep_progress.current = None
     try:
+        sweep_progress.current = sweep = SweepRun.joined(composed.out, composed.train.iterations)
         cfg = to_config(composed)
         _hint_at_settings(cfg, job.runtime.choices.get("scene"))
         import torch  # these two late: a typo on the command line need not wait for them
@@ -96,8 +108,13 @@ def run_one(composed: DictConfig) -> None:
 
             print("\n  ".join([f"{_title(cfg)} would take", *estimate(cfg).lines(cfg)]), flush=True)
             return
-        metrics = run(cfg, job.overrides.task, log=lambda text: print(text, flush=True))
-        (_report_line if job.mode == RunMode.MULTIRUN else _report)(cfg, metrics)
+        metrics = run(cfg, job.overrides.task, log=_say if sweep is None else _say_nothing)
+        if sweep is not None:
+            sweep.finished(_result_line(cfg, metrics))
+        elif job.mode == RunMode.MULTIRUN:
+            _say(_result_line(cfg, metrics))
+        else:
+            _report(cfg, metrics)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(_kept_progress(cfg)) from None
     except EXPECTED as error:
@@ -107,6 +124,8 @@ def run_one(composed: DictConfig) -> None:
         if isinstance(error, BrokenPipeError):
             line = f"standard output was closed; {_kept_progress(cfg)}"
         if job.mode == RunMode.MULTIRUN:
+            if sweep_progress.current is not None:
+                sweep_progress.current.failed()
             _complain(f"{line}  [{command}]")
             raise RunFailed(command) from error
         _complain(line)
@@ -184,14 +203,21 @@ def _report(cfg: Config, metrics: dict) -> None:
     console.print(f"tables and plots of all runs: python -m pipeline.report {root}")
 
 
-def _report_line(cfg: Config, metrics: dict) -> None:
+def _result_line(cfg: Config, metrics: dict) -> str:
     """One run of a sweep."""
     final = metrics["final"]
-    print(
+    return (
         f"{_title(cfg, metrics)}: PSNR {_cell(final['psnr'])}, SSIM {_cell(final['ssim'])}, "
-        f"{metrics['n_gaussians']} Gaussians, {metrics['train_seconds']:.0f} s of training; written to {cfg.out}",
-        flush=True,
+        f"{metrics['n_gaussians']} Gaussians, {metrics['train_seconds']:.0f} s of training; written to {cfg.out}"
     )
+
+
+def _say(text: str) -> None:
+    print(text, flush=True)
+
+
+def _say_nothing(text: str) -> None:
+    """In a sweep, whose line says how far it is."""
 
 
 def _title(cfg: Config, metrics: dict | None = None) -> str:

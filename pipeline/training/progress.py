@@ -1,4 +1,4 @@
-"""Progress output of training: a progress bar on a terminal, a line every 5 % elsewhere."""
+"""Progress output of training: a progress bar on a terminal, a line every 5 % elsewhere; in a sweep, the sweep's."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
+
+from pipeline.terminal import sweep_progress
 
 SMOOTHING = 0.95  # of the displayed loss and PSNR; log.jsonl has the unsmoothed values
 LINES = 20  # of a whole run without a terminal
@@ -30,7 +32,7 @@ class TrainingProgress:
             BarColumn(),
             TextColumn("{task.fields[text]}"),
             console=self._console,
-            disable=not self._console.is_terminal,
+            disable=not self._console.is_terminal or sweep_progress.current is not None,
             transient=True,
         )
         self._task = self._bar.add_task("train", total=iterations, completed=first, text="")
@@ -47,6 +49,9 @@ class TrainingProgress:
     ) -> None:
         """loss, psnr: of the last batch. n_alive: Gaussians with temporal marginal p(t) >= 0.05, mean over its views.
         train_seconds: since the start."""
+        if sweep_progress.current is not None:
+            sweep_progress.current.update(iteration, self._iterations)
+            return
         for name, value in (("loss", loss), ("psnr", psnr)):
             if math.isfinite(value):
                 self._smooth[name] = SMOOTHING * self._smooth.get(name, value) + (1 - SMOOTHING) * value
@@ -66,4 +71,6 @@ class TrainingProgress:
 
     def line(self, text: str) -> None:
         """Print one line above the bar."""
+        if sweep_progress.current is not None:
+            return
         self._bar.console.print(text, highlight=False, soft_wrap=True)

@@ -197,7 +197,10 @@ def test_a_sweep_goes_on_after_a_run_that_fails(shell: Shell) -> None:
 
 
 def test_a_sweep_side_by_side(shell: Shell) -> None:
-    shell.fresh("-m", *TINY, "launcher=joblib", "hydra.launcher.n_jobs=2", "seed=1,2", "train.iterations=20")
+    out, err = shell.fresh("-m", *TINY, "launcher=joblib", "hydra.launcher.n_jobs=2", "seed=1,2", "train.iterations=20")
+    first_line, last_line = out.splitlines()  # a line a run, and nothing of the stages
+    assert err == "" and first_line.startswith("1/2 runs, 1 min left  ") and last_line.startswith("2/2 runs in 1 min  ")
+    assert "PSNR" in first_line and "PSNR" in last_line
     runs = [shell.folder / f"results/runs/synthetic/wheel/full/smoke/seed{seed}" for seed in (1, 2)]
     first, second = (json.loads((run / "metrics.json").read_text()) for run in runs)
     assert first["final"]["psnr"] != second["final"]["psnr"]

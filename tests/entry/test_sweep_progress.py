@@ -1,0 +1,128 @@
+"""The line of a sweep: how many runs are done, and what is left by the work done so far."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from pathlib import Path
+
+import pytest
+from hydra import compose, initialize_config_dir
+
+from pipeline.config.compose import CONFIG_DIR, register_schema
+from pipeline.config.sweep_plan import one_per_experiment, planned_work
+from pipeline.terminal.sweep_progress import FOLDER_VARIABLE, TRAINING_SHARE, SweepRun, sweep
+
+
+def began(seconds_ago: float) -> None:
+    """As if the sweep had begun then."""
+    plan = Path(os.environ[FOLDER_VARIABLE]) / "plan.json"
+    plan.write_text(json.dumps({**json.loads(plan.read_text()), "began": time.time() - seconds_ago}))
+
+
+def joined(out: str) -> SweepRun:
+    run = SweepRun.joined(out, iterations=100)
+    assert run is not None
+    return run
+
+
+def trained(out: str) -> None:
+    run = joined(out)
+    run.update(100, 100)
+    run.finished(f"result of {out}")
+
+
+def test_minutes_left_follow_the_work(capsys: pytest.CaptureFixture) -> None:
+    with sweep({"small": 1.0, "large": 3.0, "largest": 4.0}):
+        began(600)
+        assert joined("small").text() == "0/3 runs"
+        trained("small")
+        assert capsys.readouterr().out == "1/3 runs, 70 min left  result of small\n"
+        joined("large").update(50, 100)
+        done = 1 + 3 * TRAINING_SHARE / 2
+        assert joined("large").text() == f"1/3 runs, {10 * (8 - done) / done:.0f} min left"
+        trained("large")
+        trained("largest")
+        assert capsys.readouterr().out.endswith("3/3 runs in 10 min  result of largest\n")
+    assert FOLDER_VARIABLE not in os.environ
+
+
+def test_what_was_done_before_says_nothing_about_the_speed(capsys: pytest.CaptureFixture) -> None:
+    with sweep({"before": 100.0, "now": 1.0, "later": 1.0}):
+        began(600)
+        joined("before").finished("result")
+        joined("before").finished("result")  # a second sweep has it too
+        assert capsys.readouterr().out == "1/3 runs  result\n"
+        trained("now")
+        assert joined("later").text() == "2/3 runs, 10 min left"
+
+
+def test_a_failed_run_is_no_longer_to_do_and_another_run_of_its_folder_is_reported(
+    capsys: pytest.CaptureFixture,
+) -> None:
+    with sweep({"a": 1.0, "b": 1.0}):
+        began(60)
+        joined("a").failed()
+        trained("b")
+        assert capsys.readouterr().out == "2/2 runs in 1 min  result of b\n"
+        joined("a").finished("it works")
+        assert "it works" in capsys.readouterr().out
+
+
+def test_on_a_terminal_one_line_is_updated_below_the_results(
+    capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    with sweep({"a": 1.0, "b": 1.0}):
+        began(600)
+        trained("a")
+        joined("b").update(50, 100)
+    clear, done = "\r\x1b[K", 1 + TRAINING_SHARE / 2
+    assert capsys.readouterr().out == (
+        f"{clear}0/2 runs, {10 * (2 - TRAINING_SHARE) / TRAINING_SHARE:.0f} min left"
+        f"{clear}result of a\n1/2 runs, 10 min left{clear}1/2 runs, {10 * (2 - done) / done:.0f} min left\n"
+    )
+
+
+def test_a_training_within_the_run_is_no_progress() -> None:
+    with sweep({"a": 1.0}):
+        began(60)
+        joined("a").update(5, 10)
+        assert joined("a").text() == "0/1 runs"
+
+
+def test_without_a_sweep_there_is_no_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    with sweep({}):
+        assert SweepRun.joined("out", 1) is None
+    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "of another machine"))
+    assert SweepRun.joined("out", 1) is None
+
+
+def test_experiments_are_commands_of_their_own() -> None:
+    assert one_per_experiment(["experiment=a,b", "seed=1"]) == [["experiment=a", "seed=1"], ["experiment=b", "seed=1"]]
+    assert one_per_experiment(["-m", "seed=1,2"]) == [["-m", "seed=1,2"]]
+
+
+def test_the_plan_of_reproduce_has_each_run_once() -> None:
+    register_schema()
+    work = planned_work([["experiment=synthetic_suite"], ["experiment=synthetic_ablation"]])
+    assert len(work) == 42
+    overrides = ["experiment=synthetic_suite", "scene=synthetic/counter", "seed=2"]
+    with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
+        cfg = compose("config", overrides)
+    assert work[cfg.out] / work["results/runs/synthetic/wheel/full/short/seed0"] == pytest.approx(320**2 / 200**2)
+
+
+def test_a_single_run_has_no_plan() -> None:
+    register_schema()
+    assert planned_work([["scene=synthetic/wheel"]]) == {}
+    assert planned_work([["--cfg", "job", "experiment=synthetic_suite"]]) == {}
+    assert len(planned_work([["-m", "scene=synthetic/wheel", "seed=0,1"]])) == 2
+
+
+def test_reproduce_begins_with_each_scene_once() -> None:
+    """Runs side by side then trace different scenes."""
+    register_schema()
+    first = list(planned_work([["experiment=synthetic_suite"]]))[:5]
+    assert len({out.split("/short/")[0] for out in first}) == 5
