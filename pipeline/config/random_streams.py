@@ -20,6 +20,7 @@ class Stream(IntEnum):
     BACKGROUND = 2  # the colours that transparent images are composed over; by iteration
     SENSITIVITY = 3  # signs of the estimate of image sensitivity; by iteration
     ERROR_POINTS = 4  # where and when the error is; by iteration
+    DROPOUT = 5  # which Gaussians are left out of a view; by iteration
 
 
 def stream(seed: int, purpose: Stream, *moment: int) -> np.random.Generator:

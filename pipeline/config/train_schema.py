@@ -107,6 +107,7 @@ class RegularizationConfig:
     opacity: float = 0.0  # towards transparency: × mean opacity
     opacity_views: float = 0.0  # one camera: `opacity` is weaker where more views than this share a lifetime; 0: never
     flow: float = 0.0  # towards the optical flow measured in videos: × mean error, image widths (flow_loss.py)
+    log_depth: float = 0.0  # towards one near or far surface a pixel: × mean log depth (depth_loss.py)
 
     def __post_init__(self) -> None:
         check("train.regularization", self, {f.name: at_least(0).but("0: none") for f in fields(self)})
@@ -126,6 +127,7 @@ class TrainConfig:
     ssim_weight: float = 0.2  # w of the loss (1 - w) L1 + w (1 - SSIM)
     rigid_weight: float = 0.0  # of the release's rigid loss; 0: none
     regularization: RegularizationConfig = field(default_factory=RegularizationConfig)
+    dropout: float = 0.0  # share of the Gaussians left out of each training view, at random; 0: none
     random_background: bool = False  # compose transparent images over a new colour each time
     background_model: Optional[str] = None  # none | sphere | envmap; None: the scene's
     sphere_freeze_after: int = 10_000  # iterations for which the background sphere is trained
@@ -175,6 +177,7 @@ class TrainConfig:
             "envmap_height": positive_count(2),
             "envmap_until": at_least(0),
             "rigid_weight": at_least(0),
+            "dropout": between("[0, 1)", 0, 1).but("0: none"),
             "sh_degree_every": at_least(0).but("0: all at once"),
             "fourier_at": Range("at most two iterations in ascending order",
                                 lambda value: value == sorted(value) and len(value) <= 2),

@@ -7,6 +7,7 @@ rendered and a run starts with fewer Gaussians, often at a coarser resolution. S
 
 from __future__ import annotations
 
+import math
 import shutil
 import time
 from dataclasses import dataclass, replace
@@ -18,6 +19,8 @@ import torch
 
 from datasets import is_filmed, load_footage, load_scene
 from pipeline.config.schema import Config
+from pipeline.data.optical_flow import CACHE_LIMIT_BYTES as FLOW_CACHE_LIMIT_BYTES
+from pipeline.data.optical_flow import measured_size
 from pipeline.data.training_views import CACHE_LIMIT_BYTES
 from pipeline.evaluation.metrics import measure
 from pipeline.runs.provenance import memory_gb
@@ -114,7 +117,9 @@ def _estimate(cfg: Config, size: Size, threads: int) -> Estimate:
     pixels = size.width * size.height
     images = 0 if size.stored_bytes else (size.train_views + size.test_views) * 3 * pixels
     floats = min((size.train_views * 3 * pixels) * 4, CACHE_LIMIT_BYTES)
-    resident = 4 * gaussians * (FLOATS_PER_GAUSSIAN + FLOATS_PER_VIEW * cfg.train.batch) + images + floats
+    measured_pixels = math.prod(measured_size(size.width, size.height)) if cfg.train.regularization.flow > 0 else 0
+    flows = min(size.train_views * 4 * measured_pixels, FLOW_CACHE_LIMIT_BYTES)  # two numbers in half precision
+    resident = 4 * gaussians * (FLOATS_PER_GAUSSIAN + FLOATS_PER_VIEW * cfg.train.batch) + images + floats + flows
     return Estimate(
         gaussians,
         size.stored_bytes / 1e9,

@@ -14,10 +14,12 @@ from pipeline.config.random_streams import Stream, stream
 from pipeline.config.schema import Config
 from pipeline.data.training_views import Target, TrainingViews
 from pipeline.model.model import Model
-from pipeline.model.render import backward, render
+from pipeline.model.render import OutputGradients, backward, render
 from pipeline.model.sphere import trainable_rows
 from pipeline.training import finite_checks
 from pipeline.training.kernels import Kernels
+from pipeline.training.objective.depth_loss import depth_loss
+from pipeline.training.objective.dropout import draw_dropped, drop_out
 from pipeline.training.objective.flow_loss import flow_loss
 from pipeline.training.objective.losses import view_loss
 from pipeline.training.objective.random_background import over_random_background
@@ -25,9 +27,16 @@ from pipeline.training.objective.regularization import add_regularization_gradie
 from pipeline.training.objective.rigid_loss import add_rigid_gradient
 from pipeline.training.schedule import Phase
 from pipeline.training.state import TrainState
-from rasterizer import Gradients, Request, ViewGradient
+from rasterizer import Gradients, RenderOutput, Request, ViewGradient
 
-TargetOverColor = tuple[Target, Color]  # a training view, and the background that its image is composed over
+
+@dataclass(frozen=True)
+class DrawnView:
+    """A training view of a batch, and what is drawn for it."""
+
+    target: Target
+    background: Color  # that its image is composed over
+    dropped: Tensor | None  # (N,) bool, Gaussians that are left out of it; None: none
 
 
 @dataclass(frozen=True)
@@ -56,29 +65,37 @@ class Batch:
         self.n_gaussians = len(model)  # before refinement
         self.n_alive = 0.0  # Gaussians with temporal marginal p(t) >= 0.05, mean over the batch
 
-    def backward(self, target: Target, background: Color, gradients: Gradients) -> RenderedView:
-        """Render `target` over `background`, the colour that its image is composed over, and add the gradient of its
-        share of the batch's loss to `gradients`."""
-        scene, cfg, rasterizer = self._scene, self._cfg, self._kernels.rasterizer
+    def backward(self, view: DrawnView, gradients: Gradients) -> RenderedView:
+        """Render a view and add the gradient of its share of the batch's loss to `gradients`."""
+        if view.dropped is None:
+            return self._backward(self._model, view, gradients)
+        without = drop_out(self._model, view.dropped, self._cfg.train.dropout)
+        others = gradients.opacity_logit.clone()  # of the views before
+        gradients.opacity_logit.zero_()
+        rendered = self._backward(without.model, view, gradients)
+        gradients.opacity_logit.mul_(without.d_logit).add_(others)
+        return rendered
+
+    def _backward(self, model: Model, view: DrawnView, gradients: Gradients) -> RenderedView:
+        scene, cfg, rasterizer, target = self._scene, self._cfg, self._kernels.rasterizer, view.target
         request = Request(
             target.camera,
             target.time,
             scene.duration,
-            background,
-            outputs=("color",) if target.motion is None else ("color", "flow"),
+            view.background,
+            outputs=self._outputs(target),
             flow_dt=None if target.motion is None else target.motion.step,
             near=cfg.scene.near * scene.unit,
             sh_degree=self._phase.sh_degree,
             fourier_order=self._phase.fourier_order,
         )
-        rendered = render(rasterizer, self._model, request)
+        rendered = render(rasterizer, model, request)
         value = view_loss(self._kernels.criterion, rendered.image, target.image, self._size)
-        loss, d_flow = value.loss, None
-        if target.motion is not None and rendered.flow is not None:
-            weight = cfg.train.regularization.flow
-            flow_error, d_flow = flow_loss(rendered.flow, target.motion.flow, weight / self._size)
-            loss += weight * flow_error
-        gradient = backward(rasterizer, self._model, rendered, value.d_image, gradients, self.d_environment_map, d_flow)
+        further, d_outputs = self._losses_of_geometry(target, rendered.gaussians)
+        gradient = backward(
+            rasterizer, self._model, rendered, value.d_image, gradients, self.d_environment_map, d_outputs
+        )
+        loss = value.loss + further
         if cfg.train.rigid_weight > 0 and self._model.kind.motion == "full":
             loss += self._add_rigid_gradient(target.time, gradients)
         if self.visible is not None:
@@ -88,11 +105,28 @@ class Batch:
         self.last = RenderedView(loss, rendered.image, target.image, gradient)
         return self.last
 
-    def gradients_of(self, target: Target, background: Color) -> Gradients:
-        """The gradient of one view alone, over the same background; finite_checks finds the non-finite view with it."""
+    def gradients_of(self, view: DrawnView) -> Gradients:
+        """The gradient of one view alone; finite_checks finds the non-finite view with it."""
         alone = Gradients.zeros_like(self._model.gaussians())
-        self.backward(target, background, alone)
+        self.backward(view, alone)
         return alone
+
+    def _outputs(self, target: Target) -> tuple[str, ...]:
+        """What the losses of a view need."""
+        depth = ("depth", "alpha") if self._cfg.train.regularization.log_depth > 0 else ()
+        return ("color", *(() if target.motion is None else ("flow",)), *depth)
+
+    def _losses_of_geometry(self, target: Target, out: RenderOutput) -> tuple[float, OutputGradients]:
+        """The losses of flow and depth with their weights, and the gradient of the batch's loss."""
+        weights, loss = self._cfg.train.regularization, 0.0
+        d_alpha = d_depth = d_flow = None
+        if target.motion is not None and out.flow is not None:
+            error, d_flow = flow_loss(out.flow, target.motion.flow, weights.flow / self._size)
+            loss += weights.flow * error
+        if weights.log_depth > 0 and out.depth is not None and out.alpha is not None:
+            mean, d_depth, d_alpha = depth_loss(out.depth, out.alpha, weights.log_depth / self._size)
+            loss += weights.log_depth * mean
+        return loss, OutputGradients(d_alpha, d_depth, d_flow)
 
     def _add_rigid_gradient(self, time: float, gradients: Gradients) -> float:
         weight = self._cfg.train.rigid_weight / self._size
@@ -100,40 +134,39 @@ class Batch:
         return self._size * share
 
 
-def draw_batch(
-    state: TrainState, views: TrainingViews, phase: Phase, scene: Scene, cfg: Config
-) -> list[TargetOverColor]:
-    """The views of the next iteration at the phase's resolution, each with its background colour."""
+def draw_batch(state: TrainState, views: TrainingViews, phase: Phase, scene: Scene, cfg: Config) -> list[DrawnView]:
+    """The views of the next iteration at the phase's resolution, each with what is drawn for it."""
     targets = [(views.at(index, phase.resolution), scene.background) for index in state.sampler.next_batch()]
-    if not cfg.train.random_background:
-        return targets
-    rng = stream(cfg.seed, Stream.BACKGROUND, state.iteration)
-    return [over_random_background(*target, rng) for target in targets]
+    if cfg.train.random_background:
+        rng = stream(cfg.seed, Stream.BACKGROUND, state.iteration)
+        targets = [over_random_background(*target, rng) for target in targets]
+    if cfg.train.dropout == 0:
+        return [DrawnView(*target, dropped=None) for target in targets]
+    rng = stream(cfg.seed, Stream.DROPOUT, state.iteration)
+    return [DrawnView(*target, draw_dropped(len(state.model), cfg.train.dropout, rng)) for target in targets]
 
 
-def render_batch(
-    state: TrainState, targets: Sequence[TargetOverColor], phase: Phase, scene: Scene, cfg: Config
-) -> Batch:
+def render_batch(state: TrainState, drawn: Sequence[DrawnView], phase: Phase, scene: Scene, cfg: Config) -> Batch:
     """Forward and backward pass of every view; gradients and densification statistics accumulate in `state`.
 
     Raises finite_checks.NonFiniteError, which names the view, for a loss or a gradient that is not finite.
     """
-    batch = Batch(state.model, scene, cfg, state.kernels, phase, len(targets))
+    batch = Batch(state.model, scene, cfg, state.kernels, phase, len(drawn))
     state.zero_gradients()
     if phase.densification:
         state.statistics.begin()
-    for target, background in targets:
-        view = batch.backward(target, background, state.gradients)
-        finite_checks.check_loss(view.loss, state.iteration, target.name, state.model)
+    for view in drawn:
+        rendered = batch.backward(view, state.gradients)
+        finite_checks.check_loss(rendered.loss, state.iteration, view.target.name, state.model)
         if phase.densification:
-            state.statistics.add_view(view.gradient, target.camera, scene.duration, state.threads)
+            state.statistics.add_view(rendered.gradient, view.target.camera, scene.duration, state.threads)
     if phase.densification:
-        state.statistics.end(len(targets))
+        state.statistics.end(len(drawn))
     finite_checks.check_gradients(
         state.gradients,
         state.iteration,
-        [target.name for target, _ in targets],
-        lambda index: batch.gradients_of(*targets[index]),
+        [view.target.name for view in drawn],
+        lambda index: batch.gradients_of(drawn[index]),
         state.threads,
     )
     return batch
