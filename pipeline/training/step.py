@@ -19,7 +19,7 @@ from pipeline.model.sphere import trainable_rows
 from pipeline.training import finite_checks
 from pipeline.training.kernels import Kernels
 from pipeline.training.objective.depth_loss import depth_loss
-from pipeline.training.objective.dropout import draw_dropped, drop_out
+from pipeline.training.objective.dropout import draw_dropped, without
 from pipeline.training.objective.flow_loss import flow_loss
 from pipeline.training.objective.losses import view_loss
 from pipeline.training.objective.random_background import over_random_background
@@ -67,16 +67,7 @@ class Batch:
 
     def backward(self, view: DrawnView, gradients: Gradients) -> RenderedView:
         """Render a view and add the gradient of its share of the batch's loss to `gradients`."""
-        if view.dropped is None:
-            return self._backward(self._model, view, gradients)
-        without = drop_out(self._model, view.dropped, self._cfg.train.dropout)
-        others = gradients.opacity_logit.clone()  # of the views before
-        gradients.opacity_logit.zero_()
-        rendered = self._backward(without.model, view, gradients)
-        gradients.opacity_logit.mul_(without.d_logit).add_(others)
-        return rendered
-
-    def _backward(self, model: Model, view: DrawnView, gradients: Gradients) -> RenderedView:
+        model = self._model if view.dropped is None else without(self._model, view.dropped)
         scene, cfg, rasterizer, target = self._scene, self._cfg, self._kernels.rasterizer, view.target
         request = Request(
             target.camera,

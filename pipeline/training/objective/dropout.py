@@ -1,14 +1,12 @@
-"""Dropout of Gaussians: each training view is rendered without a random share of them (Park et al., DropGaussian, CVPR
-2025). Not in the paper.
+"""Dropout of Gaussians: each training view is rendered without a random share of them, as in DropGaussian (Park et al.,
+CVPR 2025). Not in the paper.
 
-Where few views show a moment, a Gaussian can correct the errors of others in one image. It cannot rely on them if they
-are missing at times, so that each has to be right by itself. The others' opacities are multiplied by 1 / (1 - rate),
-so that the expected opacity is that of the whole model.
+Where few views show a moment, Gaussians learn to correct each other's errors in the images they are trained on. A
+Gaussian cannot rely on others that are missing at times. DropGaussian also multiplies the remaining opacities by
+1 / (1 - rate); here that made no difference (docs/experiments.md).
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -16,16 +14,7 @@ from torch import Tensor
 
 from pipeline.model.model import Model
 
-DROPPED_LOGIT = -30.0  # an opacity of 1e-13, which no pixel shows
-MAX_OPACITY = 0.9999  # of a multiplied opacity; blending clamps α at 0.99
-
-
-@dataclass(frozen=True)
-class DroppedOut:
-    """A model without some Gaussians, and how its opacities follow from those of the whole model."""
-
-    model: Model  # shares every tensor but opacity_logit
-    d_logit: Tensor  # (N,) ∂opacity_logit of `model` / ∂opacity_logit of the whole; 0 for a dropped Gaussian
+DROPPED_LOGIT = -30.0  # an opacity of 1e-13, which the rasterizer skips
 
 
 def draw_dropped(count: int, rate: float, rng: np.random.Generator) -> Tensor:
@@ -33,13 +22,8 @@ def draw_dropped(count: int, rate: float, rng: np.random.Generator) -> Tensor:
     return torch.from_numpy(rng.random(count, dtype=np.float32) < rate)
 
 
-def drop_out(model: Model, dropped: Tensor, rate: float) -> DroppedOut:
-    """`model` without the Gaussians `dropped` (N,) bool."""
-    opacity = torch.sigmoid(model.parameters["opacity_logit"])
-    multiplied = opacity / (1 - rate)
-    clamped = multiplied > MAX_OPACITY
-    logit = torch.logit(multiplied.clamp(max=MAX_OPACITY)).masked_fill_(dropped, DROPPED_LOGIT)
-    # With o' = o / (1 - rate): ∂logit'/∂logit = o (1 - o) / ((1 - rate) o' (1 - o')) = (1 - o) / (1 - o').
-    d_logit = ((1 - opacity) / (1 - multiplied)).masked_fill_(dropped | clamped, 0.0)
-    parameters = {**model.parameters, "opacity_logit": logit}
-    return DroppedOut(Model(model.kind, parameters, model.sphere, model.environment_map), d_logit)
+def without(model: Model, dropped: Tensor) -> Model:
+    """`model` with the Gaussians `dropped` (N,) bool invisible. It shares every tensor but the opacities, so that
+    gradients of the others are those of `model`."""
+    logit = model.parameters["opacity_logit"].masked_fill(dropped, DROPPED_LOGIT)
+    return Model(model.kind, {**model.parameters, "opacity_logit": logit}, model.sphere, model.environment_map)
