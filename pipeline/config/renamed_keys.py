@@ -27,7 +27,7 @@ REMOVED: dict[str, Any] = {
     "train.regularization.color": 0.0,
 }
 # Added key -> the value that changes nothing, under which it is no part of the hashes of stages.
-ADDED: dict[str, Any] = {"train.regularization.flow": 0.0, "train.regularization.log_depth": 0.0}
+ADDED: dict[str, Any] = {"train.regularization.flow": 0.0}
 _OVERRIDES = "train.static_overrides."  # holds keys of `train`
 
 
