@@ -107,7 +107,6 @@ class RegularizationConfig:
     opacity: float = 0.0  # towards transparency: × mean opacity
     opacity_views: float = 0.0  # one camera: `opacity` is weaker where more views than this share a lifetime; 0: never
     flow: float = 0.0  # towards the optical flow measured in videos: × mean error, image widths (flow_loss.py)
-    log_depth: float = 0.0  # towards one near or far surface a pixel: × mean log depth (depth_loss.py)
 
     def __post_init__(self) -> None:
         check("train.regularization", self, {f.name: at_least(0).but("0: none") for f in fields(self)})

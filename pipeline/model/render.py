@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from torch import Tensor
 
 from pipeline.model.model import Model
-from rasterizer import Gradients, Rasterizer, RenderOutput, Request, ViewGradient
+from rasterizer import Gradients, Rasterizer, Request, ViewGradient
 
 
 @dataclass(frozen=True)
@@ -28,19 +28,7 @@ class Composite:
 class Rendered:
     image: Tensor  # (3, H, W), not clamped
     composite: Composite | None  # None without an environment map
-    gaussians: RenderOutput  # the requested outputs of the Gaussians alone
-
-
-@dataclass(frozen=True)
-class OutputGradients:
-    """∂L/∂output of the Gaussians besides their colour, as Rasterizer.backward takes it. None: zero."""
-
-    d_alpha: Tensor | None = None  # (1, H, W)
-    d_depth: Tensor | None = None  # (1, H, W)
-    d_flow: Tensor | None = None  # (2, H, W)
-
-
-NO_GRADIENTS = OutputGradients()
+    flow: Tensor | None = None  # (2, H, W) pixels; None unless requested
 
 
 def render_image(rasterizer: Rasterizer, model: Model, request: Request) -> Tensor:
@@ -49,21 +37,22 @@ def render_image(rasterizer: Rasterizer, model: Model, request: Request) -> Tens
 
 
 def render(rasterizer: Rasterizer, model: Model, request: Request, differentiable: bool = True) -> Rendered:
-    """Render the image of `model`, and the other outputs of the request of its Gaussians alone.
+    """Render the colour of `model`, and its optical flow on request; other outputs of the request are ignored.
 
     An environment map replaces the request's background.
     """
     gaussians, environment_map = model.gaussians(), model.environment_map
+    flow = ("flow",) if "flow" in request.outputs else ()
     if environment_map is None:
-        out = rasterizer.render(gaussians, replace(request, outputs=("color", *request.outputs)), differentiable)
+        out = rasterizer.render(gaussians, replace(request, outputs=("color", *flow)), differentiable)
         assert out.color is not None
-        return Rendered(out.color, None, out)
-    request = replace(request, outputs=("color", "alpha", *request.outputs), background=(0.0, 0.0, 0.0))
+        return Rendered(out.color, None, out.flow)
+    request = replace(request, outputs=("color", "alpha", *flow), background=(0.0, 0.0, 0.0))
     out = rasterizer.render(gaussians, request, differentiable)
     assert out.color is not None and out.alpha is not None
     grid = environment_map.grid(request.camera)
     colors = environment_map.sample(grid)
-    return Rendered(out.color + (1 - out.alpha) * colors, Composite(out.alpha, colors, grid), out)
+    return Rendered(out.color + (1 - out.alpha) * colors, Composite(out.alpha, colors, grid), out.flow)
 
 
 def backward(
@@ -73,16 +62,14 @@ def backward(
     d_image: Tensor,  # (3, H, W) ∂L/∂image
     gradients: Gradients,
     d_environment_map: Tensor | None = None,  # (3, h, 2h); None: the environment map is not trained
-    d_outputs: OutputGradients = NO_GRADIENTS,  # of the Gaussians alone
+    d_flow: Tensor | None = None,  # (2, H, W) ∂L/∂flow; None: zero
 ) -> ViewGradient:
     """Add ∂L/∂parameters to `gradients` and ∂L/∂environment map to `d_environment_map`, both in place."""
     composite = rendered.composite
     if composite is None:
-        return rasterizer.backward(gradients, d_color=d_image, **vars(d_outputs))
+        return rasterizer.backward(gradients, d_color=d_image, d_flow=d_flow)
     if d_environment_map is not None:
         assert model.environment_map is not None
         model.environment_map.add_gradient(d_environment_map, composite.grid, (1 - composite.alpha) * d_image)
     d_alpha = -(d_image * composite.colors).sum(dim=0, keepdim=True)
-    if d_outputs.d_alpha is not None:
-        d_alpha += d_outputs.d_alpha
-    return rasterizer.backward(gradients, d_color=d_image, **{**vars(d_outputs), "d_alpha": d_alpha})
+    return rasterizer.backward(gradients, d_color=d_image, d_alpha=d_alpha, d_flow=d_flow)

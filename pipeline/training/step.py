@@ -14,11 +14,10 @@ from pipeline.config.random_streams import Stream, stream
 from pipeline.config.schema import Config
 from pipeline.data.training_views import Target, TrainingViews
 from pipeline.model.model import Model
-from pipeline.model.render import OutputGradients, backward, render
+from pipeline.model.render import backward, render
 from pipeline.model.sphere import trainable_rows
 from pipeline.training import finite_checks
 from pipeline.training.kernels import Kernels
-from pipeline.training.objective.depth_loss import depth_loss
 from pipeline.training.objective.dropout import draw_dropped, without
 from pipeline.training.objective.flow_loss import flow_loss
 from pipeline.training.objective.losses import view_loss
@@ -27,7 +26,7 @@ from pipeline.training.objective.regularization import add_regularization_gradie
 from pipeline.training.objective.rigid_loss import add_rigid_gradient
 from pipeline.training.schedule import Phase
 from pipeline.training.state import TrainState
-from rasterizer import Gradients, RenderOutput, Request, ViewGradient
+from rasterizer import Gradients, Request, ViewGradient
 
 
 @dataclass(frozen=True)
@@ -74,7 +73,7 @@ class Batch:
             target.time,
             scene.duration,
             view.background,
-            outputs=self._outputs(target),
+            outputs=("color",) if target.motion is None else ("color", "flow"),
             flow_dt=None if target.motion is None else target.motion.step,
             near=cfg.scene.near * scene.unit,
             sh_degree=self._phase.sh_degree,
@@ -82,11 +81,12 @@ class Batch:
         )
         rendered = render(rasterizer, model, request)
         value = view_loss(self._kernels.criterion, rendered.image, target.image, self._size)
-        further, d_outputs = self._losses_of_geometry(target, rendered.gaussians)
-        gradient = backward(
-            rasterizer, self._model, rendered, value.d_image, gradients, self.d_environment_map, d_outputs
-        )
-        loss = value.loss + further
+        loss, d_flow = value.loss, None
+        if target.motion is not None and rendered.flow is not None:
+            weight = cfg.train.regularization.flow
+            error, d_flow = flow_loss(rendered.flow, target.motion.flow, weight / self._size)
+            loss += weight * error
+        gradient = backward(rasterizer, model, rendered, value.d_image, gradients, self.d_environment_map, d_flow)
         if cfg.train.rigid_weight > 0 and self._model.kind.motion == "full":
             loss += self._add_rigid_gradient(target.time, gradients)
         if self.visible is not None:
@@ -101,23 +101,6 @@ class Batch:
         alone = Gradients.zeros_like(self._model.gaussians())
         self.backward(view, alone)
         return alone
-
-    def _outputs(self, target: Target) -> tuple[str, ...]:
-        """What the losses of a view need."""
-        depth = ("depth", "alpha") if self._cfg.train.regularization.log_depth > 0 else ()
-        return ("color", *(() if target.motion is None else ("flow",)), *depth)
-
-    def _losses_of_geometry(self, target: Target, out: RenderOutput) -> tuple[float, OutputGradients]:
-        """The losses of flow and depth with their weights, and the gradient of the batch's loss."""
-        weights, loss = self._cfg.train.regularization, 0.0
-        d_alpha = d_depth = d_flow = None
-        if target.motion is not None and out.flow is not None:
-            error, d_flow = flow_loss(out.flow, target.motion.flow, weights.flow / self._size)
-            loss += weights.flow * error
-        if weights.log_depth > 0 and out.depth is not None and out.alpha is not None:
-            mean, d_depth, d_alpha = depth_loss(out.depth, out.alpha, weights.log_depth / self._size)
-            loss += weights.log_depth * mean
-        return loss, OutputGradients(d_alpha, d_depth, d_flow)
 
     def _add_rigid_gradient(self, time: float, gradients: Gradients) -> float:
         weight = self._cfg.train.rigid_weight / self._size

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from pipeline.model.environment_map import EnvironmentMap
 from pipeline.model.model import Model
-from pipeline.model.render import OutputGradients, backward, render, render_image
+from pipeline.model.render import backward, render, render_image
 from rasterizer import Gaussians, Gradients, Rasterizer, Request
 from rasterizer.reference import rasterize as reference
 from rasterizer.reference.discontinuities import away_from_discontinuities, smooth_pixels
@@ -105,28 +105,3 @@ def test_other_gradients_do_not_depend_on_training_the_environment_map() -> None
         )
     for name, gradient in found[0].dense().items():
         assert torch.equal(gradient, found[1].dense()[name]) and gradient.any(), name
-
-
-@pytest.mark.parametrize("with_map", [True, False])
-def test_gradients_of_further_outputs_are_added(with_map: bool) -> None:
-    """Of depth and alpha, over an environment map too; against autograd through the float64 reference."""
-    gaussians, texels, weights = example()
-    model, rasterizer = model_of(gaussians, texels if with_map else None), Rasterizer(threads=1)
-    request = Request(REQUEST.camera, REQUEST.time, background=REQUEST.background, outputs=("depth", "alpha"))
-    gradients = Gradients.zeros_like(model.gaussians())
-    rendered = render(rasterizer, model, request)
-    weights = weights.float()
-    d_outputs = OutputGradients(d_alpha=weights[:1].contiguous(), d_depth=weights[1:2].contiguous())
-    backward(rasterizer, model, rendered, weights, gradients, None, d_outputs)
-
-    leaves = {name: tensor.clone().requires_grad_() for name, tensor in gaussians.tensors().items()}
-    black = Request(REQUEST.camera, REQUEST.time, outputs=("color", "depth", "alpha"))
-    out = render_with(reference, Gaussians.from_tensors(leaves), black)
-    behind = torch.tensor(REQUEST.background, dtype=torch.float64)[:, None, None]
-    behind = naive_sample(texels, REQUEST.camera) if with_map else behind
-    image = out.color + (1 - out.alpha) * behind
-    ((image * weights).sum() + (out.alpha * weights[:1]).sum() + (out.depth * weights[1:2]).sum()).backward()
-    for name, found in gradients.dense().items():
-        truth = leaves[name].grad
-        # float32 against float64, as for the image alone
-        assert (found - truth).norm() < 1e-3 * truth.norm(), name

@@ -16,10 +16,10 @@ def insert_nan(monkeypatch, at_call: int, row: int) -> None:
     """The view of the `at_call`-th backward pass has a NaN in the gradient of the mean from then on."""
     original, names = step.Batch.backward, []
 
-    def backward(self, target, background, gradients):
-        view = original(self, target, background, gradients)
-        names.append(target.name)
-        if target.name == names[min(at_call, len(names) - 1)] and len(names) > at_call:
+    def backward(self, drawn, gradients):
+        view = original(self, drawn, gradients)
+        names.append(drawn.target.name)
+        if drawn.target.name == names[min(at_call, len(names) - 1)] and len(names) > at_call:
             gradients.mean[row, 1] = float("nan")
         return view
 
@@ -41,9 +41,9 @@ def test_the_search_for_the_non_finite_view_uses_the_same_random_backgrounds(tmp
     """Only views over some colours have a NaN."""
     original = step.Batch.backward
 
-    def backward(self, target, background, gradients):
-        view = original(self, target, background, gradients)
-        if background[0] > 0.9:
+    def backward(self, drawn, gradients):
+        view = original(self, drawn, gradients)
+        if drawn.background[0] > 0.9:
             gradients.mean[13, 1] = float("nan")
         return view
 

@@ -59,8 +59,8 @@ def batch_losses(path: Path, scene, cfg) -> list[float]:
     losses: list[float] = []
     original = step.Batch.backward
 
-    def record(self, target, background, gradients):
-        view = original(self, target, background, gradients)
+    def record(self, drawn, gradients):
+        view = original(self, drawn, gradients)
         losses.append(view.loss)
         return view
 

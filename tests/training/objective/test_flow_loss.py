@@ -1,4 +1,4 @@
-"""The losses of flow and depth: their gradients, through the kernel too."""
+"""The flow loss: its gradient, through the kernel too."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from pipeline.data.optical_flow import FlowTargets
 from pipeline.data.training_views import TrainingViews
 from pipeline.model.model import Model
 from pipeline.training.kernels import Kernels
-from pipeline.training.objective.depth_loss import MIN_ALPHA, depth_loss
 from pipeline.training.objective.flow_loss import SOFTENING, flow_loss
 from pipeline.training.schedule import phase
 from pipeline.training.step import Batch
@@ -54,38 +53,11 @@ def test_the_loss_is_the_mean_length_of_large_errors_and_0_without_error() -> No
     assert loss == 0 and not gradient.any()
 
 
-def test_the_gradient_of_the_depth_loss_equals_finite_differences() -> None:
-    rng = torch.Generator().manual_seed(1)
-    alpha = torch.rand(1, 5, 7, generator=rng, dtype=torch.float64)
-    depth = alpha * (2 + torch.rand(1, 5, 7, generator=rng, dtype=torch.float64))
-    alpha[0, 0, 0] = depth[0, 0, 0] = 0  # nothing there
-    loss, d_depth, d_alpha = depth_loss(depth, alpha, weight=3.0)
-    counts = alpha >= MIN_ALPHA
-    assert loss == pytest.approx(float((depth / alpha)[counts].log().sum() / 35)) and 20 < counts.sum() < 35
-    step = 1e-6
-    for index in np.ndindex(1, 5, 7):
-        change = torch.zeros_like(depth)
-        change[index] = step
-        by_depth = depth_loss(depth + change, alpha, 1.0)[0] - depth_loss(depth - change, alpha, 1.0)[0]
-        by_alpha = depth_loss(depth, alpha + change, 1.0)[0] - depth_loss(depth, alpha - change, 1.0)[0]
-        # float64: 1e-16 of the loss over the step is 1e-10, of gradients of 1e-2
-        assert d_depth[index].item() == pytest.approx(3 * by_depth / (2 * step), rel=1e-6, abs=1e-8)
-        assert d_alpha[index].item() == pytest.approx(3 * by_alpha / (2 * step), rel=1e-6, abs=1e-8)
-
-
-def test_showing_through_costs_more_than_filling_a_pixel() -> None:
-    """Of a background at 64 behind a surface at 4: the first twentieth costs log 1.75, the last 0.05 / 64 × 60."""
-    depth = torch.tensor([4.0, 0.95 * 4 + 0.05 * 64, 0.05 * 4 + 0.95 * 64, 64.0])
-    cost = [depth_loss(z.view(1, 1, 1), torch.ones(1, 1, 1), 1.0)[0] for z in depth]
-    assert cost[1] - cost[0] == pytest.approx(np.log(1.75), rel=1e-5)
-    assert cost[3] - cost[2] == pytest.approx(-np.log(1 - 0.05 * 60 / 64), rel=1e-4)
-
-
-def test_the_gradient_of_a_batch_is_that_of_image_flow_and_depth() -> None:
+def test_the_gradient_of_a_batch_is_that_of_image_and_flow() -> None:
     """One view by the kernel, against autograd through the float64 reference implementation."""
     scene, weight = moving_plane(), 50.0
     cfg = tiny_config()
-    cfg = replace(cfg, train=replace(cfg.train, regularization=RegularizationConfig(flow=weight, log_depth=0.2)))
+    cfg = replace(cfg, train=replace(cfg.train, regularization=RegularizationConfig(flow=weight)))
     late = phase(60.0, cfg.train, scene.extent, 3, 2)
     gaussians = random_gaussians(40, "full", torch.Generator().manual_seed(2))  # float64 of float32 values
     model = Model.from_gaussians(gaussians.to(torch.float32))
@@ -96,12 +68,10 @@ def test_the_gradient_of_a_batch_is_that_of_image_flow_and_depth() -> None:
 
     leaves = {name: tensor.clone().requires_grad_() for name, tensor in gaussians.tensors().items()}
     out = reference(Gaussians.from_tensors(leaves), target.camera, target.time, scene.duration, scene.background,
-                    ("color", "flow", "depth", "alpha"), target.motion.step, near=cfg.scene.near)  # fmt: skip
-    counts = out.alpha >= MIN_ALPHA
+                    ("color", "flow"), target.motion.step, near=cfg.scene.near)  # fmt: skip
     error = torch.nan_to_num(out.flow / target.camera.width - target.motion.flow, nan=0.0)
     lengths = torch.sqrt(error.square().sum(dim=0) + SOFTENING**2) - SOFTENING
     expected = (out.color - target.image).abs().mean() + weight * lengths.mean()
-    expected += 0.2 * (out.depth[counts] / out.alpha[counts]).log().sum() / out.alpha.numel()
     expected.backward()
     assert loss == pytest.approx(expected.item(), rel=1e-5)  # float32
     for name, found in gradients.dense().items():
