@@ -35,7 +35,7 @@ class DrawnView:
 
     target: Target
     background: Color  # that its image is composed over
-    dropped: Tensor | None  # (N,) bool, Gaussians that are left out of it; None: none
+    dropped: Tensor | None = None  # (N,) bool, Gaussians that are left out of it; None: none
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ def draw_batch(state: TrainState, views: TrainingViews, phase: Phase, scene: Sce
         rng = stream(cfg.seed, Stream.BACKGROUND, state.iteration)
         targets = [over_random_background(*target, rng) for target in targets]
     if cfg.train.dropout == 0:
-        return [DrawnView(*target, dropped=None) for target in targets]
+        return [DrawnView(*target) for target in targets]
     rng = stream(cfg.seed, Stream.DROPOUT, state.iteration)
     return [DrawnView(*target, draw_dropped(len(state.model), cfg.train.dropout, rng)) for target in targets]
 

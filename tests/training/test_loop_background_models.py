@@ -18,7 +18,7 @@ from pipeline.model.initialise import initialise
 from pipeline.training import checkpoint, finite_checks
 from pipeline.training.kernels import Kernels
 from pipeline.training.schedule import phase
-from pipeline.training.step import Batch
+from pipeline.training.step import Batch, DrawnView
 from rasterizer import Gradients
 
 BACKGROUND_MODELS = ("sphere", "envmap")
@@ -146,5 +146,7 @@ def test_the_near_plane_is_in_the_scenes_unit(unit: float, visible: bool) -> Non
     scene, cfg = replace(tiny_scene(), unit=unit), tiny_config()
     model = initialise(scene, cfg, np.random.default_rng(0))
     batch = Batch(model, scene, cfg, Kernels(0.2, 1), phase(1.0, cfg.train, scene.extent, 3, 2), 1)
-    view = batch.backward(target_of(scene.train[0], 1.0), scene.background, Gradients.zeros_like(model.gaussians()))
+    view = batch.backward(
+        DrawnView(target_of(scene.train[0], 1.0), scene.background), Gradients.zeros_like(model.gaussians())
+    )
     assert (len(view.gradient.visible) > 0) == visible

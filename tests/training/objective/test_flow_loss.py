@@ -18,7 +18,7 @@ from pipeline.model.model import Model
 from pipeline.training.kernels import Kernels
 from pipeline.training.objective.flow_loss import SOFTENING, flow_loss
 from pipeline.training.schedule import phase
-from pipeline.training.step import Batch
+from pipeline.training.step import Batch, DrawnView
 from rasterizer import Gaussians, Gradients
 from rasterizer.reference import rasterize as reference
 
@@ -64,7 +64,7 @@ def test_the_gradient_of_a_batch_is_that_of_image_and_flow() -> None:
     target = TrainingViews(scene.train, FlowTargets(scene)).at(1, 1.0)
     batch = Batch(model, scene, cfg, Kernels(0.0, 1), late, 1)  # without SSIM: L1 alone
     gradients = Gradients.zeros_like(model.gaussians())
-    loss = batch.backward(target, scene.background, gradients).loss
+    loss = batch.backward(DrawnView(target, scene.background), gradients).loss
 
     leaves = {name: tensor.clone().requires_grad_() for name, tensor in gaussians.tensors().items()}
     out = reference(Gaussians.from_tensors(leaves), target.camera, target.time, scene.duration, scene.background,
