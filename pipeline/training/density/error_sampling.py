@@ -13,6 +13,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 import torch
 from scipy.ndimage import uniform_filter
@@ -21,15 +22,15 @@ from torch import Tensor
 from datasets.scene import Scene, View
 from pipeline.config.schema import Config
 from pipeline.config.train_schema import TrainConfig
-from pipeline.data.training_views import Target, target_of
+from pipeline.data.training_views import Target, camera_at
 from pipeline.model.initialise import SH_C0
 from pipeline.model.model import Model
 from pipeline.model.render import render_image
 from rasterizer import Rasterizer, Request
 
 IMAGE_SIDE = 100  # pixels of the longer side at which errors are measured: objects, not texture
-MAX_VIEWS = 400  # rendered each time; of more, the windows of random times
-CANDIDATES = 20  # for each new Gaussian
+MAX_VIEWS = 200  # rendered each time; of more, the windows of random times
+CANDIDATES = 10  # for each new Gaussian
 SEVERAL_CAMERAS = 3  # as many views of one time need no neighbouring times
 WINDOW = 5  # times, the candidate's in the middle, where fewer cameras film each time
 FEWEST_VIEWS = 3  # a candidate in fewer images is not scored
@@ -109,7 +110,7 @@ class ErrorSampler:
         if index not in self._targets:
             if len(self._targets) >= 2 * MAX_VIEWS:  # a long film: other times each time
                 self._targets.clear()
-            self._targets[index] = target_of(self._scene.train[index], _scale(self._scene.train[index]))
+            self._targets[index] = reduced(self._scene.train[index])
         return self._targets[index]
 
     def _errors(self, model: Model, views: Sequence[int], near: float, threads: int) -> dict[int, np.ndarray]:
@@ -185,13 +186,26 @@ class ErrorSampler:
             color[row, seen] = target.image.numpy()[:, v, u].T
         enough = np.isfinite(error).sum(axis=0) >= min(FEWEST_VIEWS, len(views))
         score, colors = np.zeros(len(points)), np.zeros((len(points), 3))
-        score[enough] = np.nanquantile(error[:, enough], QUANTILE, axis=0)
-        colors[enough] = np.nanmedian(color[:, enough], axis=0)
+        score[enough] = quantile_of_known(error[:, enough], QUANTILE)
+        colors[enough] = quantile_of_known(color[:, enough], 0.5)
         return score, colors
 
 
-def _scale(view: View) -> float:
-    return min(1.0, IMAGE_SIDE / max(view.camera.width, view.camera.height))
+def reduced(view: View) -> Target:
+    """The view at IMAGE_SIDE pixels of its longer side, or as it is."""
+    camera = camera_at(view.camera, min(1.0, IMAGE_SIDE / max(view.camera.width, view.camera.height)))
+    image = cv2.resize(np.asarray(view.image), (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+    planes = torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1))).float().div_(255)
+    return Target(view.name, view.time, camera, planes)
+
+
+def quantile_of_known(values: np.ndarray, quantile: float) -> np.ndarray:
+    """np.nanquantile along the first axis, for columns with at least one number: that one calls Python for each."""
+    values = np.sort(values, axis=0)  # NaN last
+    place = quantile * (np.isfinite(values).sum(axis=0, keepdims=True) - 1)
+    below = np.floor(place).astype(int)
+    low, high = (np.take_along_axis(values, index, axis=0)[0] for index in (below, np.ceil(place).astype(int)))
+    return low + (high - low) * (place - below)[0]
 
 
 def _rows(model: Model, candidates: Candidates, chosen: np.ndarray, lifetime: float) -> dict[str, Tensor]:

@@ -121,6 +121,15 @@ def test_score_and_colour_equal_those_of_a_naive_loop():
         np.testing.assert_allclose(color[i], np.median(colors, axis=0) if expected else color[i], atol=1e-6)
 
 
+def test_quantiles_are_numpys():
+    values = np.random.default_rng(0).normal(size=(6, 50, 3))
+    values[np.random.default_rng(1).random(values.shape) < 0.4] = np.nan
+    values[0] = 0.3
+    for quantile in (0.25, 0.5, 1.0):
+        found = error_sampling.quantile_of_known(values, quantile)
+        np.testing.assert_allclose(found, np.nanquantile(values, quantile, axis=0), rtol=1e-12, atol=1e-15)
+
+
 def test_the_draw_is_a_function_of_its_generator():
     scene = sphere_scene()
     first, again, other = draw(scene), draw(scene), draw(scene, seed=1)
