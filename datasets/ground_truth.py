@@ -73,9 +73,8 @@ class StoredTruth:
 
     def in_units(self, length_scale: float, time_scale: float) -> StoredTruth:
         """For a scene whose lengths and times are scaled once more."""
-        return replace(
-            self, length_scale=self.length_scale * length_scale, time_scale=self.time_scale * time_scale
-        )  # fmt: skip
+        lengths, times = self.length_scale * length_scale, self.time_scale * time_scale
+        return replace(self, length_scale=lengths, time_scale=times)
 
     def read(self, moving_only: bool = False) -> GroundTruth:
         """moving_only: leaves depth and flow unread, as if unknown. SceneError for a file that cannot be read."""

@@ -1,4 +1,4 @@
-"""Writes folders in the Plenoptic Video layout with small videos."""
+"""Writes folders in the Plenoptic Video layout with small videos, and reads them."""
 
 from __future__ import annotations
 
@@ -8,6 +8,9 @@ from pathlib import Path
 
 import numpy as np
 from imageio_ffmpeg import get_ffmpeg_exe
+
+from datasets import Scene
+from datasets.plenoptic import read_plenoptic
 
 WIDTH, HEIGHT = 64, 48
 FRAMES = 6
@@ -66,3 +69,9 @@ def write_folder(root: Path, numbers: Sequence[int] = (0, 1, 2)) -> Path:
         write_camera(root / f"cam{number:02d}.mp4", number)
     np.save(root / "poses_bounds.npy", np.stack([pose_row(number) for number in numbers]))
     return root
+
+
+def read(folder: Path, **options: object) -> Scene:
+    """`read_plenoptic` with settings for small folders; frames are cached beside the folder."""
+    defaults = dict(name="plenoptic/toy", downscale=1, cache=folder.parent / "cache", threads=2, log=lambda text: None)
+    return read_plenoptic(folder, **{**defaults, **options})

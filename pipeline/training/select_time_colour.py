@@ -83,6 +83,7 @@ def select(
         resolution_scale=RESOLUTION * short.resolution_scale,
         eval_every=short.iterations,
         checkpoint_every=short.iterations,
+        regularization=replace(short.regularization, flow=0.0),  # measuring it would take longer than the training
     )
     cfg, psnr = replace(cfg, train=short, resume=False), []
     for variant, label in ((cfg, "with"), (without_time_colour(cfg), "without")):

@@ -12,11 +12,10 @@ import numpy as np
 import pytest
 from dnerf_folder import blender_pose
 from PIL import Image
-from plenoptic_folder import HEIGHT, WIDTH, picture, write_camera
+from plenoptic_folder import HEIGHT, WIDTH, picture, read, write_camera
 
-from datasets import Scene, SceneError
+from datasets import SceneError
 from datasets.files.frame_store import StoredFrame
-from datasets.plenoptic import read_plenoptic
 
 FRAMES = 3
 # Like the released program's converter: sizes are floats, the principal point is an integer.
@@ -50,11 +49,6 @@ def converted(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def folder(converted: Path, tmp_path: Path) -> Path:
     return shutil.copytree(converted, tmp_path / "scene")
-
-
-def read(folder: Path, **options: object) -> Scene:
-    defaults = dict(name="plenoptic/toy", downscale=1, cache=folder.parent / "cache", threads=2, log=lambda text: None)
-    return read_plenoptic(folder, **{**defaults, **options})
 
 
 def edit(folder: Path, change: Callable[[dict], object], split: str = "train") -> None:

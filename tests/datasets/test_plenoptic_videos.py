@@ -9,11 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from plenoptic_folder import FOCAL, FRAMES, HEIGHT, NEAR, RATE, WIDTH, inside, picture, write_camera, write_folder
+from plenoptic_folder import FOCAL, FRAMES, HEIGHT, NEAR, RATE, WIDTH, inside, picture, read, write_camera, write_folder
 
-from datasets import Scene, load_scene
+from datasets import load_scene
 from datasets.files.frame_store import StoredFrame
-from datasets.plenoptic import read_plenoptic
 from datasets.settings import SceneConfig
 
 # Levels of 255, inside a block: 1 to 2 from limited range, the rest from x264 at crf 1.
@@ -23,11 +22,6 @@ CODEC = 4
 @pytest.fixture
 def folder(video_folder: Path, tmp_path: Path) -> Path:
     return shutil.copytree(video_folder, tmp_path / "scene")
-
-
-def read(folder: Path, **options: object) -> Scene:
-    defaults = dict(name="plenoptic/toy", downscale=1, cache=folder.parent / "cache", threads=2, log=lambda text: None)
-    return read_plenoptic(folder, **{**defaults, **options})
 
 
 def test_frames_in_order_and_rgb(folder: Path) -> None:

@@ -8,20 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from plenoptic_folder import FRAMES, RATE, pose_row, write_camera
+from plenoptic_folder import FRAMES, RATE, pose_row, read, write_camera
 
-from datasets import Scene, SceneError
-from datasets.plenoptic import read_plenoptic
+from datasets import SceneError
 
 
 @pytest.fixture
 def folder(video_folder: Path, tmp_path: Path) -> Path:
     return shutil.copytree(video_folder, tmp_path / "scene")
-
-
-def read(folder: Path, **options: object) -> Scene:
-    defaults = dict(name="plenoptic/toy", downscale=1, cache=folder.parent / "cache", threads=2, log=lambda text: None)
-    return read_plenoptic(folder, **{**defaults, **options})
 
 
 def poses(change: Callable[[np.ndarray], object]) -> Callable[[Path], None]:

@@ -13,7 +13,7 @@ from tiny import tiny_config, tiny_scene
 from pipeline.evaluation.lifetimes import BIN_EDGES, QUANTILES, lifetimes
 from pipeline.model.initialise import initialise
 from pipeline.studies.overfitting.effective_view_count import effective_view_count
-from pipeline.studies.overfitting.error_by_motion import moving_pixels, split_error
+from pipeline.studies.overfitting.error_by_motion import split_error
 from pipeline.studies.overfitting.history import read_history
 from pipeline.studies.overfitting.plot import image_grid
 from rasterizer import Request
@@ -124,31 +124,25 @@ def test_image_grid_places_every_image():
     assert (pixels[10:, 11:] == 255).all()
 
 
-def images_of_a_moving_dot(views=5):
-    """(V, 21, 31, 3) float32: a white dot that moves along the middle row of a grey image."""
-    images = np.full((views, 21, 31, 3), 0.5, np.float32)
+def moving_dot(views=5):
+    """(V, 21, 31, 3) float32: a white dot that moves along the middle row of a grey image; and (V, 21, 31) where."""
+    images, there = np.full((views, 21, 31, 3), 0.5, np.float32), np.zeros((views, 21, 31), bool)
     for k in range(views):
-        images[k, 10, 10 + k] = 1.0
-    return images
-
-
-def test_moving_pixels_are_the_dilated_path_of_the_dot():
-    expected = np.zeros((21, 31), bool)
-    expected[8:13, 8:17] = True
-    assert np.array_equal(moving_pixels(images_of_a_moving_dot()), expected)
+        images[k, 10, 10 + k], there[k, 10, 10 + k] = 1.0, True
+    return images, there
 
 
 def test_error_is_split_between_moving_and_static_pixels():
-    truth = images_of_a_moving_dot()
-    rendered = truth + np.where(moving_pixels(truth)[None, :, :, None], np.float32(0.1), np.float32(0.01))
-    error = split_error(truth, rendered)
-    pixels = 5 * 9
+    truth, moving = moving_dot()
+    rendered = truth + np.where(moving[..., None], np.float32(0.1), np.float32(0.01))
+    error = split_error(truth, rendered, moving)
     # 0.1 and 0.01 added to 0.5 and 1 in float32: relative error 1e-5 of the smaller, twice that squared
-    assert error.moving_fraction == pytest.approx(pixels / (21 * 31))
+    assert error.moving_fraction == pytest.approx(1 / (21 * 31))
     assert (error.moving_psnr, error.static_psnr) == pytest.approx((20.0, 40.0), abs=1e-3)
-    assert error.moving_error == pytest.approx(pixels * 0.01 / (pixels * 0.01 + (21 * 31 - pixels) * 0.0001), rel=1e-4)
+    assert error.moving_error == pytest.approx(0.01 / (0.01 + (21 * 31 - 1) * 0.0001), rel=1e-4)
 
 
 def test_static_images_have_no_split():
     still = np.full((3, 8, 8, 3), 0.5, np.float32)
-    assert split_error(still, still + 0.1) is None
+    assert split_error(still, still + 0.1, np.zeros((3, 8, 8), bool)) is None
+    assert split_error(still, still + 0.1, np.ones((3, 8, 8), bool)) is None

@@ -2,7 +2,7 @@
 
 Writes overfitting.svg (PSNR of training and held-out views and lifetimes over the schedule, effective view counts) and
 moment.webp (the middle test view, and above it the training view nearest in time: ground truth, then each run's
-render). Prints the final numbers and, where the test camera is static, the error in moving and in static pixels.
+render). Prints the final numbers and, where moving pixels are known, the error in these and in the others.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@ CVPR 2025). Not in the paper.
 
 Where few views show a moment, Gaussians learn to correct each other's errors in the images they are trained on. A
 Gaussian cannot rely on others that are missing at times. DropGaussian also multiplies the remaining opacities by
-1 / (1 - rate); here that made no difference (docs/experiments.md).
+1 / (1 - rate); here that made no difference (docs/method.md 2.5).
 """
 
 from __future__ import annotations
