@@ -10,7 +10,8 @@ from project_file import ROOT
 
 # Room -> its floor. A file imports from its own room and from floors below; rooms on one floor do not know each other.
 FLOORS = {
-    "pipeline": 10,  # the entry points: __main__, cli, stages
+    "pipeline": 11,  # the entry points: __main__, cli, stages
+    "pipeline.view": 10,  # above the studies: it opens finished runs as they do
     "pipeline.studies": 9,
     "pipeline.report": 9,
     "pipeline.training": 8,
