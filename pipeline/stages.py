@@ -1,6 +1,7 @@
 """The stages of a run: (sfm → select_time_colour →) init → train → evaluate → view.
 
-A stage with unchanged inputs is skipped. Its inputs are what its result depends on: the stage before it, the data, and its part of the configuration.
+A stage with unchanged inputs is skipped. Its inputs are what its result depends on: the stage before it, the data, and
+its part of the configuration.
 """
 
 from __future__ import annotations

@@ -7,6 +7,7 @@ compression that follows removes them.
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -27,9 +28,9 @@ class Column:
 
 def quantised(name: str, values: np.ndarray, step: float) -> tuple[Column, list[bytes]]:
     """(column, its planes of bytes) of `values` (N, …), of which a reader gets the nearest multiples of `step`."""
-    rows = np.ascontiguousarray(values.reshape(len(values), -1).T)
+    rows = np.ascontiguousarray(values.reshape(len(values), math.prod(values.shape[1:])).T)
     counts = np.rint(rows / rows.dtype.type(step)).astype(np.int64 if rows.dtype == np.float64 else np.int32)
-    low = counts.min(axis=1, initial=0) if counts.shape[1] == 0 else counts.min(axis=1)
+    low = counts.min(axis=1) if counts.size else np.zeros(len(counts), counts.dtype)
     above = (counts - low[:, None]).astype("<u4")
     sizes = tuple((int(largest).bit_length() + 7) // 8 for largest in above.max(axis=1, initial=0))
     digits = above.view(np.uint8).reshape(*above.shape, 4)

@@ -85,8 +85,8 @@ def _columns_of(t: Trajectories, scene: Scene, columns: _Columns) -> int:
         rows = _by_place(t.mean)
         columns.add("middle", t.mean[rows], length)
     else:
-        step = TIME_STEP * float(np.quantile(t.sigma_t, 0.01))
-        step = max(step, scene.duration * 2.0**-23)
+        shortest = np.quantile(t.sigma_t, 0.01) if len(t.sigma_t) else 0.0
+        step = max(TIME_STEP * float(shortest), scene.duration * 2.0**-23)
         sigma = np.exp(np.rint(np.log(t.sigma_t) / LIFETIME_STEP) * LIFETIME_STEP)
         mean_t = np.rint(t.mean_t / step) * step
         first, last = seen_from_to(mean_t, sigma, scene.time_start, scene.time_end)

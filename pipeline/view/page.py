@@ -46,7 +46,7 @@ def page(title: str, header: dict, truths: bytes, models: Sequence[bytes]) -> st
         _element(f"model-{index}", "application/octet-stream", base64.b64encode(model).decode())
         for index, model in enumerate(models)
     ]
-    return _frame().replace("{{title}}", html.escape(title)).replace("{{data}}", "\n".join(data))
+    return _frame().replace("<!-- title -->", html.escape(title)).replace("<!-- data -->", "\n".join(data))
 
 
 @cache
@@ -54,14 +54,13 @@ def _frame() -> str:
     """page.html with everything but the title and the data."""
     shaders = [_element(f"shader-{name}", "x-shader/x-glsl", shader(file)) for name, file in SHADERS.items()]
     parts = {
-        "style": _read("style.css"),
-        "sorter": _read("sorter.js"),
-        "script": f'"use strict";\n(() => {{\n{joined("main.js")}}})();',
-        "data": "\n".join([*shaders, "{{data}}"]),
+        "style": f"<style>\n{_read('style.css')}</style>",
+        "data": "\n".join([*shaders, _element("sorter", "text/plain", _read("sorter.js")), "<!-- data -->"]),
+        "script": f'<script>\n"use strict";\n(() => {{\n{joined("main.js")}}})();\n</script>',
     }
     text = _read("page.html")
     for name, part in parts.items():
-        text = text.replace(f"{{{{{name}}}}}", part)
+        text = text.replace(f"<!-- {name} -->", part)
     return text
 
 

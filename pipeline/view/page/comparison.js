@@ -9,7 +9,7 @@ export class Comparison {
         this.line = document.createElement("div");
         this.line.id = "wipe";
         this.line.dataset.noDrag = "";
-        this.line.innerHTML = "<i>‹ ›</i>";
+        this.line.innerHTML = "<b>render</b><i>‹ ›</i><b>truth</b>";
         stage.panes[0].element.append(this.line);
         this.line.addEventListener("pointerdown", (event) => this.line.setPointerCapture(event.pointerId));
         this.line.addEventListener("pointermove", (event) => this.drag(event));
@@ -54,7 +54,8 @@ export class Comparison {
     show() {
         const { state } = this;
         const compare = state.camera === null ? "render" : state.compare;
-        for (const button of this.buttons) button.setAttribute("aria-pressed", String(button.dataset.compare === compare));
+        for (const button of this.buttons)
+            button.setAttribute("aria-pressed", String(button.dataset.compare === compare));
         this.line.hidden = compare !== "wipe";
         this.beside.hidden = compare !== "beside";
     }

@@ -5,7 +5,10 @@ export function linkOf(state, scene) {
     if (state.camera !== null) parts.camera = `${scene.cameras[state.camera].name}`;
     else {
         const { right, down, forward, position } = state.pose;
-        parts.pose = [right, down, forward, position].flat().map((x) => Number(x.toFixed(5))).join(",");
+        parts.pose = [right, down, forward, position]
+            .flat()
+            .map((x) => Number(x.toFixed(5)))
+            .join(",");
     }
     if (state.compare !== "render") parts.compare = state.compare;
     if (state.colourBy !== "colour") parts.colours = state.colourBy;
@@ -22,7 +25,8 @@ export function stateOf(hash, scene) {
         return found.length === count && found.every(Number.isFinite) ? found : null;
     };
     const time = numbers("time", 1);
-    if (parts.has("time") && time) Object.assign(changes, { time: clamp(time[0], scene.start, scene.end), playing: false });
+    if (parts.has("time") && time)
+        Object.assign(changes, { time: clamp(time[0], scene.start, scene.end), playing: false });
     const camera = scene.cameras.findIndex(({ name }) => name === parts.get("camera"));
     const pose = numbers("pose", 12);
     if (camera >= 0) changes.camera = camera;
@@ -32,7 +36,8 @@ export function stateOf(hash, scene) {
     }
     if (camera >= 0 && !parts.has("time") && scene.cameras[camera].frames.length === 1)
         Object.assign(changes, { time: scene.cameras[camera].frames[0].time, playing: false });
-    if (["truth", "wipe", "beside", "difference"].includes(parts.get("compare"))) changes.compare = parts.get("compare");
+    if (["truth", "wipe", "beside", "difference"].includes(parts.get("compare")))
+        changes.compare = parts.get("compare");
     if (["lifetime", "speed", "depth"].includes(parts.get("colours"))) changes.colourBy = parts.get("colours");
     const background = numbers("background", 3);
     if (parts.has("background") && background) changes.background = background;

@@ -4,7 +4,6 @@ import { $ } from "./dom.js";
 import { readModel } from "./model.js";
 import { writeList } from "./panel.js";
 
-
 // Resolves when the first model is there. The server is asked for a model only while the page is seen.
 export async function followTraining(pane, stage) {
     const curve = [];

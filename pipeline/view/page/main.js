@@ -27,7 +27,8 @@ async function start() {
     const truths = new Truths(scene.cameras, header.truths, bytesOfBase64(text("truths")));
     await Promise.all(
         panes.map(async (pane, i) => {
-            if (header.models[i]) pane.setModel(await readModel(header.models[i], bytesOfBase64(text(`model-${i}`)), scene));
+            if (header.models[i])
+                pane.setModel(await readModel(header.models[i], bytesOfBase64(text(`model-${i}`)), scene));
         }),
     );
     const stage = new Stage(scene, state, panes, truths, $("stage"));
@@ -35,8 +36,13 @@ async function start() {
 
     const navigation = new Navigation(scene, state, $("stage"));
     const transport = new Transport(scene, state, {
-        footer: $("transport"), play: $("play"), time: $("time"), clock: $("clock"), speed: $("speed"),
-        stepBack: $("step-back"), stepOn: $("step-on"),
+        footer: $("transport"),
+        play: $("play"),
+        time: $("time"),
+        clock: $("clock"),
+        speed: $("speed"),
+        stepBack: $("step-back"),
+        stepOn: $("step-on"),
     });
     const comparison = new Comparison(scene, state, truths, stage, [...$("compare").children]);
     const actions = {
@@ -57,7 +63,7 @@ async function start() {
     follow();
 
     window.viewer = { scene, state, stage, picture: (camera, time, model) => stage.picture(camera, time, model) };
-    await stage.settled();
+    await stage.draw(stage.detail);
     $("message").hidden = true;
     document.body.classList.add("ready");
     run({ stage, transport, navigation, comparison, panel });
@@ -84,7 +90,8 @@ function run({ stage, transport, navigation, comparison, panel }) {
 
 function makePanes(header) {
     const shaders = {};
-    for (const name of ["cover", "preprocess", "splatCorners", "splat", "compose"]) shaders[name] = text(`shader-${name}`).trim();
+    for (const name of ["cover", "preprocess", "splatCorners", "splat", "compose"])
+        shaders[name] = text(`shader-${name}`).trim();
     const workerUrl = URL.createObjectURL(new Blob([text("sorter")], { type: "text/javascript" }));
     return header.labels.map((label) => {
         const element = document.createElement("figure");

@@ -93,6 +93,7 @@ function environmentOf(header, column) {
 
 // From the 5 % to the 95 % quantile, what colours show.
 function quantiles(values, of) {
+    if (values.length === 0) return [0, 1];
     const ordered = Float32Array.from(values, of).sort();
     const at = (share) => ordered[Math.floor(share * (ordered.length - 1))];
     const [low, high] = [at(0.05), at(0.95)];

@@ -26,7 +26,11 @@ export class Pane {
     // The Gaussians in view, nearest first; a promise. One at a time.
     sort({ camera, time }, scene) {
         const forward = camera.rotation.slice(6, 9);
-        const offset = -(forward[0] * camera.position[0] + forward[1] * camera.position[1] + forward[2] * camera.position[2]);
+        const offset = -(
+            forward[0] * camera.position[0] +
+            forward[1] * camera.position[1] +
+            forward[2] * camera.position[2]
+        );
         const order = this.order;
         this.worker.postMessage({ time, forward, offset, near: scene.near, order }, [order.buffer]);
         return new Promise((resolve) => {

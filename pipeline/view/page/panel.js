@@ -7,7 +7,7 @@ const format = new Intl.NumberFormat("en");
 export class Panel {
     constructor(scene, state, actions, truths) {
         Object.assign(this, { scene, state, actions });
-                this.$ = $;
+        this.$ = $;
         this.fillCameras($("camera"), truths);
         $("camera").onchange = () => this.look($("camera").value);
         $("camera-before").onclick = () => this.next(-1);
@@ -21,7 +21,8 @@ export class Panel {
             const open = document.body.classList.toggle("panel-open");
             $("panel-button").setAttribute("aria-expanded", String(open));
         };
-        if (scene.static) for (const value of ["lifetime", "speed"]) $("colour-by").querySelector(`[value=${value}]`).remove();
+        if (scene.static)
+            for (const value of ["lifetime", "speed"]) $("colour-by").querySelector(`[value=${value}]`).remove();
         state.listen(() => this.show());
         this.show();
     }
@@ -32,7 +33,8 @@ export class Panel {
             const group = document.createElement("optgroup");
             group.label = split;
             this.scene.cameras.forEach((camera, index) => {
-                if (camera.split === split) group.append(new Option(camera.name + (truths.has(index) ? "" : " (no image)"), index));
+                if (camera.split === split)
+                    group.append(new Option(camera.name + (truths.has(index) ? "" : " (no image)"), index));
             });
             select.append(group);
         }
@@ -65,7 +67,7 @@ export class Panel {
 
     // Every half second: what was drawn since.
     measure(panes, shown, framesPerSecond) {
-        const rows = [["frames a second", framesPerSecond.toFixed(0)]];
+        const rows = [["frames a second", framesPerSecond > 0 ? framesPerSecond.toFixed(0) : "– (still)"]];
         panes.forEach((pane, i) => {
             const { count, trained } = pane.model.header;
             const of = panes.length > 1 ? `, ${pane.label}` : "";
@@ -93,12 +95,20 @@ export class Panel {
 
 export function writeList(list, rows) {
     while (list.children.length > 2 * rows.length) list.lastChild.remove();
-    while (list.children.length < 2 * rows.length) list.append(document.createElement(list.children.length % 2 ? "dd" : "dt"));
+    while (list.children.length < 2 * rows.length)
+        list.append(document.createElement(list.children.length % 2 ? "dd" : "dt"));
     rows.forEach(([term, value], i) => {
         list.children[2 * i].textContent = term;
         list.children[2 * i + 1].textContent = value;
     });
 }
 
-const hexOf = (rgb) => `#${rgb.map((x) => Math.round(255 * x).toString(16).padStart(2, "0")).join("")}`;
+const hexOf = (rgb) =>
+    `#${rgb
+        .map((x) =>
+            Math.round(255 * x)
+                .toString(16)
+                .padStart(2, "0"),
+        )
+        .join("")}`;
 const rgbOf = (hex) => [1, 3, 5].map((i) => Number.parseInt(hex.slice(i, i + 2), 16) / 255);

@@ -1,6 +1,6 @@
 // Draws one model into one canvas, in the kernel's stages: preprocess, (sort, in the worker), blend, compose.
 
-import { Program, contextOf, dataTexture, filtered, targetOf } from "./textures.js";
+import { contextOf, dataTexture, filtered, Program, targetOf } from "./textures.js";
 
 export const COLOUR_BY = ["colour", "lifetime", "speed", "depth"];
 export const COMPARE = ["render", "truth", "wipe", "difference"];
@@ -68,10 +68,21 @@ export class Renderer {
         gl.viewport(0, 0, SLOTS, Math.max(1, Math.ceil(sorted.count / SLOTS)));
         gl.disable(gl.BLEND);
         this.preprocess.use({
-            ...pinhole, order: this.order, geometry: this.geometry, sh: this.sh, count: sorted.count,
-            shStep: model.shStep, coefficients: model.header.coefficients, orders: model.header.orders,
-            time: view.time, duration: scene.duration, worldToCam: transposed(rotation), position: camera.position,
-            dilation: view.dilation, colourBy, range,
+            ...pinhole,
+            order: this.order,
+            geometry: this.geometry,
+            sh: this.sh,
+            count: sorted.count,
+            shStep: model.shStep,
+            coefficients: model.header.coefficients,
+            orders: model.header.orders,
+            time: view.time,
+            duration: scene.duration,
+            worldToCam: transposed(rotation),
+            position: camera.position,
+            dilation: view.dilation,
+            colourBy,
+            range,
         });
         gl.drawArrays(gl.TRIANGLES, 0, 3);
 
@@ -90,10 +101,17 @@ export class Renderer {
         const compare = view.truth ? Math.max(0, COMPARE.indexOf(view.compare)) : 0;
         if (compare) this.uploadTruth(view.truth);
         this.compose.use({
-            ...pinhole, blended: this.blended, environment: this.environment ?? this.nothing, truth: this.truth,
+            ...pinhole,
+            blended: this.blended,
+            environment: this.environment ?? this.nothing,
+            truth: this.truth,
             hasEnvironment: this.environment !== null && colourBy === 0 && !view.ownBackground,
             background: colourBy === 0 || view.ownBackground ? view.background : [0, 0, 0],
-            camToWorld: rotation, isDepth: colourBy === 3, range, compare, wipe: view.wipe,
+            camToWorld: rotation,
+            isDepth: colourBy === 3,
+            range,
+            compare,
+            wipe: view.wipe,
         });
         gl.drawArrays(gl.TRIANGLES, 0, 3);
     }

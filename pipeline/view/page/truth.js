@@ -16,7 +16,8 @@ export class Truths {
     nearest(camera, time) {
         let best = null;
         for (const frame of this.cameras[camera].frames)
-            if (frame.truth !== null && (!best || Math.abs(frame.time - time) < Math.abs(best.time - time))) best = frame;
+            if (frame.truth !== null && (!best || Math.abs(frame.time - time) < Math.abs(best.time - time)))
+                best = frame;
         return best;
     }
 
