@@ -5,7 +5,9 @@ plain data, which runs no code of the file. Three things differ from our paramet
 
 - its 4D rotation acts on (t, z, y, x): ql = (a, b, c, d) and qr = (p, q, r, s) are our (a, -b, c, -d), (p, -q, r, s);
 - without 4D rotation it stores the logarithm of the variance in time, not of the standard deviation;
-- coefficients of 4DSH beyond the active degrees are stored, but not used.
+- coefficients of 4DSH beyond the active degrees are stored, but not used;
+- its environment map lies on a sphere of radius 60 around the origin, with poles on z. Ours is infinitely far away: a
+  camera at distance d from the origin sees it turned by up to d / 60 rad.
 
 The file lacks the duration T of the scene, which is that of the data, and `prefilter_var`, which is assumed to be off,
 its default. No checkpoint of the authors was at hand: the layout is that of the program's source (its capture()).
@@ -23,10 +25,12 @@ from typing import Any
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 from torch.nn import Parameter
 
 from datasets.files.errors import DataError
+from pipeline.model.environment_map import EnvironmentMap
 from pipeline.model.model import Model, ModelKind
 
 STATIC_FIELDS = (
@@ -54,11 +58,9 @@ SAFE_GLOBALS: list[Any] = [
 
 
 def load_released(path: Path) -> Model:
-    """The model of a checkpoint, without its environment map. DataError for anything else."""
+    """The model of a checkpoint. DataError for anything else."""
     stored = _fields(path)
     try:
-        if stored.get("env_map") is not None and len(stored["env_map"]):
-            raise ValueError("an environment map, whose parallax our models have not; train without env_map_res")
         return _model(stored).checked()
     except (KeyError, IndexError, TypeError, AttributeError, ValueError, RuntimeError) as error:
         raise DataError(path, "Gaussians of the released program", str(error)) from None
@@ -88,7 +90,7 @@ def _fields(path: Path) -> dict[str, Any]:
         raise
     except Exception as error:  # torch and pickle raise many types for broken files
         refused = re.search(r"GLOBAL (\S+)", str(error))
-        found = f"an object {refused[1]}, which is not loaded" if refused else str(error).splitlines()[0]
+        found = f"an object {refused[1]}, which is not loaded" if refused else "a file that torch cannot read"
         raise DataError(path, "a checkpoint of the released program", found) from None
     if isinstance(stored, (tuple, list)) and len(stored) == 2 and isinstance(stored[0], (tuple, list)):
         for fields in (FIELDS, STATIC_FIELDS):
@@ -129,7 +131,23 @@ def _model(stored: dict[str, Any]) -> Model:
     sh[:, :, active:] = 0.0
     parameters["sh"] = sh.flatten(1, 2)
     motion = "static" if "t" not in stored else "full" if "quat_right" in parameters else "separable"
-    return Model(ModelKind(motion, order, degree), parameters)  # type: ignore[arg-type]
+    image = stored.get("env_map")
+    environment_map = None if image is None or len(image) == 0 else _environment_map(image)
+    return Model(ModelKind(motion, order, degree), parameters, None, environment_map)  # type: ignore[arg-type]
+
+
+def _environment_map(image: Tensor) -> EnvironmentMap:
+    """From (3, side, side): azimuth atan2(y, x) along its columns, the angle to +z along its rows."""
+    if image.dim() != 3 or image.shape[0] != 3 or image.shape[1] != image.shape[2]:
+        raise ValueError(f"env_map: expected [3, side, side], found {list(image.shape)}")
+    side = image.shape[1]
+    azimuth = (torch.arange(2 * side) + 0.5) / side * math.pi - math.pi  # of our map: atan2(x, z)
+    latitude = ((torch.arange(side) + 0.5) / side - 0.5)[:, None] * math.pi  # asin(y)
+    x, y, z = latitude.cos() * azimuth.sin(), latitude.sin().expand(side, 2 * side), latitude.cos() * azimuth.cos()
+    grid = torch.stack([torch.atan2(y, x) / math.pi, 2 * torch.acos(z.clamp(-1, 1)) / math.pi - 1], dim=-1)
+    wrapped = F.pad(image.detach().float()[None], (1, 1, 0, 0), mode="circular")  # its seam shows black there
+    grid[..., 0] *= side / (side + 2)
+    return EnvironmentMap(F.grid_sample(wrapped, grid[None], "bilinear", "border", align_corners=False)[0])
 
 
 def _tensor(stored: dict[str, Any], name: str, *row: int | None) -> Tensor:
@@ -154,7 +172,7 @@ def _released(model: Model, extent: float) -> dict[str, Any]:
     p, rows, motion = model.parameters, len(model), model.kind.motion
     sh = p["sh"].unflatten(1, (model.kind.fourier_order + 1, -1))
     if model.kind.fourier_order > 0:  # its kernel expects 16 coefficients an order
-        sh = torch.nn.functional.pad(sh, (0, 0, 0, PER_ORDER - sh.shape[2]))
+        sh = F.pad(sh, (0, 0, 0, PER_ORDER - sh.shape[2]))
     sh = sh.flatten(1, 2)
     rotates = motion == "full"
     values: dict[str, Any] = {
