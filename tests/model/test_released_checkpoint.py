@@ -1,6 +1,6 @@
 """Checkpoints of the released program: files of its layout, made here field by field, against its own formulas.
 
-None of the authors' files is at hand. The order of the fields and the formulas (in the textbook form, float64) are those
+None of the authors' files is at hand. The order of the fields and the formulas (textbook form, float64) are those
 of the program's source.
 """
 
