@@ -66,7 +66,8 @@ def _table_files(content: Content, with_latex: bool) -> dict[str, bytes]:
 
 def _image_files(content: Content) -> dict[str, bytes]:
     files = {f"plots/{plot.slug}.svg": plot.light.encode() for plot in content.plots}
-    files |= {f"strips/{picture.filename}": picture.webp for picture in (*content.strips, *content.figures)}
+    files |= {f"strips/{strip.filename}": strip.webp for strip in content.strips}
+    files |= {f"strips/{figure.filename}": figure.webp for figure in content.figures}
     if content.sfm:
         files |= {f"strips/{picture.filename}": picture.webp for picture in content.sfm.pictures}
     return files

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 from pipeline.presentation.table import Table
 from pipeline.presentation.table_files import markdown
@@ -12,6 +13,8 @@ from pipeline.report.tables.summary import Summary, summary_markdown
 from pipeline.report.write.image_strips import Strip
 from pipeline.report.write.run_figures import RunFigure
 from pipeline.report.write.sfm_section import SfmSection
+
+Picture = TypeVar("Picture", Strip, RunFigure)
 
 _RUN_TABLES = ("all_runs", "provenance")  # slugs
 TITLES = {
@@ -79,10 +82,18 @@ class Content:
 
     @property
     def strips_by_scene(self) -> list[list[Strip]]:
-        groups: dict[str, list[Strip]] = {}
-        for strip in self.strips:
-            groups.setdefault(strip.scene, []).append(strip)
-        return list(groups.values())
+        return _by_scene(self.strips)
+
+    @property
+    def figures_by_scene(self) -> list[list[RunFigure]]:
+        return _by_scene(self.figures)
+
+
+def _by_scene(pictures: Sequence[Picture]) -> list[list[Picture]]:
+    groups: dict[str, list[Picture]] = {}
+    for picture in pictures:
+        groups.setdefault(picture.scene, []).append(picture)
+    return list(groups.values())
 
 
 def report_markdown(content: Content) -> str:
