@@ -19,6 +19,7 @@ from pipeline.data.frame_order import film_order
 from pipeline.data.training_views import Target, evenly_spaced, target_of
 from pipeline.evaluation.films import HeldOutFilms
 from pipeline.evaluation.flicker import FlickerMeter, mean_flicker
+from pipeline.evaluation.geometry_pictures import write_geometry
 from pipeline.evaluation.metrics import METRICS, MS_SSIM_NOTE, mean, measure
 from pipeline.evaluation.motion.motion_metrics import measure_motion, motion_means
 from pipeline.evaluation.motion.moving_pixels import MovingPixels
@@ -116,6 +117,7 @@ def evaluate_with_images(model: Model, scene: Scene, cfg: Config, threads: int, 
     (films.HeldOutFilms) and bullet_time.mp4 (pictures.write_bullet_time)."""
     save = png_saver(folder)
     write_moving(folder, scene, cfg)
+    write_geometry(folder, Renderer(model, scene, cfg, Rasterizer(threads=threads)))
     if not cfg.evaluate.videos or scene.frame_rate is None:
         return evaluate(model, scene, cfg, threads, save)
     with HeldOutFilms(folder, scene.playback_rate or scene.frame_rate) as film:
