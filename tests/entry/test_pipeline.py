@@ -48,6 +48,7 @@ def test_a_run_folder_is_complete(finished: Path) -> None:
         "metrics.json",
         "per_image.csv",
         "renders",
+        "viewer.html",
     }
     assert len(list((finished / "renders").glob("*.png"))) == 12  # 3 test views, 3 pictures each and a mask
 
