@@ -13,6 +13,7 @@ from datasets.settings import SceneConfig
 from datasets.validation import hold_out_every, hold_out_outermost
 
 if TYPE_CHECKING:  # imports a video decoder, which other scenes do not need
+    from datasets.clip import Clip
     from datasets.plenoptic import Footage, PosedFootage
 
 __all__ = [
@@ -21,9 +22,11 @@ __all__ = [
     "SceneError",
     "View",
     "is_filmed",
+    "load_clip",
     "load_footage",
     "load_posed",
     "load_scene",
+    "reads_clip",
     "validate_scene",
 ]
 
@@ -61,6 +64,23 @@ def _read_photographs(cfg: SceneConfig, log: Log) -> Scene:
         init_box=(cfg.init_box[0], cfg.init_box[1]),
         log=log,
     )
+
+
+def reads_clip(cfg: SceneConfig) -> bool:
+    """Whether the scene is one clip by a camera that moves, whose cameras structure from motion finds."""
+    if cfg.reader != "video" or cfg.path is None:
+        return False
+    from datasets.clip import is_clip
+
+    return is_clip(_path(cfg))
+
+
+def load_clip(cfg: SceneConfig, log: Log = print) -> Clip:
+    """The clip of a config: its frames in use, without cameras."""
+    from datasets.clip import ClipOptions, open_clip
+
+    options = ClipOptions(cfg.name, cfg.downscale, cfg.frames, cfg.first_frame, cfg.test_every, log)
+    return open_clip(_path(cfg), options)
 
 
 def background_color(setting: str | Sequence[float]) -> Color | None:
@@ -103,7 +123,7 @@ def is_filmed(cfg: SceneConfig) -> bool:
         from datasets.synthetic import FILMED
 
         return _synthetic_name(cfg) in FILMED
-    return cfg.reader in ("plenoptic", "video")
+    return cfg.reader == "plenoptic" or (cfg.reader == "video" and not reads_clip(cfg))
 
 
 def __getattr__(name: str) -> Any:
