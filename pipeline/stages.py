@@ -1,4 +1,5 @@
-"""The stages of a run: (sfm → select_time_colour →) init → train → evaluate. A stage with unchanged inputs is skipped.
+"""The stages of a run: (sfm → select_motion → select_time_colour →) init → train → evaluate. A stage with unchanged
+inputs is skipped.
 
 A stage's inputs are what its result depends on: the stage before it, the data, and its part of the configuration.
 """
@@ -28,6 +29,7 @@ from pipeline.data.prepare import Prepared, prepare
 from pipeline.evaluation.evaluate import Evaluation, evaluate, evaluate_with_images
 from pipeline.evaluation.lifetimes import lifetimes
 from pipeline.evaluation.motion.moving_pixels import MovingPixels
+from pipeline.evaluation.outlook import outlook, path_angles
 from pipeline.evaluation.quick_evaluate import quick_evaluate
 from pipeline.model.initialise import initialise
 from pipeline.model.model import Model
@@ -38,14 +40,16 @@ from pipeline.runs.run_folder import RunFolder, now, write_csv
 from pipeline.runs.run_identity import read_stages, refuse_foreign, refuse_other_run
 from pipeline.training import checkpoint as checkpoints
 from pipeline.training import select_time_colour
-from pipeline.training.estimate import estimate_if_large
+from pipeline.training.estimate import estimate_if_large, training_minutes
 from pipeline.training.loop import Progress, TrainResult, train
+from pipeline.training.selection import motion
 from rasterizer import Rasterizer
 from rasterizer.cores import thread_count
 
 Log = Callable[[str], None]
 
 SELECTION = "select_time_colour"  # the stage, and what metrics.json has of it
+MOTION = "select_motion"  # likewise
 NOTHING_KEPT = "nothing of the run was saved yet; the same command starts it anew"
 
 
@@ -63,6 +67,8 @@ def run(cfg: Config, overrides: Sequence[str], log: Log) -> dict:
             log(line)
     data = prepare(cfg, log)
     unresolved, cfg = cfg, resolved(cfg, data.scene)
+    if data.is_clip and not (cfg.resume and "train" in read_stages(path)):
+        log(training_minutes(cfg, data.scene))
     if unresolved.train.static_overrides and cfg.train != without_static_overrides(unresolved).train:
         log("static scene: trained with train.static_overrides")
 
@@ -84,7 +90,10 @@ def run(cfg: Config, overrides: Sequence[str], log: Log) -> dict:
             log(f"{stage}: {folder.path}")
             folder.finish(stage, inputs[stage], **_RUN[stage](cfg, data, folder, log))
             folder.log({"event": f"finished {stage}"})
-        return read_json(folder.metrics)
+        metrics = read_json(folder.metrics)
+        if metrics.get("outlook"):
+            log(metrics["outlook"])
+        return metrics
 
 
 def kept_progress(cfg: Config) -> str:
@@ -126,6 +135,9 @@ def stage_inputs(cfg: Config, data: Prepared) -> dict[str, str]:
         beginning.append(found["sfm"])
     if cfg.effective_background_model != "none":
         beginning += [cfg.effective_background_model, cfg.init.sphere_points, cfg.init.sphere_radius]
+    if motion.due(cfg, data.scene):
+        found[MOTION] = _hash("motion", *beginning, config["train"], config["scene"]["near"])
+        beginning.append(found[MOTION])
     if select_time_colour.due(cfg, data.scene):
         found[SELECTION] = _hash(*beginning, config["train"], config["scene"]["near"])
         beginning.append(found[SELECTION])
@@ -160,8 +172,17 @@ def _sfm(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
     return data.cloud.summary()
 
 
+def _select_motion(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
+    """scene and points → whether the model has time at all."""
+    selection = motion.select_motion(data.scene, cfg, data.cloud, thread_count(cfg.threads), log)
+    log(f"{MOTION}: {selection}")
+    return asdict(selection)
+
+
 def _select_time_colour(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
-    """scene and points → whether the model has time-varying colour."""
+    """scene and points → whether the model has time-varying colour; nothing where it has no time."""
+    if (decided := _motion(folder)) and not decided.dynamic:
+        return {}
     selection = select_time_colour.select(data.scene, cfg, data.cloud, thread_count(cfg.threads), log)
     log(f"{SELECTION}: {selection}")
     return asdict(selection)
@@ -169,6 +190,7 @@ def _select_time_colour(cfg: Config, data: Prepared, folder: RunFolder, log: Log
 
 def _init(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
     """scene and points → init.ply; and in canonical.json how its coordinates come from the files'."""
+    cfg = _as_decided(cfg, data, folder)
     if (selection := _selection(folder)) and not selection.kept:
         cfg = select_time_colour.without_time_colour(cfg)
     model = initialise(data.scene, cfg, stream(cfg.seed, Stream.INIT), data.cloud)
@@ -182,9 +204,9 @@ def _init(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
 def _train(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
     """init.ply → checkpoint.safetensors, error_vs_time.csv; goes on from the checkpoint if there is one.
 
-    The seconds of select_time_colour count as training.
+    The seconds of select_motion and select_time_colour count as training.
     """
-    scene = data.scene
+    scene, cfg = data.scene, _as_decided(cfg, data, folder)
     rasterizer = Rasterizer(threads=thread_count(cfg.threads))
     moving = MovingPixels(scene, cfg.train.resolution_scale)
 
@@ -202,15 +224,8 @@ def _train(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
         return found
 
     reset_peak_memory()
-    selection = _selection(folder)
-    result = train(
-        load_ply(folder.init_ply),
-        scene,
-        cfg,
-        folder,
-        evaluate_fn,
-        start_seconds=selection.seconds if selection else 0.0,
-    )
+    decisions = [decision.seconds for decision in (_motion(folder), _selection(folder)) if decision]
+    result = train(load_ply(folder.init_ply), scene, cfg, folder, evaluate_fn, start_seconds=sum(decisions))
     return {
         "iterations": result.iteration,
         "train_seconds": result.train_seconds,
@@ -222,7 +237,7 @@ def _train(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
 
 def _evaluate(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
     """checkpoint.safetensors → metrics.json, per_image.csv, renders/."""
-    scene = data.scene
+    scene, cfg = data.scene, _as_decided(cfg, data, folder)
     trained = folder.values_of("train")
     saved = checkpoints.load(folder.checkpoint)
     final = evaluate_with_images(saved.model, scene, cfg, thread_count(cfg.threads), folder.renders)
@@ -232,7 +247,7 @@ def _evaluate(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
         best = final if is_final else evaluate(saved.best_model, scene, cfg, thread_count(cfg.threads))
         best_metrics = {**best.metrics, "iteration": saved.best["iteration"]}
 
-    selection = _selection(folder)
+    selection, decided = _selection(folder), _motion(folder)
     write_csv(folder.per_image, _per_image(final, best))
     write_json(folder.metrics, {
         "scene": cfg.scene.name, "ablation": cfg.ablation.name, "train": cfg.train.name, "seed": cfg.seed,
@@ -240,22 +255,51 @@ def _evaluate(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
         "final": final.metrics,
         "best_on_test": best_metrics,
         "model": asdict(saved.model.kind),  # as trained: selection may have left out what `ablation` has
+        **({} if decided is None else {MOTION: {**asdict(decided), "dynamic": decided.dynamic}}),
         SELECTION: None if selection is None else {**asdict(selection), "kept": selection.kept},
+        **({"outlook": _outlook(final, saved.model, data)} if data.is_clip else {}),
         "note": final.note(), "n_alive_mean": final.n_alive_mean, "n_test_views": len(scene.test), **trained,
     })  # fmt: skip
     return {"psnr": final.metrics["psnr"]}
 
 
+def _outlook(final: Evaluation, model: Model, data: Prepared) -> str:
+    psnr = final.metrics["psnr"]
+    assert isinstance(psnr, float)
+    seconds = (data.scene.duration / data.canonical.time_scale) if model.kind.dims == 4 else None
+    return outlook(path_angles(data.scene, seconds), psnr, dynamic=model.kind.dims == 4)
+
+
 def _selection(folder: RunFolder) -> select_time_colour.Selection | None:
     """The run's selection of time-varying colour; None where it had none."""
-    return select_time_colour.Selection(**folder.values_of(SELECTION)) if folder.inputs_of(SELECTION) else None
+    found = folder.values_of(SELECTION) if folder.inputs_of(SELECTION) else None
+    return select_time_colour.Selection(**found) if found else None
 
 
-_RUN = {"sfm": _sfm, SELECTION: _select_time_colour, "init": _init, "train": _train, "evaluate": _evaluate}
+def _motion(folder: RunFolder) -> motion.MotionSelection | None:
+    """The run's decision between static and dynamic; None where there was none to take."""
+    return motion.MotionSelection(**folder.values_of(MOTION)) if folder.inputs_of(MOTION) else None
+
+
+def _as_decided(cfg: Config, data: Prepared, folder: RunFolder) -> Config:
+    """The configuration of the model that select_motion decided for."""
+    decided = _motion(folder)
+    return cfg if decided is None or decided.dynamic else motion.without_time(cfg, data.scene)
+
+
+_RUN = {
+    "sfm": _sfm,
+    MOTION: _select_motion,
+    SELECTION: _select_time_colour,
+    "init": _init,
+    "train": _train,
+    "evaluate": _evaluate,
+}
 
 # The files each stage writes; a stage whose output was deleted is not done.
 _OUTPUTS: dict[str, tuple[Callable[[RunFolder], Path], ...]] = {
     "sfm": (lambda folder: folder.sfm, lambda folder: folder.sfm_picture),
+    MOTION: (),  # its result is in stages.json
     SELECTION: (),  # its result is in stages.json
     "init": (lambda folder: folder.init_ply,),
     "train": (lambda folder: folder.checkpoint, lambda folder: folder.curve),

@@ -53,7 +53,9 @@ def choose(found: Survey, most: int) -> Choice:
             notes.append(f"{count} {what} frames are left out")
     chosen = moved if len(moved) <= most else _sharpest(found, moved, most)
     if len(chosen) < len(moved):
-        notes.append(f"{len(chosen)} of {len(moved)} frames are used (scene.frames={most}): the sharpest, evenly spread")
+        notes.append(
+            f"{len(chosen)} of {len(moved)} frames are used (scene.frames={most}): the sharpest, evenly spread"
+        )
     return Choice(
         tuple(int(found.index[row]) for row in chosen),
         tuple(float(found.time[row]) for row in chosen),
@@ -99,7 +101,9 @@ def _repeated(found: Survey, rows: np.ndarray) -> np.ndarray:
 def _sharpest(found: Survey, rows: np.ndarray, most: int) -> np.ndarray:
     """The sharpest frame of each of `most` stretches, equal in a mean of time and movement."""
     moved = np.cumsum(found.flow[rows])
-    along = [(x - x[0]) / (x[-1] - x[0]) if x[-1] > x[0] else np.linspace(0, 1, len(x)) for x in (found.time[rows], moved)]
+    along = [
+        (x - x[0]) / (x[-1] - x[0]) if x[-1] > x[0] else np.linspace(0, 1, len(x)) for x in (found.time[rows], moved)
+    ]
     position = TIME_SHARE * along[0] + (1 - TIME_SHARE) * along[1]
     stretch = np.minimum((position * most).astype(int), most - 1)
     best: dict[int, int] = {}

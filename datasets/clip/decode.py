@@ -54,7 +54,7 @@ def video_frames(path: Path, header: Header, keep: set[int] | None = None, every
                     return
                 continue
             damaged = decoded is None or decoded.is_corrupt
-            yield Frame(index, time, None if damaged else _upright(decoded, header))
+            yield Frame(index, time, None if decoded is None or damaged else _upright(decoded, header))
             if last is not None and index >= last:
                 return
 

@@ -16,7 +16,7 @@ from datasets.clip.choose import Choice, choose
 from datasets.clip.decode import IMAGE_RATE, Frame, image_frames, image_paths, video_frames
 from datasets.clip.probe import Header, probe
 from datasets.clip.survey import MOST_SURVEYED, survey
-from datasets.composition import BLACK, reduced_camera
+from datasets.composition import BLACK, chosen_downscale, reduced_camera
 from datasets.files.errors import SceneError
 from datasets.plenoptic.decode import reduce_image
 from datasets.plenoptic.videos import FOOTAGE_SUFFIXES
@@ -25,7 +25,7 @@ from rasterizer.camera import Camera
 
 FEWEST_FRAMES = 12  # with fewer neither motion nor a held-out frame can be told
 SFM_SIDE = 1024  # pixels: the longer side of the images that structure from motion gets is not longer
-TRAINING_SIDE = 640  # pixels: of training images, where scene.downscale=0 chooses
+PLAYBACK_RATES = (5.0, 60.0)  # frames a second of rendered videos
 
 Log = Callable[[str], None]
 
@@ -35,7 +35,7 @@ class ClipOptions:
     """How a clip is read: settings of SceneConfig."""
 
     name: str  # of the scene
-    downscale: int = 0  # 0: chosen so that the longer side is at most TRAINING_SIDE
+    downscale: int = 0  # 0: chosen so that the longer side is at most 640 pixels
     most: int = 300  # frames in use
     first_frame: int = 0
     test_every: int = 8  # every so many-th frame is held out
@@ -92,8 +92,15 @@ class Clip:
                 init_box=space.inverse.box((-1.2, 1.2)),
                 source=self.source,
                 unit=unit or space.unit,
+                playback_rate=self._playback_rate(kept),
             )
         )
+
+    @staticmethod
+    def _playback_rate(kept: list[ClipFrame]) -> float:
+        """Frames a second at which the frames in use last as long as they did."""
+        rate = (len(kept) - 1) / max(kept[-1].time - kept[0].time, 1e-3)
+        return float(np.clip(rate, *PLAYBACK_RATES))
 
     def _training_view(self, camera: Camera, image: np.ndarray) -> tuple[Camera, np.ndarray]:
         if self.downscale % self.reduced == 0:
@@ -139,11 +146,10 @@ def open_clip(path: Path, options: ClipOptions) -> Clip:
         )
     left, top, right, bottom = found.content
     size = (right - left, bottom - top)
-    if header is None or (size != header.size and size[0] * size[1] < header.size[0] * header.size[1]):
-        if header is not None:
-            options.log(f"{path.name}: black bars are cut off: {size[0]} x {size[1]} of {header.size[0]} x {header.size[1]}")
+    if header is not None and size != header.size:
+        options.log(f"{path.name}: black bars are cut off, {size[0]} x {size[1]} pixels are left")
     reduced = max(1, -(-max(size) // SFM_SIDE))
-    downscale = options.downscale or max(1, -(-max(size) // TRAINING_SIDE))
+    downscale = options.downscale or chosen_downscale(size)
     times = dict(zip(choice.indices, choice.times))
     frames = []
     for frame in source.frames(keep=set(choice.indices)):

@@ -62,8 +62,8 @@ def survey(frames: Iterable[Frame], total: int) -> Survey | None:
         before = small
     if brightest is None:
         return None
-    index, time, good, *numbers = (np.array(column) for column in zip(*rows))
-    return Survey(index, time, good, *numbers, _content(brightest), max(total, int(index[-1]) + 1))
+    columns = [np.array(column) for column in zip(*rows)]
+    return Survey(*columns[:8], _content(brightest), max(total, int(columns[0][-1]) + 1))
 
 
 def _small(grey: np.ndarray) -> np.ndarray:

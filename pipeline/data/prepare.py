@@ -41,6 +41,7 @@ class Prepared:
     cloud: Reconstruction | None  # None: random points
     sfm_folder: Path | None  # cache folder of the cloud, with its summary and plot
     canonical: Canonical = Canonical()  # transform from the files' units
+    is_clip: bool = False  # one clip by a camera that moves, in seconds
 
 
 def prepare(cfg: Config, log: Callable[[str], None]) -> Prepared:
@@ -124,7 +125,7 @@ def _from_clip(cfg: Config, clip: Clip, log: Callable[[str], None]) -> Prepared:
     )
     cameras = {name: found.camera for name, found in cloud.cameras.items()}
     scene = clip.to_scene(cameras, lens.radial, UNIT_OF_NEAR * near_depth(cloud.points, list(cameras.values())))
-    return Prepared(scene, cloud if cfg.init.source != "random" else None, folder)
+    return Prepared(scene, cloud if cfg.init.source != "random" else None, folder, is_clip=True)
 
 
 def near_depth(points: np.ndarray, cameras: list[Camera]) -> float:

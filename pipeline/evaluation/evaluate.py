@@ -23,7 +23,7 @@ from pipeline.evaluation.metrics import METRICS, MS_SSIM_NOTE, mean, measure
 from pipeline.evaluation.motion.motion_metrics import measure_motion, motion_means
 from pipeline.evaluation.motion.moving_pixels import MovingPixels
 from pipeline.evaluation.perceptual import Perceptual
-from pipeline.evaluation.pictures import SaveImages, png_saver, write_bullet_time, write_moving
+from pipeline.evaluation.pictures import SaveImages, png_saver, write_bullet_time, write_clip_films, write_moving
 from pipeline.evaluation.renderer import Renderer
 from pipeline.evaluation.speed import frames_per_second
 from pipeline.model.model import Model
@@ -113,11 +113,14 @@ def evaluate(
 
 def evaluate_with_images(model: Model, scene: Scene, cfg: Config, threads: int, folder: Path) -> Evaluation:
     """`evaluate`, with images in `folder` and, for a filmed scene with `evaluate.videos`, videos: one per test camera
-    (films.HeldOutFilms) and bullet_time.mp4 (pictures.write_bullet_time)."""
+    (films.HeldOutFilms) and bullet_time.mp4 (pictures.write_bullet_time); of one clip pictures.write_clip_films."""
     save = png_saver(folder)
     write_moving(folder, scene, cfg)
     if not cfg.evaluate.videos or scene.frame_rate is None:
-        return evaluate(model, scene, cfg, threads, save)
+        found = evaluate(model, scene, cfg, threads, save)
+        if cfg.evaluate.videos and scene.playback_rate is not None:
+            write_clip_films(folder, Renderer(model, scene, cfg, Rasterizer(threads=threads)), scene.playback_rate)
+        return found
     with HeldOutFilms(folder, scene.playback_rate or scene.frame_rate) as film:
         found = evaluate(model, scene, cfg, threads, save, film)
     write_bullet_time(folder / "bullet_time.mp4", Renderer(model, scene, cfg, Rasterizer(threads=threads)))

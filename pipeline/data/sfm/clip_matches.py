@@ -63,8 +63,8 @@ def refuse_still_camera(database: Path) -> None:
         )
     if max(shifts) < STILL:
         raise SfmError(
-            f"expected a camera that moves, found one that stands still (the picture shifts by {max(shifts):.1%} of its "
-            f"width at most), which shows no depth; {WHAT_TO_FILM}, or film with several cameras at once"
+            f"expected a camera that moves, found one that stands still (the picture shifts by {max(shifts):.1%} of "
+            f"its width at most), which shows no depth; {WHAT_TO_FILM}, or film with several cameras at once"
         )
 
 

@@ -35,9 +35,7 @@ def moving_masks(
     known = [photograph for photograph in photographs if photograph.name in cameras]
     scale = min(1.0, WIDTH / known[0].image.shape[1]) if known else 1.0
     size = (round(known[0].image.shape[1] * scale), round(known[0].image.shape[0] * scale)) if known else (0, 0)
-    greys = [
-        cv2.resize(cv2.cvtColor(p.image, cv2.COLOR_RGB2GRAY), size, interpolation=cv2.INTER_AREA) for p in known
-    ]
+    greys = [cv2.resize(cv2.cvtColor(p.image, cv2.COLOR_RGB2GRAY), size, interpolation=cv2.INTER_AREA) for p in known]
     posed = [cameras[p.name].camera.resized(*size) for p in known]
     found = {}
     for index, photograph in enumerate(known):
