@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from datasets.composition import BLACK, WHITE, Color, as_color
 from datasets.files.errors import SceneError
 from datasets.scene import Scene, View, validate_scene
-from datasets.settings import SceneConfig
+from datasets.settings import LAYOUTS, SceneConfig
 from datasets.validation import hold_out_every, hold_out_outermost
 
 if TYPE_CHECKING:  # imports a video decoder, which other scenes do not need
@@ -28,6 +29,7 @@ __all__ = [
     "load_scene",
     "reads_clip",
     "validate_scene",
+    "with_reader",
 ]
 
 Log = Callable[[str], None]  # called with a line of text for the user
@@ -39,6 +41,7 @@ def load_scene(cfg: SceneConfig, *, threads: int = 0, log: Log = print) -> Scene
     threads: for decoding; 0: all cores. Raises SceneError for invalid data, and for the reader `video`, whose cameras
     are known only after structure from motion (see load_footage).
     """
+    cfg = with_reader(cfg)
     if is_filmed(cfg):
         return load_posed(cfg, threads=threads, log=log).to_scene()
     scene = _read_photographs(cfg, log)
@@ -48,8 +51,36 @@ def load_scene(cfg: SceneConfig, *, threads: int = 0, log: Log = print) -> Scene
     return validate_scene(hold_out(scene, cfg.validation_every))
 
 
+def with_reader(cfg: SceneConfig, log: Log | None = None) -> SceneConfig:
+    """The settings with the layout found out where scene.reader=auto. log: gets the reasons."""
+    if cfg.reader != "auto":
+        return cfg
+    from datasets.layouts.detect import detect
+
+    found = detect(_path(cfg))
+    if log is not None:
+        log(found.line)
+    chosen = {"dnerf": 2, "plenoptic": 2}  # readers without a choice by size: their default
+    downscale = cfg.downscale or chosen.get(found.reader, 0)
+    return replace(cfg, reader=found.reader, downscale=downscale)
+
+
 def _read_photographs(cfg: SceneConfig, log: Log) -> Scene:
     """Calls the reader of cfg.reader. A new reader gets its branch here; its module is imported only when needed."""
+    if cfg.reader in LAYOUTS:
+        from datasets.layouts import LayoutOptions, read_layout
+
+        options = LayoutOptions(
+            cfg.name,
+            cfg.downscale,
+            cfg.test_every,
+            cfg.test_cameras,
+            cfg.first_frame,
+            cfg.frames,
+            background_color(cfg.background),
+            log,
+        )
+        return read_layout(cfg.reader, _path(cfg), options)
     from datasets.dnerf import has_split, read_dnerf
 
     path = _make_synthetic(cfg, log) if cfg.reader == "synthetic" else _path(cfg)
@@ -68,6 +99,7 @@ def _read_photographs(cfg: SceneConfig, log: Log) -> Scene:
 
 def reads_clip(cfg: SceneConfig) -> bool:
     """Whether the scene is one clip by a camera that moves, whose cameras structure from motion finds."""
+    cfg = with_reader(cfg)
     if cfg.reader != "video" or cfg.path is None:
         return False
     from datasets.clip import is_clip
@@ -110,6 +142,7 @@ def load_footage(cfg: SceneConfig, *, threads: int = 0, log: Log = print) -> Foo
 
     With the reader `video` cameras come from structure from motion later; Footage.to_scene takes them.
     """
+    cfg = with_reader(cfg)
     if cfg.reader == "video":
         from datasets.plenoptic import read_footage
 
@@ -119,6 +152,7 @@ def load_footage(cfg: SceneConfig, *, threads: int = 0, log: Log = print) -> Foo
 
 def is_filmed(cfg: SceneConfig) -> bool:
     """Whether the scene consists of multi-camera videos: frames are decoded into a store, points come from COLMAP."""
+    cfg = with_reader(cfg)
     if cfg.reader == "synthetic":
         from datasets.synthetic import FILMED
 

@@ -130,6 +130,8 @@ def stage_inputs(cfg: Config, data: Prepared) -> dict[str, str]:
     beginning = [fingerprint(data.scene), config["ablation"], initial, config["scene"]["init_points"], cfg.seed]
     if not data.canonical.is_identity:  # a model must not continue in other coordinates
         beginning.append(asdict(data.canonical))
+    if data.cloud is not None and data.sfm_folder is None:  # points that came with the data
+        beginning.append(_digest(data.cloud.points, data.cloud.colors))
     if data.sfm_folder is not None:
         found["sfm"] = _hash(data.sfm_folder.name)
         beginning.append(found["sfm"])
@@ -158,8 +160,9 @@ def fingerprint(scene: Scene) -> str:
         # A stored frame knows its checksum: a scene of 25 GB need not be read for this.
         known = getattr(view.image, "checksum", None)
         digest.update(np.ascontiguousarray(view.image).data if known is None else known.encode())
-        if view.coverage is not None:
-            digest.update(view.coverage.data)
+        for plane in (view.coverage, view.mask):
+            if plane is not None:
+                digest.update(np.ascontiguousarray(plane).data)
     return digest.hexdigest()
 
 
@@ -254,6 +257,7 @@ def _evaluate(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
         "date": now(),
         "final": final.metrics,
         "best_on_test": best_metrics,
+        **({} if scene.test_split is None else {"test_split": scene.test_split}),
         "model": asdict(saved.model.kind),  # as trained: selection may have left out what `ablation` has
         **({} if decided is None else {MOTION: {**asdict(decided), "dynamic": decided.dynamic}}),
         SELECTION: None if selection is None else {**asdict(selection), "kept": selection.kept},
@@ -327,6 +331,13 @@ def _peak_memory_mb(folder: RunFolder) -> float:
 def _per_image(final: Evaluation, best: Evaluation | None) -> list[dict]:
     rows = [{"model": "final", **row} for row in final.per_image]
     return rows + [{"model": "best_on_test", **row} for row in (best.per_image if best else [])]
+
+
+def _digest(*arrays: np.ndarray) -> str:
+    digest = hashlib.blake2b(digest_size=16)
+    for array in arrays:
+        digest.update(np.ascontiguousarray(array).data)
+    return digest.hexdigest()
 
 
 def _hash(*parts: object) -> str:

@@ -18,6 +18,7 @@ from datasets.clip.probe import Header, probe
 from datasets.clip.survey import MOST_SURVEYED, survey
 from datasets.composition import BLACK, chosen_downscale, reduced_camera
 from datasets.files.errors import SceneError
+from datasets.layouts.photographs import ordinal
 from datasets.plenoptic.decode import reduce_image
 from datasets.plenoptic.videos import FOOTAGE_SUFFIXES
 from datasets.scene import Scene, View, camera_extent, make_camera, validate_scene
@@ -93,6 +94,7 @@ class Clip:
                 source=self.source,
                 unit=unit or space.unit,
                 playback_rate=self._playback_rate(kept),
+                test_split=f"every {ordinal(self.options.test_every)} frame",
             )
         )
 

@@ -44,13 +44,13 @@ class Survey:
 
 def survey(frames: Iterable[Frame], total: int) -> Survey | None:
     """Surveys the frames; None if none could be decoded. total: of the clip, damaged ones included."""
-    rows: list[tuple[int, float, bool, float, float, float, float, float]] = []
+    rows: list[tuple[float, ...]] = []  # the columns of Survey
     before: np.ndarray | None = None
     brightest: np.ndarray | None = None  # of all frames, by pixel of the full size
     search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST)
     for frame in frames:
         if frame.image is None:
-            rows.append((frame.index, frame.time, False, 0.0, 0.0, 0.0, 0.0, 0.0))
+            rows.append((frame.index, frame.time, 0, 0, 0, 0, 0, 0))
             continue
         grey = cv2.cvtColor(frame.image, cv2.COLOR_RGB2GRAY)
         brightest = grey if brightest is None or brightest.shape != grey.shape else np.maximum(brightest, grey)
@@ -58,12 +58,24 @@ def survey(frames: Iterable[Frame], total: int) -> Survey | None:
         contrast = float(small.std())
         sharpness = float(cv2.Laplacian(small, cv2.CV_32F).var()) / max(contrast**2, 1.0)
         flow, unexplained = (0.0, 0.0) if before is None else _change(search, before, small)
-        rows.append((frame.index, frame.time, True, sharpness, float(small.mean()), contrast, flow, unexplained))
+        rows.append((frame.index, frame.time, 1, sharpness, float(small.mean()), contrast, flow, unexplained))
         before = small
     if brightest is None:
         return None
-    columns = [np.array(column) for column in zip(*rows)]
-    return Survey(*columns[:8], _content(brightest), max(total, int(columns[0][-1]) + 1))
+    table = np.array(rows, dtype=np.float64)
+    index = table[:, 0].astype(int)
+    return Survey(
+        index=index,
+        time=table[:, 1],
+        good=table[:, 2] > 0,
+        sharpness=table[:, 3],
+        brightness=table[:, 4],
+        contrast=table[:, 5],
+        flow=table[:, 6],
+        unexplained=table[:, 7],
+        content=_content(brightest),
+        total=max(total, int(index[-1]) + 1),
+    )
 
 
 def _small(grey: np.ndarray) -> np.ndarray:

@@ -1,6 +1,6 @@
 """Prepares the input of a run: reads the scene, runs structure from motion where needed, and normalises both.
 
-    photographs of one moving camera         poses from the files, random initial points
+    photographs of one moving camera         poses from the files, random initial points or those of the files
     posed multi-camera videos (plenoptic)    poses from the files, points triangulated from the first frames
     multi-camera videos without poses        poses and points from structure from motion
     one clip without poses                   the same, of all frames in use
@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from datasets import Scene, is_filmed, load_clip, load_footage, load_posed, load_scene, reads_clip
+from datasets import Scene, is_filmed, load_clip, load_footage, load_posed, load_scene, reads_clip, with_reader
 from datasets.canonical import Canonical, canonical_of, canonical_space, canonicalise
 from pipeline.config.schema import Config
 from pipeline.data.sfm.photograph import Photograph, Reconstruction
@@ -50,6 +50,7 @@ def prepare(cfg: Config, log: Callable[[str], None]) -> Prepared:
     Normalisation comes last, because it depends on poses that structure from motion may estimate or refine. Raises
     ValueError for invalid data or settings.
     """
+    cfg = replace(cfg, scene=with_reader(cfg.scene, log))
     data = _in_file_units(cfg, log)
     transform = canonical_of(data.scene)
     if transform.is_identity:
@@ -71,7 +72,22 @@ def _in_file_units(cfg: Config, log: Callable[[str], None]) -> Prepared:
         raise ValueError(
             f"init.source: expected auto or random for {cfg.scene.name}, which has one camera per time, found sfm"
         )
-    return Prepared(load_scene(cfg.scene, threads=cfg.threads, log=log), None, None)
+    scene = load_scene(cfg.scene, threads=cfg.threads, log=log)
+    return Prepared(replace(scene, points=None), _given_points(cfg, scene, log), None)
+
+
+def _given_points(cfg: Config, scene: Scene, log: Callable[[str], None]) -> Reconstruction | None:
+    """The points that came with the data; None without any, where they are too few, and for init.source=random."""
+    if scene.points is None or cfg.init.source == "random":
+        return None
+    count = len(scene.points.positions)
+    if count < cfg.init.min_points:
+        log(f"the folder's {count} points are fewer than init.min_points={cfg.init.min_points}: random points instead")
+        return None
+    unknown = np.zeros(count)
+    return Reconstruction(
+        scene.points.positions, scene.points.colors, unknown, unknown.astype(int), {}, "known", len(scene.train), 0.0
+    )
 
 
 def _from_posed(cfg: Config, posed: PosedFootage, log: Callable[[str], None]) -> Prepared:

@@ -135,10 +135,11 @@ def _motion(
     geometry = None
     if known is not None and (known.depth is not None or known.flow is not None):
         geometry = renderer.geometry(target.camera, target.time, known.flow_dt)
+    counted = None if target.mask is None else target.mask.numpy()
     foreground = None
     if has_alpha:
         foreground = np.ones(image.shape[:2], bool) if target.alpha is None else target.alpha.numpy()[0] > 0
-    return measure_motion(image, truth, moving.of(index, known), foreground, geometry, known)
+    return measure_motion(image, truth, moving.of(index, known), foreground, geometry, known, counted)
 
 
 def _parallel_views(camera: Camera, threads: int, lpips_bytes: int) -> int:
