@@ -14,6 +14,7 @@ from pipeline.report.tables.summary import summarise
 from pipeline.report.write.html_page import render_page
 from pipeline.report.write.image_strips import make_strips
 from pipeline.report.write.plots import plot
+from pipeline.report.write.run_figures import run_figures
 from pipeline.report.write.sections import Content, CurvePlot, report_markdown, terminal_text
 from pipeline.report.write.sfm_section import sfm_section
 from pipeline.runs.read.collect import Collection, collect
@@ -44,9 +45,10 @@ def build_report(
     collection = name_variants(collect(runs_dir))
     strips, strip_warnings = make_strips(collection.runs, no_pictures)
     sfm, sfm_warnings = sfm_section(collection.runs, no_pictures)
-    summary = summarise(collection, strip_warnings + sfm_warnings)
+    figures, figure_warnings = run_figures(collection.runs, no_pictures)
+    summary = summarise(collection, strip_warnings + figure_warnings + sfm_warnings)
     content = Content(
-        summary, paper_tables(collection), run_tables(collection, levels), sfm, strips, _plots(collection)
+        summary, paper_tables(collection), run_tables(collection, levels), sfm, strips, figures, _plots(collection)
     )
     files = _table_files(content, with_latex) | _image_files(content)
     files |= {"report.md": report_markdown(content).encode(), "report.html": render_page(content, out).encode()}
@@ -69,6 +71,7 @@ def _table_files(content: Content, with_latex: bool) -> dict[str, bytes]:
 def _image_files(content: Content) -> dict[str, bytes]:
     files = {f"plots/{plot.slug}.svg": plot.light.encode() for plot in content.plots}
     files |= {f"strips/{strip.filename}": strip.webp for strip in content.strips}
+    files |= {f"strips/{figure.filename}": figure.webp for figure in content.figures}
     if content.sfm:
         files |= {f"strips/{picture.filename}": picture.webp for picture in content.sfm.pictures}
     return files

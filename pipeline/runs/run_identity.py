@@ -29,6 +29,9 @@ FILES = (
     "metrics.json",
     "per_image.csv",
     "renders",
+    "exports",
+    "figures",
+    "films",
     "viewer.html",
 )
 UNFINISHED = tuple(f"{TEMPORARY}{name}" for name in FILES)  # left behind by a killed run

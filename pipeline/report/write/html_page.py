@@ -50,6 +50,7 @@ def _sections(content: Content) -> dict[str, str]:
     parts = {
         "summary": True,
         "strips": content.strips,
+        "figures": content.figures,
         "curves": content.plots,
         "ablations": content.ablations,
         "paper": content.paper,
