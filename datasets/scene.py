@@ -49,6 +49,15 @@ class View:
     name: str  # unique in the scene, e.g. "train/r_0"
     coverage: np.ndarray | None = None  # (H, W) uint8, alpha × 255; None: opaque everywhere
     truth: StoredTruth | None = None  # of motion and geometry, read when asked for; None: unknown
+    mask: np.ndarray | None = None  # (H, W) bool: pixels that count in the loss and in psnr_masked; None: all
+
+
+@dataclass(frozen=True)
+class ScenePoints:
+    """Surface points that came with the data."""
+
+    positions: np.ndarray  # (N, 3) float64, world units
+    colors: np.ndarray  # (N, 3) uint8
 
 
 @dataclass(frozen=True)
@@ -70,6 +79,8 @@ class Scene:
     unit: float = 1.0  # world units per normalised unit, in which the near plane is given
     frame_rate: float | None = None  # of videos: frames per unit of time; None: photographs
     playback_rate: float | None = None  # of videos: frames a second of rendered videos; None: frame_rate
+    points: ScenePoints | None = None  # initial points; None: random, or from structure from motion
+    test_split: str | None = None  # how the held-out views were chosen, for tables; None: as scene.test_split says
 
     @property
     def time_end(self) -> float:

@@ -44,6 +44,7 @@ _HEADINGS = {
     "psnr_moving": "PSNR moving",
     "psnr_still": "PSNR still",
     "psnr_foreground": "PSNR foreground",
+    "psnr_masked": "PSNR masked",
     "flow_error": "flow error",
     "flow_error_px": "flow error, px",
     "depth_error_median": "depth error",

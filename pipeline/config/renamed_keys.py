@@ -32,6 +32,7 @@ ADDED: dict[str, Any] = {
     "train.densify.error_points": 0,
     "train.densify.error_points_every": 500,
     "train.dropout": 0.0,
+    "train.select_motion": 0.0,
 }
 _OVERRIDES = "train.static_overrides."  # holds keys of `train`
 

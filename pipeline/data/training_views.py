@@ -27,6 +27,7 @@ class Target:
     image: Tensor  # (3, H, W) float32 in [0, 1]
     alpha: Tensor | None = None  # (1, H, W) float32 in [0, 1]; None: 1 everywhere
     motion: MeasuredFlow | None = None  # None: not measured
+    mask: Tensor | None = None  # (H, W) bool: pixels that count; None: all
 
 
 def target_of(view: View, scale: float) -> Target:
@@ -39,8 +40,19 @@ def target_of(view: View, scale: float) -> Target:
     if camera is not view.camera:
         height, width = planes.shape[1:]
         planes = area_weights(height, camera.height) @ planes @ area_weights(width, camera.width).T
+    mask = None if view.mask is None else _reduced_mask(view.mask, camera)
     channels = torch.from_numpy(np.ascontiguousarray(planes))
-    return Target(view.name, view.time, camera, channels[:3], channels[3:] if view.coverage is not None else None)
+    alpha = channels[3:] if view.coverage is not None else None
+    return Target(view.name, view.time, camera, channels[:3], alpha, mask=mask)
+
+
+def _reduced_mask(mask: np.ndarray, camera: Camera) -> Tensor:
+    """(H, W) bool at the camera's size: pixels all of whose parts count."""
+    height, width = mask.shape
+    planes = mask.astype(np.float32)
+    if (width, height) != (camera.width, camera.height):
+        planes = area_weights(height, camera.height) @ planes @ area_weights(width, camera.width).T
+    return torch.from_numpy(planes > 1 - 1e-3)
 
 
 def camera_at(camera: Camera, scale: float) -> Camera:

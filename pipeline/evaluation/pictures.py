@@ -11,7 +11,7 @@ from PIL import Image
 from datasets.files.atomic_write import atomic_file
 from datasets.scene import Scene
 from pipeline.config.schema import Config
-from pipeline.data.training_views import camera_at, evenly_spaced
+from pipeline.data.training_views import camera_at, evenly_spaced, target_of
 from pipeline.evaluation.camera_path import FRAME_RATE, Ellipse, bullet_time, ellipse_among, median_depth
 from pipeline.evaluation.films import video
 from pipeline.evaluation.motion.moving_pixels import MovingPixels
@@ -64,3 +64,21 @@ def write_bullet_time(path: Path, renderer: Renderer) -> None:
     with video(path, intrinsics.width, intrinsics.height, FRAME_RATE) as send:
         for frame in bullet_time(ellipse, intrinsics, scene.time_start, scene.duration):
             send(renderer.image(frame.camera, frame.time))
+
+
+def write_clip_films(folder: Path, renderer: Renderer, frame_rate: float) -> None:
+    """Three videos of one clip: path_render_and_truth.mp4, every frame beside its render (held-out ones included, in
+    order of time); still_camera.mp4, all times seen by the middle frame's camera; and bullet_time.mp4."""
+    scene, scale = renderer.scene, renderer.cfg.train.resolution_scale
+    views = sorted(scene.train + scene.test, key=lambda view: view.time)
+    still = camera_at(views[len(views) // 2].camera, scale)
+    width, height = still.width, still.height
+    with video(folder / "path_render_and_truth.mp4", 2 * width, height, frame_rate) as send:
+        for view in views:
+            target = target_of(view, scale)
+            image = renderer.image(target.camera, target.time)
+            send(np.concatenate([image, target.image.numpy().transpose(1, 2, 0)], axis=1))
+    with video(folder / "still_camera.mp4", width, height, frame_rate) as send:
+        for view in views:
+            send(renderer.image(still, view.time))
+    write_bullet_time(folder / "bullet_time.mp4", renderer)

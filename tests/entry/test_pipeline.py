@@ -48,6 +48,7 @@ def test_a_run_folder_is_complete(finished: Path) -> None:
         "metrics.json",
         "per_image.csv",
         "renders",
+        "viewer.html",
     }
     # 3 test views: render, truth, difference, what moves, depth and flow
     assert len(list((finished / "renders").glob("*.png"))) == 18
