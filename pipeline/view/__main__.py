@@ -85,8 +85,8 @@ def _refuse_other_views(folders: list[Path], runs: list[TrainedRun]) -> None:
     for folder, run in zip(folders[1:], runs[1:]):
         if views(run) != views(runs[0]):
             raise ValueError(
-                f"{folder}: expected a run of {runs[0].cfg.scene.name} with the cameras and times of {folders[0]}, found "
-                f"{run.cfg.scene.name} with others; runs side by side are of one scene at one size"
+                f"{folder}: expected a run of {runs[0].cfg.scene.name} with the cameras and times of {folders[0]}, "
+                f"found {run.cfg.scene.name} with others; runs side by side are of one scene at one size"
             )
 
 
