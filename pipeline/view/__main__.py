@@ -86,7 +86,7 @@ def _refuse_other_views(folders: list[Path], runs: list[TrainedRun]) -> None:
         if views(run) != views(runs[0]):
             raise ValueError(
                 f"{folder}: expected a run of {runs[0].cfg.scene.name} with the cameras and times of {folders[0]}, "
-                f"found {run.cfg.scene.name}, or others; runs side by side are of one scene at one size"
+                f"found {run.cfg.scene.name} with others; runs side by side are of one scene at one size"
             )
 
 

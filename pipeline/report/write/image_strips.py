@@ -28,7 +28,7 @@ MOTION = "most motion"  # the choice of a view
 _MAX_SIDE = 512  # pixels of a view, to limit the size of the page
 _GAP = 6  # pixels between the parts
 _QUALITY = 90  # of WebP; the exact images are in the run's renders/
-DIFFERENCE_GAIN = 4  # of the difference images that pipeline/evaluation/pictures.py writes
+DIFFERENCE_GAIN = 4  # of the difference images that pipeline/evaluation/pictures/view_pictures.py writes
 
 
 @dataclass(frozen=True)
