@@ -239,13 +239,7 @@ def _train(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
     decisions = [decision.seconds for decision in (_motion(folder), _selection(folder)) if decision]
     with _live_view(cfg, scene, log) as watcher:
         result = train(
-            load_ply(folder.init_ply),
-            scene,
-            cfg,
-            folder,
-            evaluate_fn,
-            start_seconds=sum(decisions),
-            watcher=watcher,
+            load_ply(folder.init_ply), scene, cfg, folder, evaluate_fn, start_seconds=sum(decisions), watcher=watcher
         )
         if watcher is not None:
             watcher.see_last(result.model, result.iteration)
