@@ -18,11 +18,11 @@ import numpy as np
 
 from datasets.cameras.pose_file import read_poses
 from datasets.canonical import Canonical
-from pipeline.evaluation.camera_path import FRAME_RATE, PathFrame
-from pipeline.evaluation.false_colour import depth_picture, depth_range, flow_picture
-from pipeline.evaluation.films import video
-from pipeline.evaluation.geometry_pictures import longest_flow, save_picture
-from pipeline.evaluation.pictures import path_of
+from pipeline.evaluation.pictures.camera_path import FRAME_RATE, PathFrame
+from pipeline.evaluation.pictures.false_colour import depth_picture, depth_range, flow_picture
+from pipeline.evaluation.pictures.films import video
+from pipeline.evaluation.pictures.geometry_pictures import longest_flow, save_picture
+from pipeline.evaluation.pictures.view_pictures import path_of
 from pipeline.evaluation.renderer import Renderer
 from pipeline.studies.open_run import open_run
 from pipeline.terminal.command_line import CommandParser, command, log

@@ -23,6 +23,7 @@ from rasterizer import Camera
 from rasterizer.gaussians import Motion
 
 SIZE = (120, 90)  # of the pictures, pixels
+WAIT_MS = 10_000  # for what a click does
 
 
 def viewed_scene(static: bool = False, views: int = 6) -> Scene:
@@ -58,13 +59,14 @@ def write_page(path: Path, scene: Scene, *models: Model) -> str:
 
 
 @contextmanager
-def opened(browser: Browser, url: str, size: tuple[int, int] = (640, 300)) -> Iterator[Page]:
+def opened(browser: Browser, url: str, size: tuple[int, int] = (640, 300), has_touch: bool = False) -> Iterator[Page]:
     """A page that is ready. What goes wrong in it fails the test."""
-    page = browser.new_page(viewport={"width": size[0], "height": size[1]})
+    page = browser.new_page(viewport={"width": size[0], "height": size[1]}, has_touch=has_touch)
     page.on("pageerror", lambda error: pytest.fail(f"the page raised {error}"))
     page.on("console", lambda said: pytest.fail(f"the page said {said.text}") if said.type == "error" else None)
+    page.set_default_timeout(WAIT_MS)
     page.goto(url)
-    page.wait_for_selector("body.ready", timeout=60_000)
+    page.wait_for_selector("body.ready", timeout=60_000)  # the first shader may take long
     try:
         yield page
     finally:

@@ -17,14 +17,20 @@ from datasets.scene import Scene
 from pipeline.config.schema import Config
 from pipeline.data.frame_order import film_order
 from pipeline.data.training_views import Target, evenly_spaced, target_of
-from pipeline.evaluation.films import HeldOutFilms
 from pipeline.evaluation.flicker import FlickerMeter, mean_flicker
-from pipeline.evaluation.geometry_pictures import write_geometry
 from pipeline.evaluation.metrics import METRICS, MS_SSIM_NOTE, mean, measure
 from pipeline.evaluation.motion.motion_metrics import measure_motion, motion_means
 from pipeline.evaluation.motion.moving_pixels import MovingPixels
 from pipeline.evaluation.perceptual import Perceptual
-from pipeline.evaluation.pictures import SaveImages, png_saver, write_bullet_time, write_clip_films, write_moving
+from pipeline.evaluation.pictures.films import HeldOutFilms
+from pipeline.evaluation.pictures.geometry_pictures import write_geometry
+from pipeline.evaluation.pictures.view_pictures import (
+    SaveImages,
+    png_saver,
+    write_bullet_time,
+    write_clip_films,
+    write_moving,
+)
 from pipeline.evaluation.renderer import Renderer
 from pipeline.evaluation.speed import frames_per_second
 from pipeline.model.model import Model

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.evaluation.camera_path import bullet_time
-from pipeline.evaluation.pictures import path_of, write_bullet_time
+from pipeline.evaluation.pictures.camera_path import bullet_time
+from pipeline.evaluation.pictures.view_pictures import path_of, write_bullet_time
 from pipeline.evaluation.renderer import Renderer
 from pipeline.figures.figure import Figure, panels, png_of
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.evaluation.false_colour import flow_picture
-from pipeline.evaluation.geometry_pictures import flow_parts, longest_flow
 from pipeline.evaluation.motion.motion_metrics import flow_errors
+from pipeline.evaluation.pictures.false_colour import flow_picture
+from pipeline.evaluation.pictures.geometry_pictures import flow_parts, longest_flow
 from pipeline.evaluation.renderer import Renderer
 from pipeline.figures.figure import Figure, panels, png_of
 from pipeline.figures.moving_view import TRUE, MovingView

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 
-from pipeline.evaluation.false_colour import value_picture
+from pipeline.evaluation.pictures.false_colour import value_picture
 from pipeline.evaluation.renderer import Renderer
 from pipeline.figures.figure import Figure, canvas, png_of, show
 from pipeline.figures.moving_view import MovingView

@@ -31,12 +31,16 @@ class Report:
 
 
 def build_report(
-    runs_dir: Path, no_pictures: tuple[str, ...] = (), levels: tuple[float, ...] = (), with_latex: bool = False
+    runs_dir: Path,
+    no_pictures: tuple[str, ...] = (),
+    levels: tuple[float, ...] = (),
+    with_latex: bool = False,
+    out: Path = Path(),
 ) -> Report:
     """The report of the runs below `runs_dir`; FileNotFoundError if there are none.
 
     no_pictures: scenes or families of scenes without images. levels: dB, of the table of training time to a PSNR.
-    with_latex: whether to write each table as .tex too.
+    with_latex: whether to write each table as .tex too. out: the folder that the files will be in.
     """
     collection = name_variants(collect(runs_dir))
     strips, strip_warnings = make_strips(collection.runs, no_pictures)
@@ -47,7 +51,7 @@ def build_report(
         summary, paper_tables(collection), run_tables(collection, levels), sfm, strips, figures, _plots(collection)
     )
     files = _table_files(content, with_latex) | _image_files(content)
-    files |= {"report.md": report_markdown(content).encode(), "report.html": render_page(content).encode()}
+    files |= {"report.md": report_markdown(content).encode(), "report.html": render_page(content, out).encode()}
     return Report(files, (*summary.left_out, *summary.warnings), terminal_text(content))
 
 

@@ -79,13 +79,14 @@ def _refuse_other_views(folders: list[Path], runs: list[TrainedRun]) -> None:
     """ValueError where the runs have not the same cameras and times: they could not be in step."""
 
     def views(run: TrainedRun) -> str:
-        return json.dumps(cameras_of(run.scene, run.cfg.train.resolution_scale, with_truths=False).header)
+        cameras = cameras_of(run.scene, run.cfg.train.resolution_scale, with_truths=False)
+        return json.dumps([run.cfg.scene.name, cameras.header])
 
     for folder, run in zip(folders[1:], runs[1:]):
         if views(run) != views(runs[0]):
             raise ValueError(
-                f"{folder}: expected the cameras and times of {folders[0]} ({runs[0].cfg.scene.name}), found others "
-                f"({run.cfg.scene.name}); runs side by side are of one scene at one size"
+                f"{folder}: expected a run of {runs[0].cfg.scene.name} with the cameras and times of {folders[0]}, "
+                f"found {run.cfg.scene.name} with others; runs side by side are of one scene at one size"
             )
 
 

@@ -48,10 +48,15 @@ def cameras_of(scene: Scene, scale: float, with_truths: bool = True) -> Cameras:
         key = (split, name)
         if key not in cameras:
             cameras[key] = {"name": name, "split": split, **_intrinsics(camera), "frames": []}
-        cameras[key]["frames"].append({"time": view.time, "truth": of_view.get(index)})
+        cameras[key]["frames"].append({"time": view.time, "view": file_stem(view.name), "truth": of_view.get(index)})
     for found in cameras.values():
         found["frames"].sort(key=lambda frame: frame["time"])
     return Cameras(list(cameras.values()), truths, bytes(data))
+
+
+def file_stem(view: str) -> str:
+    """A view's name as its pictures have it (docs/conventions.md), and links to it."""
+    return view.replace("/", "_")
 
 
 def _intrinsics(camera: Camera) -> dict:

@@ -25,7 +25,7 @@ SHADERS = {
     "splat": "splat.frag",
     "compose": "compose.frag",
 }
-DIFFERENCE_GAIN = 4  # as evaluation/pictures.py
+DIFFERENCE_GAIN = 4  # as evaluation/pictures/view_pictures.py
 CONSTANTS = {
     "MIN_ALPHA": MIN_ALPHA,
     "MAX_ALPHA": MAX_ALPHA,

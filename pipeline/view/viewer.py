@@ -114,7 +114,7 @@ def notes(packed: Sequence[Packed], cameras: Cameras) -> list[str]:
 
 
 def _fact(one: Shown) -> str:
-    quality = "" if one.psnr is None else f", {one.psnr:.2f} dB on held-out views"
+    quality = "" if one.psnr is None else f": {one.psnr:.2f} dB held out"
     return f"{one.label}{quality}"
 
 

@@ -11,8 +11,14 @@ from moving_gaussian import VELOCITY, moving_gaussian, scene_with_truth
 from PIL import Image
 from tiny import evaluation_config
 
-from pipeline.evaluation.false_colour import depth_picture, depth_range, error_picture, flow_picture, value_picture
-from pipeline.evaluation.geometry_pictures import GAP, depth_parts, write_geometry
+from pipeline.evaluation.pictures.false_colour import (
+    depth_picture,
+    depth_range,
+    error_picture,
+    flow_picture,
+    value_picture,
+)
+from pipeline.evaluation.pictures.geometry_pictures import GAP, depth_parts, write_geometry
 from pipeline.evaluation.renderer import Renderer
 from rasterizer import Rasterizer
 

@@ -84,9 +84,7 @@ class LiveServer:
             _send(request, HTTPStatus.OK, "text/html; charset=utf-8", self._page)
         elif url.path == "/model":
             model = self.feed.model_after(_after(url.query), WAIT_S)
-            if model is None and self.feed.ended:
-                _send(request, HTTPStatus.GONE, "text/plain; charset=utf-8", b"the run has ended")
-            elif model is None:
+            if model is None:
                 _send(request, HTTPStatus.NO_CONTENT, None, b"")
             else:
                 _send(request, HTTPStatus.OK, "application/octet-stream", model)

@@ -29,7 +29,9 @@ export function stateOf(hash, scene) {
         Object.assign(changes, { time: clamp(time[0], scene.start, scene.end), playing: false });
     const camera = scene.cameras.findIndex(({ name }) => name === parts.get("camera"));
     const pose = numbers("pose", 12);
-    if (camera >= 0) changes.camera = camera;
+    const seen = viewOf(parts.get("view"), scene);
+    if (seen) Object.assign(changes, seen, { playing: false });
+    else if (camera >= 0) changes.camera = camera;
     else if (pose) {
         const [right, down, forward, position] = [0, 3, 6, 9].map((i) => pose.slice(i, i + 3));
         Object.assign(changes, { camera: null, pose: { right, down, forward, position } });
@@ -42,6 +44,15 @@ export function stateOf(hash, scene) {
     const background = numbers("background", 3);
     if (parts.has("background") && background) changes.background = background;
     return changes;
+}
+
+// Camera and time of a view of the data set, by its name.
+function viewOf(name, scene) {
+    for (const [camera, { frames }] of scene.cameras.entries()) {
+        const frame = frames.find(({ view }) => view === name);
+        if (frame) return { camera, time: frame.time };
+    }
+    return null;
 }
 
 const clamp = (x, low, high) => Math.min(high, Math.max(low, x));

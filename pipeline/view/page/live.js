@@ -14,25 +14,32 @@ export async function followTraining(pane, stage) {
         curve.push(progress.psnr);
         showProgress(progress, curve);
     });
-    events.addEventListener("end", () => events.close());
-    await fetchModel(pane, stage);
-    keepFetching(pane, stage);
+    const run = { ended: false };
+    const end = () => {
+        run.ended = true;
+        events.close();
+    };
+    events.addEventListener("end", end);
+    events.addEventListener("error", end);
+    while (!pane.model) await fetchModel(pane, stage);
+    keepFetching(pane, stage, run);
 }
 
-async function keepFetching(pane, stage) {
-    for (;;) {
+async function keepFetching(pane, stage, run) {
+    for (let last = false; !last; ) {
+        last = run.ended;
         await new Promise((resolve) => setTimeout(resolve, 500));
-        if (document.hidden) continue;
+        if (document.hidden && !last) continue;
         try {
             await fetchModel(pane, stage);
         } catch {
-            $("training").classList.add("ended"); // the server ended with the run; the last model stays
-            return;
+            last = true; // the server ended with the run
         }
     }
+    $("training").classList.add("ended"); // the last model stays
 }
 
-// Answers when there is a newer model than the one that is shown, or after a while with 304.
+// The server answers when there is a newer model than the one that is shown, or after a while that there is none.
 async function fetchModel(pane, stage) {
     const response = await fetch(`model?after=${pane.model?.header.iteration ?? -1}`, { cache: "no-store" });
     if (response.status === 204) return;
