@@ -199,7 +199,7 @@ def _report(cfg: Config, metrics: dict) -> None:
     )
     if metrics["note"]:
         console.print(f"– : {metrics['note']}")
-    console.print(f"written to {cfg.out}")
+    console.print(f"written to {cfg.out}; {Path(cfg.out) / 'viewer.html'} plays it in a browser")
     root = next((parent for parent in Path(cfg.out).parents if parent.name == "runs"), Path(cfg.out))
     console.print(f"tables and plots of all runs: python -m pipeline.report {root}")
 

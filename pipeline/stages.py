@@ -1,7 +1,7 @@
-"""The stages of a run: (sfm → select_motion → select_time_colour →) init → train → evaluate. A stage with unchanged
-inputs is skipped.
+"""The stages of a run: (sfm → select_motion → select_time_colour →) init → train → evaluate → view.
 
-A stage's inputs are what its result depends on: the stage before it, the data, and its part of the configuration.
+A stage with unchanged inputs is skipped. Its inputs are what its result depends on: the stage before it, the data, and
+its part of the configuration.
 """
 
 from __future__ import annotations
@@ -10,7 +10,8 @@ import hashlib
 import json
 import shlex
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 
@@ -43,6 +44,11 @@ from pipeline.training import select_time_colour
 from pipeline.training.estimate import estimate_if_large, training_minutes
 from pipeline.training.loop import Progress, TrainResult, train
 from pipeline.training.selection import motion
+from pipeline.view.live.address import address_of
+from pipeline.view.live.feed import Feed
+from pipeline.view.live.server import LiveServer
+from pipeline.view.live.training_view import TrainingView
+from pipeline.view.viewer import Shown, live_page, write_viewer
 from rasterizer import Rasterizer
 from rasterizer.cores import thread_count
 
@@ -146,6 +152,7 @@ def stage_inputs(cfg: Config, data: Prepared) -> dict[str, str]:
     found["init"] = _hash(*beginning)
     found["train"] = _hash(found["init"], config["train"], config["scene"]["near"])
     found["evaluate"] = _hash(found["train"], config["evaluate"])
+    found["view"] = _hash(found["evaluate"])
     return found
 
 
@@ -224,11 +231,18 @@ def _train(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
                 "peak_rss_mb": peak_memory_mb(),
             }
         )
+        if watcher is not None:
+            watcher.held_out = found["psnr"]
         return found
 
     reset_peak_memory()
     decisions = [decision.seconds for decision in (_motion(folder), _selection(folder)) if decision]
-    result = train(load_ply(folder.init_ply), scene, cfg, folder, evaluate_fn, start_seconds=sum(decisions))
+    with _live_view(cfg, scene, log) as watcher:
+        result = train(
+            load_ply(folder.init_ply), scene, cfg, folder, evaluate_fn, start_seconds=sum(decisions), watcher=watcher
+        )
+        if watcher is not None:
+            watcher.see_last(result.model, result.iteration)
     return {
         "iterations": result.iteration,
         "train_seconds": result.train_seconds,
@@ -267,6 +281,27 @@ def _evaluate(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
     return {"psnr": final.metrics["psnr"]}
 
 
+def _view(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
+    """checkpoint.safetensors → viewer.html."""
+    model = checkpoints.load_model(folder.checkpoint)
+    write_viewer(
+        folder.viewer, [Shown(cfg.ablation.name, model, folder.values_of("evaluate")["psnr"])], data.scene, cfg
+    )
+    return {}
+
+
+@contextmanager
+def _live_view(cfg: Config, scene: Scene, log: Log) -> Iterator[TrainingView | None]:
+    """Serves the run's page while it is trained, if `cfg.view` asks for it."""
+    if not cfg.view:
+        yield None
+        return
+    feed = Feed()
+    with LiveServer(address_of(cfg.view_at, "view_at"), live_page(cfg.ablation.name, scene, cfg), feed) as server:
+        log(f"live view: {server.url}")
+        yield TrainingView(feed, scene, cfg.train.iterations)
+
+
 def _outlook(final: Evaluation, model: Model, data: Prepared) -> str:
     psnr = final.metrics["psnr"]
     assert isinstance(psnr, float)
@@ -298,6 +333,7 @@ _RUN = {
     "init": _init,
     "train": _train,
     "evaluate": _evaluate,
+    "view": _view,
 }
 
 # The files each stage writes; a stage whose output was deleted is not done.
@@ -308,6 +344,7 @@ _OUTPUTS: dict[str, tuple[Callable[[RunFolder], Path], ...]] = {
     "init": (lambda folder: folder.init_ply,),
     "train": (lambda folder: folder.checkpoint, lambda folder: folder.curve),
     "evaluate": (lambda folder: folder.metrics, lambda folder: folder.per_image, lambda folder: folder.renders),
+    "view": (lambda folder: folder.viewer,),
 }
 
 

@@ -17,13 +17,20 @@ from datasets.scene import Scene
 from pipeline.config.schema import Config
 from pipeline.data.frame_order import film_order
 from pipeline.data.training_views import Target, evenly_spaced, target_of
-from pipeline.evaluation.films import HeldOutFilms
 from pipeline.evaluation.flicker import FlickerMeter, mean_flicker
 from pipeline.evaluation.metrics import METRICS, MS_SSIM_NOTE, mean, measure
 from pipeline.evaluation.motion.motion_metrics import measure_motion, motion_means
 from pipeline.evaluation.motion.moving_pixels import MovingPixels
 from pipeline.evaluation.perceptual import Perceptual
-from pipeline.evaluation.pictures import SaveImages, png_saver, write_bullet_time, write_clip_films, write_moving
+from pipeline.evaluation.pictures.films import HeldOutFilms
+from pipeline.evaluation.pictures.geometry_pictures import write_geometry
+from pipeline.evaluation.pictures.view_pictures import (
+    SaveImages,
+    png_saver,
+    write_bullet_time,
+    write_clip_films,
+    write_moving,
+)
 from pipeline.evaluation.renderer import Renderer
 from pipeline.evaluation.speed import frames_per_second
 from pipeline.model.model import Model
@@ -116,6 +123,7 @@ def evaluate_with_images(model: Model, scene: Scene, cfg: Config, threads: int, 
     (films.HeldOutFilms) and bullet_time.mp4 (pictures.write_bullet_time); of one clip pictures.write_clip_films."""
     save = png_saver(folder)
     write_moving(folder, scene, cfg)
+    write_geometry(folder, Renderer(model, scene, cfg, Rasterizer(threads=threads)))
     if not cfg.evaluate.videos or scene.frame_rate is None:
         found = evaluate(model, scene, cfg, threads, save)
         if cfg.evaluate.videos and scene.playback_rate is not None:

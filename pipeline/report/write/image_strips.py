@@ -28,7 +28,7 @@ MOTION = "most motion"  # the choice of a view
 _MAX_SIDE = 512  # pixels of a view, to limit the size of the page
 _GAP = 6  # pixels between the parts
 _QUALITY = 90  # of WebP; the exact images are in the run's renders/
-DIFFERENCE_GAIN = 4  # of the difference images that pipeline/evaluation/pictures.py writes
+DIFFERENCE_GAIN = 4  # of the difference images that pipeline/evaluation/pictures/view_pictures.py writes
 
 
 @dataclass(frozen=True)
@@ -44,6 +44,7 @@ class Strip:
     chosen_for: str  # the model by whose PSNR it was chosen
     psnr: float | None  # of this view, dB
     webp: bytes
+    viewer: Path | None = None  # the run's viewer.html
 
     @property
     def choice_text(self) -> str:
@@ -116,7 +117,9 @@ def _strip(run: pd.Series, choice: str, view: str, chosen_for: str) -> Strip:
     else:
         webp = compose([opened(folder / "renders" / f"{view}_{part}.png") for part in PARTS])
     psnr = read_view_psnr(folder / "per_image.csv").get(view)
-    return Strip(run["scene"], run["ablation"], run["train"], int(run["seed"]), view, choice, chosen_for, psnr, webp)
+    viewer = folder / "viewer.html" if (folder / "viewer.html").is_file() else None
+    which = run["scene"], run["ablation"], run["train"], int(run["seed"])
+    return Strip(*which, view, choice, chosen_for, psnr, webp, viewer)
 
 
 def webp_name(*parts: str) -> str:

@@ -12,10 +12,11 @@ from datasets.files.atomic_write import atomic_file
 from datasets.scene import Scene
 from pipeline.config.schema import Config
 from pipeline.data.training_views import camera_at, evenly_spaced, target_of
-from pipeline.evaluation.camera_path import FRAME_RATE, bullet_time, ellipse_among, median_depth
-from pipeline.evaluation.films import video
 from pipeline.evaluation.motion.moving_pixels import MovingPixels
+from pipeline.evaluation.pictures.camera_path import FRAME_RATE, Ellipse, bullet_time, ellipse_among, median_depth
+from pipeline.evaluation.pictures.films import video
 from pipeline.evaluation.renderer import Renderer
+from rasterizer import Camera
 
 DIFFERENCE_GAIN = 4  # brightness of a difference image relative to |render - truth|, clipped at white
 
@@ -47,13 +48,19 @@ def write_moving(folder: Path, scene: Scene, cfg: Config) -> None:
                 Image.fromarray(mask).save(temporary)
 
 
-def write_bullet_time(path: Path, renderer: Renderer) -> None:
-    """A video along camera_path's ellipse among the training cameras, with the intrinsics of the first test camera."""
+def path_of(renderer: Renderer) -> tuple[Ellipse, Camera]:
+    """The ellipse among the training cameras, and a camera with the intrinsics of its images."""
     scene, scale = renderer.scene, renderer.cfg.train.resolution_scale
     cameras, intrinsics = [view.camera for view in scene.train], camera_at(scene.test[0].camera, scale)
     points, sphere = renderer.model.parameters["mean"][:, :3], renderer.model.sphere
     depth = median_depth((points if sphere is None else points[~sphere]).numpy(), intrinsics)
-    ellipse = ellipse_among(cameras, default_depth=depth or scene.extent)
+    return ellipse_among(cameras, default_depth=depth or scene.extent), intrinsics
+
+
+def write_bullet_time(path: Path, renderer: Renderer) -> None:
+    """A video along camera_path's ellipse among the training cameras, with the intrinsics of the first test camera."""
+    scene = renderer.scene
+    ellipse, intrinsics = path_of(renderer)
     with video(path, intrinsics.width, intrinsics.height, FRAME_RATE) as send:
         for frame in bullet_time(ellipse, intrinsics, scene.time_start, scene.duration):
             send(renderer.image(frame.camera, frame.time))
