@@ -20,6 +20,7 @@ __all__ = [
     "Scene",
     "SceneError",
     "View",
+    "is_drive",
     "is_filmed",
     "load_footage",
     "load_posed",
@@ -38,11 +39,31 @@ def load_scene(cfg: SceneConfig, *, threads: int = 0, log: Log = print) -> Scene
     """
     if is_filmed(cfg):
         return load_posed(cfg, threads=threads, log=log).to_scene()
+    if is_drive(cfg):
+        return _read_drive(cfg, log)
     scene = _read_photographs(cfg, log)
     if not cfg.validation_every:
         return scene
     hold_out = hold_out_outermost if cfg.validation_outermost else hold_out_every
     return validate_scene(hold_out(scene, cfg.validation_every))
+
+
+def is_drive(cfg: SceneConfig) -> bool:
+    """Whether the scene is a driving log: cameras on a car, with LiDAR or without."""
+    if cfg.reader == "synthetic":
+        from datasets.synthetic import DRIVEN
+
+        return _synthetic_name(cfg) in DRIVEN
+    return cfg.reader in ("kitti", "waymo")
+
+
+def _read_drive(cfg: SceneConfig, log: Log) -> Scene:
+    from datasets.urban import open_log
+    from datasets.urban.assemble import scene_of_log
+
+    if cfg.reader == "synthetic":
+        return scene_of_log(open_log("waymo", _make_synthetic(cfg, log)), cfg, log)
+    return scene_of_log(open_log(cfg.reader, _path(cfg)), cfg, log)
 
 
 def _read_photographs(cfg: SceneConfig, log: Log) -> Scene:

@@ -22,7 +22,8 @@ from datasets.files.errors import SceneError
 
 PHOTOGRAPHED = ("wheel", "lamp", "burst", "still")  # in the D-NeRF layout: one camera per time
 FILMED = ("counter",)  # in the Plenoptic Video layout: several cameras at every time
-SCENE_NAMES = PHOTOGRAPHED + FILMED
+DRIVEN: tuple[str, ...] = ()
+SCENE_NAMES = PHOTOGRAPHED + FILMED + DRIVEN
 
 Progress = Callable[[int, int], None]  # called after each camera of a film: cameras done, all cameras
 

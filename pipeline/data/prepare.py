@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from datasets import Scene, is_filmed, load_footage, load_posed, load_scene
+from datasets import Scene, is_drive, is_filmed, load_footage, load_posed, load_scene
 from datasets.canonical import Canonical, canonical_of, canonical_space, canonicalise
 from pipeline.config.schema import Config
 from pipeline.data.sfm.photograph import Photograph, Reconstruction
@@ -62,7 +62,7 @@ def _in_file_units(cfg: Config, log: Callable[[str], None]) -> Prepared:
         return _from_videos(cfg, load_footage(cfg.scene, threads=cfg.threads, log=log), log)
     if is_filmed(cfg.scene) and cfg.init.source != "random":
         return _from_posed(cfg, load_posed(cfg.scene, threads=cfg.threads, log=log), log)
-    if cfg.init.source == "sfm":
+    if cfg.init.source == "sfm" and not is_drive(cfg.scene):
         raise ValueError(
             f"init.source: expected auto or random for {cfg.scene.name}, which has one camera per time, found sfm"
         )
