@@ -86,6 +86,8 @@ class Scene:
     sweeps: tuple[Sweep, ...] = ()  # LiDAR of the training frames, in the order of time
     test_sweeps: tuple[Sweep, ...] = ()  # of the held-out frames; no model is trained on them
     is_drive: bool = False  # a car drives through it; images of different cameras may differ in size
+    metre: float | None = None  # world units per metre; None: unknown
+    moving_by: str | None = None  # where the views' masks of what moves come from
     held_out: str | None = None  # which views are the test views, where a setting says so: "every 4th frame"
 
     @property

@@ -14,11 +14,14 @@ from datasets.files.image_files import read_rgba
 from datasets.ground_truth import StoredTruth, any_moving
 from datasets.scene import Scene, Sweep, View, bounding_cube, camera_extent, make_camera, validate_scene
 from datasets.settings import SceneConfig
-from datasets.urban.log import DrivingLog, LogImage, LogSweep
-from datasets.urban.projection import in_image, project
+from datasets.urban.log import DrivingLog, LogImage, LogSweep, SweepPoints
+from datasets.urban.moving import with_moving_masks
+from datasets.urban.projection import depth_image, in_image, project
+from datasets.urban.sky import estimate_sky
 from rasterizer.camera import Camera
 
 UNIT = 5.0  # metres per normalised unit: the near plane is at 1 m
+BY_MASKS = "masks of the data"
 SURROUNDINGS = 30.0  # metres on every side of the way, in which random points are drawn
 
 Log = Callable[[str], None]
@@ -46,6 +49,10 @@ def scene_of_log(log: DrivingLog, cfg: SceneConfig, say: Log = lambda line: None
     for image in images:
         split = "test" if image.frame in test_frames else "train"
         views[image.frame].append(_view(image, split, cfg))
+    points = {sweep.frame: sweep.read() for sweep in sweeps}
+    if cfg.sky_masks == "estimated" or (cfg.sky_masks == "auto" and not any(image.sky for image in images)):
+        say("sky masks: estimated from colour, edges and LiDAR (scene.sky_masks)")
+        views = {frame: [_with_sky(view, points.get(frame)) for view in listed] for frame, listed in views.items()}
     times = [image.time for image in images] + [sweep.time for sweep in sweeps]
     start = min(times)
 
@@ -54,27 +61,32 @@ def scene_of_log(log: DrivingLog, cfg: SceneConfig, say: Log = lambda line: None
 
     def sweeps_of(chosen: Iterable[int]) -> tuple[Sweep, ...]:
         found = [sweep for sweep in sweeps if sweep.frame in set(chosen)]
-        return tuple(_sweep(sweep, views[sweep.frame], start) for sweep in found)
+        return tuple(_sweep(sweep, points[sweep.frame], views[sweep.frame], start) for sweep in found)
 
+    has_masks = any(image.moving is not None for image in images)
     train = views_of(train_frames)
     train_cameras = [view.camera for view in train]
     positions = np.stack([camera.position for camera in train_cameras])
     return validate_scene(
-        Scene(
-            name=cfg.name,
-            train=train,
-            test=views_of(test_frames),
-            duration=float(max(times) - start) or 1.0,
-            time_start=0.0,
-            background=BLACK,
-            extent=camera_extent(train_cameras),
-            init_box=bounding_cube(positions, SURROUNDINGS),
-            source=log.source,
-            unit=UNIT,
-            sweeps=sweeps_of(train_frames),
-            test_sweeps=sweeps_of(test_frames),
-            is_drive=True,
-            held_out=rule,
+        with_moving_masks(
+            Scene(
+                name=cfg.name,
+                train=train,
+                test=views_of(test_frames),
+                duration=float(max(times) - start) or 1.0,
+                time_start=0.0,
+                background=BLACK,
+                extent=camera_extent(train_cameras),
+                init_box=bounding_cube(positions, SURROUNDINGS),
+                source=log.source,
+                unit=UNIT,
+                sweeps=sweeps_of(train_frames),
+                test_sweeps=sweeps_of(test_frames),
+                is_drive=True,
+                metre=1.0,
+                moving_by=BY_MASKS if has_masks else None,
+                held_out=rule,
+            )
         )
     )
 
@@ -181,9 +193,13 @@ def _mask(path: object, camera: Camera, maps: tuple[np.ndarray, np.ndarray] | No
     return cv2.remap(mask.astype(np.uint8), *maps, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE) > 0
 
 
-def _sweep(sweep: LogSweep, views: list[View], start: float) -> Sweep:
+def _with_sky(view: View, sweep: SweepPoints | None) -> View:
+    depth = None if sweep is None else depth_image(sweep.points, view.camera)
+    return replace(view, sky=estimate_sky(np.asarray(view.image), depth))
+
+
+def _sweep(sweep: LogSweep, read: SweepPoints, views: list[View], start: float) -> Sweep:
     """The sweep's points that a camera of its frame sees; others neither supervise nor get a colour."""
-    read = sweep.read()
     seen = np.zeros(len(read.points), dtype=bool)
     for view in views:
         seen |= in_image(*project(read.points, view.camera), view.camera)

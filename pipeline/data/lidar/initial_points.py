@@ -100,7 +100,7 @@ def far_points(scene: Scene, count: int, rng: np.random.Generator) -> TimedPoint
     sweeps = {sweep.frame: sweep for sweep in scene.sweeps}
     per_view = np.bincount(rng.integers(len(views), size=count), minlength=len(views)) if views else np.zeros(0, int)
     parts = [
-        _far_points_of(view, sweeps.get(view.frame or 0), wanted, scene.unit, rng)
+        _far_points_of(view, sweeps.get(view.frame or 0), wanted, scene.metre or 1.0, rng)
         for view, wanted in zip(views, per_view)
         if wanted
     ]
@@ -109,7 +109,7 @@ def far_points(scene: Scene, count: int, rng: np.random.Generator) -> TimedPoint
     return TimedPoints(*(np.concatenate(fields) for fields in zip(*map(_fields, parts))))
 
 
-def _far_points_of(view: View, sweep: Sweep | None, count: int, unit: float, rng: np.random.Generator) -> TimedPoints:
+def _far_points_of(view: View, sweep: Sweep | None, count: int, metre: float, rng: np.random.Generator) -> TimedPoints:
     camera = view.camera
     height, width = camera.height, camera.width
     depth = np.zeros((height, width), np.float32) if sweep is None else depth_image(sweep.points, camera)
@@ -122,7 +122,7 @@ def _far_points_of(view: View, sweep: Sweep | None, count: int, unit: float, rng
         return TimedPoints(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3), np.uint8))
     row, column = np.divmod(rng.choice(candidates, count), width)
     low, high = np.log(FAR_RANGE)
-    metres = np.exp(rng.uniform(low, high, count)) * _units_per_metre(unit)
+    metres = np.exp(rng.uniform(low, high, count)) * metre
     known = depth_at_top[column]
     z = np.where(known > 0, known * np.exp(SPREAD * rng.standard_normal(count)), metres)
     rays = np.stack(
@@ -152,13 +152,6 @@ def views_by_frame(scene: Scene) -> dict[int, list[View]]:
         if view.frame is not None:
             found[view.frame].append(view)
     return found
-
-
-def _units_per_metre(unit: float) -> float:
-    """Scene.unit is the length of 5 m (datasets/urban/assemble.py) in the scene's units."""
-    from datasets.urban.assemble import UNIT
-
-    return unit / UNIT
 
 
 def _fields(cloud: TimedPoints) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
