@@ -136,8 +136,9 @@ def __getattr__(name: str) -> Any:
 
 
 def _make_synthetic(cfg: SceneConfig, log: Log) -> Path:
-    from datasets.synthetic import make_scene
+    from datasets.synthetic import DRIVEN, make_scene
 
+    what = "frames" if _synthetic_name(cfg) in DRIVEN else "cameras"
     return make_scene(
         _synthetic_name(cfg),
         cfg.cache,
@@ -147,7 +148,8 @@ def _make_synthetic(cfg: SceneConfig, log: Log) -> Path:
         test_views=cfg.test_views,
         cameras=cfg.cameras,
         frames=cfg.frames,
-        progress=lambda done, total: log(f"{cfg.name}: {done} of {total} cameras rendered"),
+        layout=cfg.layout,
+        progress=lambda done, total: log(f"{cfg.name}: {done} of {total} {what} rendered"),
     )
 
 

@@ -38,8 +38,8 @@ NOTE = (
     "",
     "All final. Moving: pixels of bodies that move, where they are known, else those whose true colour changes by more "
     "than 0.1 before a still camera; still: all others. Foreground: alpha > 0. Flow error: mean end-point error over "
-    "moving pixels as a share of their mean true motion. Depth error: median of |z − truth| / truth. LiDAR: the same of "
-    "held-out sweeps' points, its mean (AbsRel), and the root mean square of z − truth.",
+    "moving pixels as a share of their mean true motion. Depth error: median of |z − truth| / truth. LiDAR: the "
+    "same of held-out sweeps' points, its mean (AbsRel), and the root mean square of z − truth.",
 )
 
 
