@@ -116,9 +116,9 @@ class RegularizationConfig:
 class DepthConfig:
     """Weights of the losses on depth and sky of driving logs (pipeline/training/objective/depth_loss.py). 0: none."""
 
-    lidar: float = 0.1  # of the inverse depth at LiDAR pixels, scene units; the authors' code, as are the next two
-    lidar_decay: float = 0.267  # of that weight: × exp(-fraction of the schedule / this); 0: constant
-    sky_inverse: float = 0.1  # of the inverse depth in the sky
+    lidar: float = 1.0  # of the inverse depth at LiDAR pixels, scene units; 0.1 in the authors' code (docs/urban.md)
+    lidar_decay: float = 0.267  # of that weight: × exp(-fraction of the schedule / this), as there; 0: constant
+    sky_inverse: float = 0.1  # of the inverse depth in the sky, as there
     sky_opacity: float = 0.05  # of -log(1 - alpha) in the sky, as Periodic Vibration Gaussian has it
 
     def __post_init__(self) -> None:
