@@ -24,7 +24,7 @@ from pipeline.evaluation.metrics import METRICS, MS_SSIM_NOTE, mean, measure
 from pipeline.evaluation.motion.motion_metrics import measure_motion, motion_means
 from pipeline.evaluation.motion.moving_pixels import MovingPixels
 from pipeline.evaluation.perceptual import Perceptual
-from pipeline.evaluation.pictures import SaveImages, png_saver, write_bullet_time, write_moving
+from pipeline.evaluation.pictures import SaveImages, png_saver, write_bullet_time, write_depths, write_moving
 from pipeline.evaluation.renderer import Renderer
 from pipeline.evaluation.speed import frames_per_second
 from pipeline.model.model import Model
@@ -119,6 +119,8 @@ def evaluate_with_images(model: Model, scene: Scene, cfg: Config, threads: int, 
     (films.HeldOutFilms) and bullet_time.mp4 (pictures.write_bullet_time)."""
     save = png_saver(folder)
     write_moving(folder, scene, cfg)
+    if scene.is_drive:
+        write_depths(folder, Renderer(model, scene, cfg, Rasterizer(threads=threads)))
     if not cfg.evaluate.videos or scene.frame_rate is None:
         return evaluate(model, scene, cfg, threads, save)
     with HeldOutFilms(folder, scene.playback_rate or scene.frame_rate) as film:

@@ -19,6 +19,8 @@ from pipeline.evaluation.renderer import Renderer
 
 DIFFERENCE_GAIN = 4  # brightness of a difference image relative to |render - truth|, clipped at white
 
+NEAREST_DEPTH = 4.0  # metres, and nearer: the brightest of a depth image, whose brightness falls as 1/√depth
+
 SaveImages = Callable[[str, np.ndarray, np.ndarray], None]  # (view name, render, truth), images (H, W, 3) in [0, 1]
 
 
@@ -45,6 +47,21 @@ def write_moving(folder: Path, scene: Scene, cfg: Config) -> None:
         if (mask := moving.of(index)) is not None:
             with atomic_file(folder / f"{scene.test[index].name.replace('/', '_')}_moving.png") as temporary:
                 Image.fromarray(mask).save(temporary)
+
+
+def write_depths(folder: Path, renderer: Renderer) -> None:
+    """<view>_depth.png of a driving log's test views that `cfg.evaluate.renders` selects: near is bright."""
+    import matplotlib
+
+    scene, cfg = renderer.scene, renderer.cfg
+    for index in evenly_spaced(len(scene.test), cfg.evaluate.renders):
+        view = scene.test[index]
+        geometry = renderer.geometry(camera_at(view.camera, cfg.train.resolution_scale), view.time, None)
+        metres = geometry.depth / (scene.metre or 1.0)
+        shade = np.where(metres > 0, np.clip(NEAREST_DEPTH / np.maximum(metres, 1e-6), 0, 1) ** 0.5, 0)
+        picture = matplotlib.colormaps["magma"](shade)[..., :3]
+        with atomic_file(folder / f"{view.name.replace('/', '_')}_depth.png") as temporary:
+            Image.fromarray(np.round(picture * 255).astype(np.uint8)).save(temporary)
 
 
 def write_bullet_time(path: Path, renderer: Renderer) -> None:
