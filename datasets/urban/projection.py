@@ -53,9 +53,15 @@ def seen(points: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray, np
 
 
 def depth_image(points: np.ndarray, camera: Camera) -> np.ndarray:
-    """(H, W) float32 depth of the points of one sweep that the camera sees, the nearest in each pixel; 0: none."""
+    """(H, W) float32 depth of the points of one sweep that the camera sees; 0: none.
+
+    Of several points in a pixel it is that of the one nearest to the pixel's centre, which is what renders show there.
+    The nearest in depth would be 1.7 % too near on the road of synthetic/street at 72 x 48 pixels.
+    """
     _, column, row, depth = seen(points, camera)
-    image = np.full((camera.height, camera.width), np.inf, dtype=np.float32)
-    np.minimum.at(image, (row.astype(int), column.astype(int)), depth.astype(np.float32))
-    image[np.isinf(image)] = 0
+    x, y = column.astype(int), row.astype(int)
+    off_centre = (column - x - 0.5) ** 2 + (row - y - 0.5) ** 2
+    farthest_first = np.argsort(-off_centre, kind="stable")
+    image = np.zeros((camera.height, camera.width), dtype=np.float32)
+    image[y[farthest_first], x[farthest_first]] = depth[farthest_first]  # the last one of a pixel stays
     return image

@@ -34,9 +34,9 @@ def points_of(
     up, around, distance = beams[row], azimuth[column], ranges.reshape(-1)[index].astype(np.float64)
     local = distance[:, None] * np.stack([np.cos(around) * np.cos(up), np.sin(around) * np.cos(up), np.sin(up)], axis=1)
     points = local @ laser_to_vehicle[:3, :3].T + laser_to_vehicle[:3, 3]
-    origins = np.broadcast_to(laser_to_vehicle[:3, 3], points.shape)
+    origins = np.tile(laser_to_vehicle[:3, 3], (len(points), 1))
     if pixel_poses is None or vehicle_to_world is None:
-        return points, origins.copy(), index
+        return points, origins, index
     poses = pixel_poses.reshape(-1, 6)[index].astype(np.float64)
     turns = Rotation.from_euler("ZYX", poses[:, [2, 1, 0]])
     world_to_vehicle = np.linalg.inv(vehicle_to_world)
