@@ -7,11 +7,20 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 RUN := .venv/bin/python -m
 RUNS ?= results/runs
 FUZZ_SECONDS ?= 20
-MARKDOWN := README.md CONTRIBUTING.md CHANGELOG.md docs results/measured/few_views/few_views.md results/measured/motion/motion.md
+MARKDOWN := README.md CONTRIBUTING.md CHANGELOG.md docs results/measured/motion/motion.md
 
 # How long a target took since make began, what it set up on the way included.
 STARTED := $(shell date +%s)
 took = s=$$(( $$(date +%s) - $(STARTED) )); echo "make $@: $(1) in $$(( s / 60 )) min $$(( s % 60 )) s, set-up included"
+
+# The viewer's JavaScript: Biome checks and formats it. npm installs it in build/, where there is an npm.
+JAVASCRIPT := build/javascript
+biome = if command -v npm > /dev/null; then \
+	if ! cmp -s tools/javascript/package.json $(JAVASCRIPT)/package.json; then \
+		mkdir -p $(JAVASCRIPT) && cp tools/javascript/package.json $(JAVASCRIPT) && \
+		(cd $(JAVASCRIPT) && npm install --silent --no-package-lock --no-audit --no-fund) || exit 1; fi; \
+	echo "biome $(1) pipeline/view/page" && $(JAVASCRIPT)/node_modules/.bin/biome $(1) --config-path=tools/javascript pipeline/view/page; \
+	else echo "lint: npm is not installed, so the viewer's JavaScript is not checked"; fi
 
 # What make compares to decide whether there is work: packages after the lock, kernel after its sources.
 INSTALLED := .venv/.installed
@@ -28,16 +37,18 @@ build: $(BUILT) ## rebuild the kernel if its sources changed
 lock: ## renew requirements.lock after a change of pyproject.toml; UPGRADE=--upgrade takes the newest versions
 	@$(PYTHON) tools/lock.py $(UPGRADE)
 
-lint: $(INSTALLED) ## check style, imports, types and Markdown, without changing anything
+lint: $(INSTALLED) ## check style, imports, types, Markdown and, where npm is installed, JavaScript; changes nothing
 	.venv/bin/ruff check .
 	.venv/bin/ruff format --check .
 	.venv/bin/mypy
 	.venv/bin/mdformat --check $(MARKDOWN)
+	@$(call biome,ci)
 
-format: $(INSTALLED) ## format code, imports and Markdown
+format: $(INSTALLED) ## format code, imports, Markdown and JavaScript
 	.venv/bin/ruff check --fix --select I .
 	.venv/bin/ruff format .
 	.venv/bin/mdformat $(MARKDOWN)
+	@$(call biome,check --write)
 
 test: $(BUILT) ## run all tests
 	$(RUN) pytest -n auto --dist loadscope --no-loadscope-reorder

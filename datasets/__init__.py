@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from datasets.composition import BLACK, WHITE, Color, as_color
 from datasets.files.errors import SceneError
 from datasets.scene import Scene, View, validate_scene
-from datasets.settings import SceneConfig
+from datasets.settings import LAYOUTS, SceneConfig
 from datasets.validation import hold_out_every, hold_out_outermost
 
 if TYPE_CHECKING:  # imports a video decoder, which other scenes do not need
+    from datasets.clip import Clip
     from datasets.plenoptic import Footage, PosedFootage
 
 __all__ = [
@@ -22,10 +24,13 @@ __all__ = [
     "View",
     "is_drive",
     "is_filmed",
+    "load_clip",
     "load_footage",
     "load_posed",
     "load_scene",
+    "reads_clip",
     "validate_scene",
+    "with_reader",
 ]
 
 Log = Callable[[str], None]  # called with a line of text for the user
@@ -37,6 +42,7 @@ def load_scene(cfg: SceneConfig, *, threads: int = 0, log: Log = print) -> Scene
     threads: for decoding; 0: all cores. Raises SceneError for invalid data, and for the reader `video`, whose cameras
     are known only after structure from motion (see load_footage).
     """
+    cfg = with_reader(cfg)
     if is_filmed(cfg):
         return load_posed(cfg, threads=threads, log=log).to_scene()
     if is_drive(cfg):
@@ -66,8 +72,36 @@ def _read_drive(cfg: SceneConfig, log: Log) -> Scene:
     return scene_of_log(open_log(cfg.reader, _path(cfg)), cfg, log)
 
 
+def with_reader(cfg: SceneConfig, log: Log | None = None) -> SceneConfig:
+    """The settings with the layout found out where scene.reader=auto. log: gets the reasons."""
+    if cfg.reader != "auto":
+        return cfg
+    from datasets.layouts.detect import detect
+
+    found = detect(_path(cfg))
+    if log is not None:
+        log(found.line)
+    chosen = {"dnerf": 2, "plenoptic": 2}  # readers without a choice by size: their default
+    downscale = cfg.downscale or chosen.get(found.reader, 0)
+    return replace(cfg, reader=found.reader, downscale=downscale)
+
+
 def _read_photographs(cfg: SceneConfig, log: Log) -> Scene:
     """Calls the reader of cfg.reader. A new reader gets its branch here; its module is imported only when needed."""
+    if cfg.reader in LAYOUTS:
+        from datasets.layouts import LayoutOptions, read_layout
+
+        options = LayoutOptions(
+            cfg.name,
+            cfg.downscale,
+            cfg.test_every,
+            cfg.test_cameras,
+            cfg.first_frame,
+            cfg.frames,
+            background_color(cfg.background),
+            log,
+        )
+        return read_layout(cfg.reader, _path(cfg), options)
     from datasets.dnerf import has_split, read_dnerf
 
     path = _make_synthetic(cfg, log) if cfg.reader == "synthetic" else _path(cfg)
@@ -82,6 +116,24 @@ def _read_photographs(cfg: SceneConfig, log: Log) -> Scene:
         init_box=(cfg.init_box[0], cfg.init_box[1]),
         log=log,
     )
+
+
+def reads_clip(cfg: SceneConfig) -> bool:
+    """Whether the scene is one clip by a camera that moves, whose cameras structure from motion finds."""
+    cfg = with_reader(cfg)
+    if cfg.reader != "video" or cfg.path is None:
+        return False
+    from datasets.clip import is_clip
+
+    return is_clip(_path(cfg))
+
+
+def load_clip(cfg: SceneConfig, log: Log = print) -> Clip:
+    """The clip of a config: its frames in use, without cameras."""
+    from datasets.clip import ClipOptions, open_clip
+
+    options = ClipOptions(cfg.name, cfg.downscale, cfg.frames, cfg.first_frame, cfg.test_every, log)
+    return open_clip(_path(cfg), options)
 
 
 def background_color(setting: str | Sequence[float]) -> Color | None:
@@ -111,6 +163,7 @@ def load_footage(cfg: SceneConfig, *, threads: int = 0, log: Log = print) -> Foo
 
     With the reader `video` cameras come from structure from motion later; Footage.to_scene takes them.
     """
+    cfg = with_reader(cfg)
     if cfg.reader == "video":
         from datasets.plenoptic import read_footage
 
@@ -120,11 +173,12 @@ def load_footage(cfg: SceneConfig, *, threads: int = 0, log: Log = print) -> Foo
 
 def is_filmed(cfg: SceneConfig) -> bool:
     """Whether the scene consists of multi-camera videos: frames are decoded into a store, points come from COLMAP."""
+    cfg = with_reader(cfg)
     if cfg.reader == "synthetic":
         from datasets.synthetic import FILMED
 
         return _synthetic_name(cfg) in FILMED
-    return cfg.reader in ("plenoptic", "video")
+    return cfg.reader == "plenoptic" or (cfg.reader == "video" and not reads_clip(cfg))
 
 
 def __getattr__(name: str) -> Any:

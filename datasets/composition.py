@@ -14,6 +14,7 @@ Color = tuple[float, float, float]  # RGB in [0, 1]
 BLACK: Color = (0.0, 0.0, 0.0)
 WHITE: Color = (1.0, 1.0, 1.0)
 
+TRAINING_SIDE = 640  # pixels: of training images, where scene.downscale=0 leaves the choice to chosen_downscale
 BORDER_TOLERANCE = 8  # levels of 255: JPEG artefacts in an area of one colour
 BORDER_SHARE = 0.9  # least share of border pixels of that colour; objects may cover the rest
 
@@ -50,6 +51,11 @@ def reduced_camera(camera: Camera, downscale: int) -> Camera:
     """The camera of `compose`'s image: cropped at the right and lower edge to whole blocks, then scaled."""
     width, height = camera.width // downscale, camera.height // downscale
     return replace(camera, width=width * downscale, height=height * downscale).resized(width, height)
+
+
+def chosen_downscale(size: tuple[int, int]) -> int:
+    """The downscale where the settings leave it open: the longer side is TRAINING_SIDE at most."""
+    return max(1, -(-max(size) // TRAINING_SIDE))
 
 
 def _block_means(plane: np.ndarray, side: int) -> np.ndarray:

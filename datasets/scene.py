@@ -52,6 +52,7 @@ class View:
     frame: int | None = None  # of a driving log: views and sweep of one moment share it
     sky: np.ndarray | None = None  # (H, W) bool; None: unknown
     moving: np.ndarray | None = None  # (H, W) bool, what moves by a mask of the data; None: unknown
+    mask: np.ndarray | None = None  # (H, W) bool: pixels that count in the loss and in psnr_masked; None: all
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,14 @@ class Sweep:
     time: float  # as View.time
     origin: np.ndarray  # (3,) float64, where the beams start, world units
     points: np.ndarray  # (N, 3) float64, world units
+
+
+@dataclass(frozen=True)
+class ScenePoints:
+    """Surface points that came with the data."""
+
+    positions: np.ndarray  # (N, 3) float64, world units
+    colors: np.ndarray  # (N, 3) uint8
 
 
 @dataclass(frozen=True)
@@ -88,7 +97,8 @@ class Scene:
     is_drive: bool = False  # a car drives through it; images of different cameras may differ in size
     metre: float | None = None  # world units per metre; None: unknown
     moving_by: str | None = None  # where the views' masks of what moves come from
-    held_out: str | None = None  # which views are the test views, where a setting says so: "every 4th frame"
+    points: ScenePoints | None = None  # initial points; None: random, or from structure from motion
+    test_split: str | None = None  # how the held-out views were chosen, for tables; None: as scene.test_split says
 
     @property
     def time_end(self) -> float:

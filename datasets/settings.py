@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 from typing import Any, Optional
 
 BACKGROUND_MODELS = ("none", "sphere", "envmap", "cubemap")
-READERS = ("dnerf", "plenoptic", "video", "synthetic", "kitti", "waymo")
+LAYOUTS = ("colmap", "nerfstudio", "dynamic_gaussians", "nerfies", "llff")  # folders of other tools (datasets/layouts)
+READERS = ("dnerf", "plenoptic", "video", "synthetic", "kitti", "waymo", "auto", *LAYOUTS)
 SKY_MASKS = ("auto", "none", "files", "estimated")
 STREET_LAYOUTS = ("processed", "kitti_format")
 COLOR_NAMES = ("auto", "black", "white")  # of scene.background
@@ -18,26 +19,27 @@ class SceneConfig:
 
     # Name of the scene and of its run folder; may contain a slash. By default derived from the folder of scene.path
     name: str = "dnerf"
-    reader: str = "dnerf"  # layout of the data: dnerf | plenoptic | video | synthetic | kitti | waymo
+    # Layout of the data: dnerf | plenoptic | video | synthetic | colmap | nerfstudio | dynamic_gaussians | nerfies |
+    # llff | kitti | waymo | auto: found out and said (datasets/layouts/detect.py)
+    reader: str = "dnerf"
     path: Optional[str] = None  # folder of the data; not used by synthetic scenes
     test_split: str = "test"  # dnerf: the held-out split, test | val
     # Validation: every n-th training view replaces the test views, so that settings are not selected by these. 0: off
     validation_every: int = 0
     validation_outermost: bool = False  # validation by as many of the outermost training views instead
+    test_every: int = 8  # one clip, folders without a test split: every so many-th frame is held out
     test_cameras: list[int] = field(default_factory=lambda: [0])  # plenoptic, video: numbers of held-out cameras
     drop_cameras: list[int] = field(default_factory=list)  # plenoptic, video: numbers of cameras to ignore
     first_frame: int = 0  # plenoptic, video, driving logs: the first frame in use, counted from 0
     # plenoptic, video, driving logs: largest number of frames in use; synthetic/counter, synthetic/street: to render
     frames: int = 300
-    # Driving logs: every n-th frame is held out with all its cameras; the paper says 10, its authors' code takes 4
-    test_every: int = 10
     log_cameras: Optional[list[int]] = None  # driving logs: numbers of the cameras in use; None: the layout's
     # Driving logs: auto: masks that come with the data, else estimated from colour, edges and LiDAR | none | files |
     # estimated
     sky_masks: str = "auto"
     layout: str = "processed"  # synthetic/street: the layout it is written in, processed | kitti_format
     fourier_order: Optional[int] = None  # highest Fourier order that such data need; None: the ablation's
-    downscale: int = 2  # images are read at 1/downscale of their size
+    downscale: int = 2  # images are read at 1/downscale of their size; 0 (own data): chosen by the size
     # Colour under transparent pixels: black, white or RGB in [0, 1]. auto: the border colour of opaque images if all
     # borders have one colour, else black
     background: Any = "auto"
@@ -96,7 +98,12 @@ class SceneConfig:
             "at least 2, or 0 (off)",
             self.validation_every,
         )
-        require(1 <= self.downscale <= 16, "scene.downscale", "1 to 16", self.downscale)
+        require(
+            1 <= self.downscale <= 16 or (self.downscale == 0 and self.reader in ("video", "auto", *LAYOUTS)),
+            "scene.downscale",
+            "1 to 16",
+            self.downscale,
+        )
         require(
             self.background in COLOR_NAMES or _is_color(self.background),
             "scene.background",

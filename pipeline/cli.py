@@ -44,6 +44,7 @@ _HEADINGS = {
     "psnr_moving": "PSNR moving",
     "psnr_still": "PSNR still",
     "psnr_foreground": "PSNR foreground",
+    "psnr_masked": "PSNR masked",
     "flow_error": "flow error",
     "flow_error_px": "flow error, px",
     "depth_error_median": "depth error",
@@ -201,7 +202,7 @@ def _report(cfg: Config, metrics: dict) -> None:
     )
     if metrics["note"]:
         console.print(f"– : {metrics['note']}")
-    console.print(f"written to {cfg.out}")
+    console.print(f"written to {cfg.out}; {Path(cfg.out) / 'viewer.html'} plays it in a browser")
     root = next((parent for parent in Path(cfg.out).parents if parent.name == "runs"), Path(cfg.out))
     console.print(f"tables and plots of all runs: python -m pipeline.report {root}")
 

@@ -1,6 +1,7 @@
-"""The stages of a run: (sfm → select_time_colour →) init → train → evaluate. A stage with unchanged inputs is skipped.
+"""The stages of a run: (sfm → select_motion → select_time_colour →) init → train → evaluate → view.
 
-A stage's inputs are what its result depends on: the stage before it, the data, and its part of the configuration.
+A stage with unchanged inputs is skipped. Its inputs are what its result depends on: the stage before it, the data, and
+its part of the configuration.
 """
 
 from __future__ import annotations
@@ -9,7 +10,8 @@ import hashlib
 import json
 import shlex
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 
@@ -28,6 +30,7 @@ from pipeline.data.prepare import Prepared, prepare
 from pipeline.evaluation.evaluate import Evaluation, evaluate, evaluate_with_images
 from pipeline.evaluation.lifetimes import lifetimes
 from pipeline.evaluation.motion.moving_pixels import MovingPixels
+from pipeline.evaluation.outlook import outlook, path_angles
 from pipeline.evaluation.quick_evaluate import quick_evaluate
 from pipeline.model.initialise import initialise
 from pipeline.model.model import Model
@@ -38,14 +41,21 @@ from pipeline.runs.run_folder import RunFolder, now, write_csv
 from pipeline.runs.run_identity import read_stages, refuse_foreign, refuse_other_run
 from pipeline.training import checkpoint as checkpoints
 from pipeline.training import select_time_colour
-from pipeline.training.estimate import estimate_if_large
+from pipeline.training.estimate import estimate_if_large, training_minutes
 from pipeline.training.loop import Progress, TrainResult, train
+from pipeline.training.selection import motion
+from pipeline.view.live.address import address_of
+from pipeline.view.live.feed import Feed
+from pipeline.view.live.server import LiveServer
+from pipeline.view.live.training_view import TrainingView
+from pipeline.view.viewer import Shown, live_page, write_viewer
 from rasterizer import Rasterizer
 from rasterizer.cores import thread_count
 
 Log = Callable[[str], None]
 
 SELECTION = "select_time_colour"  # the stage, and what metrics.json has of it
+MOTION = "select_motion"  # likewise
 NOTHING_KEPT = "nothing of the run was saved yet; the same command starts it anew"
 
 
@@ -63,6 +73,8 @@ def run(cfg: Config, overrides: Sequence[str], log: Log) -> dict:
             log(line)
     data = prepare(cfg, log)
     unresolved, cfg = cfg, resolved(cfg, data.scene)
+    if data.is_clip and not (cfg.resume and "train" in read_stages(path)):
+        log(training_minutes(cfg, data.scene))
     if unresolved.train.static_overrides and cfg.train != without_static_overrides(unresolved).train:
         log("static scene: trained with train.static_overrides")
 
@@ -84,7 +96,10 @@ def run(cfg: Config, overrides: Sequence[str], log: Log) -> dict:
             log(f"{stage}: {folder.path}")
             folder.finish(stage, inputs[stage], **_RUN[stage](cfg, data, folder, log))
             folder.log({"event": f"finished {stage}"})
-        return read_json(folder.metrics)
+        metrics = read_json(folder.metrics)
+        if metrics.get("outlook"):
+            log(metrics["outlook"])
+        return metrics
 
 
 def kept_progress(cfg: Config) -> str:
@@ -121,6 +136,8 @@ def stage_inputs(cfg: Config, data: Prepared) -> dict[str, str]:
     beginning = [fingerprint(data.scene), config["ablation"], initial, config["scene"]["init_points"], cfg.seed]
     if not data.canonical.is_identity:  # a model must not continue in other coordinates
         beginning.append(asdict(data.canonical))
+    if data.cloud is not None and data.sfm_folder is None:  # points that came with the data
+        beginning.append(_digest(data.cloud.points, data.cloud.colors))
     if data.sfm_folder is not None:
         found["sfm"] = _hash(data.sfm_folder.name)
         beginning.append(found["sfm"])
@@ -128,12 +145,16 @@ def stage_inputs(cfg: Config, data: Prepared) -> dict[str, str]:
         beginning += [asdict(cfg.init), cfg.effective_fourier_order, config["train"]["densify"]["max_gaussians"]]
     if cfg.effective_background_model != "none":
         beginning += [cfg.effective_background_model, cfg.init.sphere_points, cfg.init.sphere_radius]
+    if motion.due(cfg, data.scene):
+        found[MOTION] = _hash("motion", *beginning, config["train"], config["scene"]["near"])
+        beginning.append(found[MOTION])
     if select_time_colour.due(cfg, data.scene):
         found[SELECTION] = _hash(*beginning, config["train"], config["scene"]["near"])
         beginning.append(found[SELECTION])
     found["init"] = _hash(*beginning)
     found["train"] = _hash(found["init"], config["train"], config["scene"]["near"])
     found["evaluate"] = _hash(found["train"], config["evaluate"])
+    found["view"] = _hash(found["evaluate"])
     return found
 
 
@@ -148,8 +169,9 @@ def fingerprint(scene: Scene) -> str:
         # A stored frame knows its checksum: a scene of 25 GB need not be read for this.
         known = getattr(view.image, "checksum", None)
         digest.update(np.ascontiguousarray(view.image).data if known is None else known.encode())
-        if view.coverage is not None:
-            digest.update(view.coverage.data)
+        for plane in (view.coverage, view.mask):
+            if plane is not None:
+                digest.update(np.ascontiguousarray(plane).data)
         for mask in (view.sky, view.moving):
             if mask is not None:
                 digest.update(np.packbits(mask).data)
@@ -168,8 +190,17 @@ def _sfm(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
     return data.cloud.summary()
 
 
+def _select_motion(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
+    """scene and points → whether the model has time at all."""
+    selection = motion.select_motion(data.scene, cfg, data.cloud, thread_count(cfg.threads), log)
+    log(f"{MOTION}: {selection}")
+    return asdict(selection)
+
+
 def _select_time_colour(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
-    """scene and points → whether the model has time-varying colour."""
+    """scene and points → whether the model has time-varying colour; nothing where it has no time."""
+    if (decided := _motion(folder)) and not decided.dynamic:
+        return {}
     selection = select_time_colour.select(data.scene, cfg, data.cloud, thread_count(cfg.threads), log)
     log(f"{SELECTION}: {selection}")
     return asdict(selection)
@@ -177,6 +208,7 @@ def _select_time_colour(cfg: Config, data: Prepared, folder: RunFolder, log: Log
 
 def _init(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
     """scene and points → init.ply; and in canonical.json how its coordinates come from the files'."""
+    cfg = _as_decided(cfg, data, folder)
     if (selection := _selection(folder)) and not selection.kept:
         cfg = select_time_colour.without_time_colour(cfg)
     model = initialise(data.scene, cfg, stream(cfg.seed, Stream.INIT), data.cloud)
@@ -190,9 +222,9 @@ def _init(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
 def _train(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
     """init.ply → checkpoint.safetensors, error_vs_time.csv; goes on from the checkpoint if there is one.
 
-    The seconds of select_time_colour count as training.
+    The seconds of select_motion and select_time_colour count as training.
     """
-    scene = data.scene
+    scene, cfg = data.scene, _as_decided(cfg, data, folder)
     rasterizer = Rasterizer(threads=thread_count(cfg.threads))
     moving = MovingPixels(scene, cfg.train.resolution_scale)
 
@@ -207,18 +239,18 @@ def _train(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
                 "peak_rss_mb": peak_memory_mb(),
             }
         )
+        if watcher is not None:
+            watcher.held_out = found["psnr"]
         return found
 
     reset_peak_memory()
-    selection = _selection(folder)
-    result = train(
-        load_ply(folder.init_ply),
-        scene,
-        cfg,
-        folder,
-        evaluate_fn,
-        start_seconds=selection.seconds if selection else 0.0,
-    )
+    decisions = [decision.seconds for decision in (_motion(folder), _selection(folder)) if decision]
+    with _live_view(cfg, scene, log) as watcher:
+        result = train(
+            load_ply(folder.init_ply), scene, cfg, folder, evaluate_fn, start_seconds=sum(decisions), watcher=watcher
+        )
+        if watcher is not None:
+            watcher.see_last(result.model, result.iteration)
     return {
         "iterations": result.iteration,
         "train_seconds": result.train_seconds,
@@ -230,7 +262,7 @@ def _train(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
 
 def _evaluate(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
     """checkpoint.safetensors → metrics.json, per_image.csv, renders/."""
-    scene = data.scene
+    scene, cfg = data.scene, _as_decided(cfg, data, folder)
     trained = folder.values_of("train")
     saved = checkpoints.load(folder.checkpoint)
     final = evaluate_with_images(saved.model, scene, cfg, thread_count(cfg.threads), folder.renders)
@@ -240,34 +272,87 @@ def _evaluate(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
         best = final if is_final else evaluate(saved.best_model, scene, cfg, thread_count(cfg.threads))
         best_metrics = {**best.metrics, "iteration": saved.best["iteration"]}
 
-    selection = _selection(folder)
+    selection, decided = _selection(folder), _motion(folder)
     write_csv(folder.per_image, _per_image(final, best))
     write_json(folder.metrics, {
         "scene": cfg.scene.name, "ablation": cfg.ablation.name, "train": cfg.train.name, "seed": cfg.seed,
         "date": now(),
         "final": final.metrics,
         "best_on_test": best_metrics,
+        **({} if scene.test_split is None else {"test_split": scene.test_split}),
         "model": asdict(saved.model.kind),  # as trained: selection may have left out what `ablation` has
+        **({} if decided is None else {MOTION: {**asdict(decided), "dynamic": decided.dynamic}}),
         SELECTION: None if selection is None else {**asdict(selection), "kept": selection.kept},
+        **({"outlook": _outlook(final, saved.model, data)} if data.is_clip else {}),
         "note": final.note(), "n_alive_mean": final.n_alive_mean, "n_test_views": len(scene.test), **trained,
     })  # fmt: skip
     return {"psnr": final.metrics["psnr"]}
 
 
+def _view(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
+    """checkpoint.safetensors → viewer.html."""
+    model = checkpoints.load_model(folder.checkpoint)
+    write_viewer(
+        folder.viewer, [Shown(cfg.ablation.name, model, folder.values_of("evaluate")["psnr"])], data.scene, cfg
+    )
+    return {}
+
+
+@contextmanager
+def _live_view(cfg: Config, scene: Scene, log: Log) -> Iterator[TrainingView | None]:
+    """Serves the run's page while it is trained, if `cfg.view` asks for it."""
+    if not cfg.view:
+        yield None
+        return
+    feed = Feed()
+    with LiveServer(address_of(cfg.view_at, "view_at"), live_page(cfg.ablation.name, scene, cfg), feed) as server:
+        log(f"live view: {server.url}")
+        yield TrainingView(feed, scene, cfg.train.iterations)
+
+
+def _outlook(final: Evaluation, model: Model, data: Prepared) -> str:
+    psnr = final.metrics["psnr"]
+    assert isinstance(psnr, float)
+    seconds = (data.scene.duration / data.canonical.time_scale) if model.kind.dims == 4 else None
+    return outlook(path_angles(data.scene, seconds), psnr, dynamic=model.kind.dims == 4)
+
+
 def _selection(folder: RunFolder) -> select_time_colour.Selection | None:
     """The run's selection of time-varying colour; None where it had none."""
-    return select_time_colour.Selection(**folder.values_of(SELECTION)) if folder.inputs_of(SELECTION) else None
+    found = folder.values_of(SELECTION) if folder.inputs_of(SELECTION) else None
+    return select_time_colour.Selection(**found) if found else None
 
 
-_RUN = {"sfm": _sfm, SELECTION: _select_time_colour, "init": _init, "train": _train, "evaluate": _evaluate}
+def _motion(folder: RunFolder) -> motion.MotionSelection | None:
+    """The run's decision between static and dynamic; None where there was none to take."""
+    return motion.MotionSelection(**folder.values_of(MOTION)) if folder.inputs_of(MOTION) else None
+
+
+def _as_decided(cfg: Config, data: Prepared, folder: RunFolder) -> Config:
+    """The configuration of the model that select_motion decided for."""
+    decided = _motion(folder)
+    return cfg if decided is None or decided.dynamic else motion.without_time(cfg, data.scene)
+
+
+_RUN = {
+    "sfm": _sfm,
+    MOTION: _select_motion,
+    SELECTION: _select_time_colour,
+    "init": _init,
+    "train": _train,
+    "evaluate": _evaluate,
+    "view": _view,
+}
 
 # The files each stage writes; a stage whose output was deleted is not done.
 _OUTPUTS: dict[str, tuple[Callable[[RunFolder], Path], ...]] = {
     "sfm": (lambda folder: folder.sfm, lambda folder: folder.sfm_picture),
+    MOTION: (),  # its result is in stages.json
     SELECTION: (),  # its result is in stages.json
     "init": (lambda folder: folder.init_ply,),
     "train": (lambda folder: folder.checkpoint, lambda folder: folder.curve),
     "evaluate": (lambda folder: folder.metrics, lambda folder: folder.per_image, lambda folder: folder.renders),
+    "view": (lambda folder: folder.viewer,),
 }
 
 
@@ -291,6 +376,13 @@ def _peak_memory_mb(folder: RunFolder) -> float:
 def _per_image(final: Evaluation, best: Evaluation | None) -> list[dict]:
     rows = [{"model": "final", **row} for row in final.per_image]
     return rows + [{"model": "best_on_test", **row} for row in (best.per_image if best else [])]
+
+
+def _digest(*arrays: np.ndarray) -> str:
+    digest = hashlib.blake2b(digest_size=16)
+    for array in arrays:
+        digest.update(np.ascontiguousarray(array).data)
+    return digest.hexdigest()
 
 
 def _hash(*parts: object) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -30,6 +31,30 @@ class Undistortion:
         # OpenCV's pixel centres lie at integers.
         matrix = np.array([[self.fx, 0, self.cx - 0.5], [0, self.fy, self.cy - 0.5], [0, 0, 1]])
         return cv2.initUndistortRectifyMap(matrix, np.array(self.coefficients), None, matrix, size, cv2.CV_16SC2)
+
+
+@dataclass(frozen=True)
+class FisheyeLens:
+    """A fisheye lens, OpenCV's and COLMAP's: the angle θ to the axis is imaged at θ (1 + k1 θ² + k2 θ⁴ + k3 θ⁶ + k4 θ⁸)
+    focal lengths. The undistorted image has the same size, focal lengths and principal point."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    coefficients: tuple[float, ...]  # k1, k2, k3, k4
+
+    def maps(self, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+        """As Undistortion.maps."""
+        matrix = np.array([[self.fx, 0, self.cx - 0.5], [0, self.fy, self.cy - 0.5], [0, 0, 1]])
+        coefficients = np.array(self.coefficients)
+        return cv2.fisheye.initUndistortRectifyMap(matrix, coefficients, np.eye(3), matrix, size, cv2.CV_16SC2)
+
+
+class Lens(Protocol):
+    """Undistortion or FisheyeLens."""
+
+    def maps(self, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]: ...
 
 
 def undistort(image: np.ndarray, maps: tuple[np.ndarray, np.ndarray]) -> np.ndarray:

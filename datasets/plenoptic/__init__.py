@@ -10,7 +10,7 @@ both, the videos are read. Every frame is decoded once, into a store in the cach
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ import numpy as np
 
 from datasets.cameras.lens import Undistortion
 from datasets.canonical import canonical_space
+from datasets.composition import chosen_downscale
 from datasets.files.errors import SceneError
 from datasets.plenoptic.decode import fingerprint
 from datasets.plenoptic.footage import Footage, FootageOptions
@@ -95,6 +96,8 @@ def _footage(root: Path, files: Sequence[VideoFile], options: FootageOptions) ->
     keep = select_cameras([file.number for file in files], root, options.test_cameras, options.drop_cameras)
     videos = probe(files, keep, options.drop_cameras)
     count = common_frames(videos, options.first_frame, options.frames, options.drop_cameras)
+    if not options.downscale:
+        options = replace(options, downscale=chosen_downscale(videos[0].size))
     return Footage(root, videos, count, fingerprint([file.path for file in files], VIDEO_PART), options)
 
 

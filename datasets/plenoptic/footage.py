@@ -189,6 +189,7 @@ class Footage:
             unit=unit,
             frame_rate=self.rate,
             playback_rate=self.playback_rate,
+            test_split="camera " + ", ".join(map(str, sorted(self.options.test_cameras))),
         )
 
 

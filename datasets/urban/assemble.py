@@ -12,6 +12,7 @@ from datasets.composition import BLACK, compose, reduced_camera
 from datasets.files.errors import SceneError
 from datasets.files.image_files import read_rgba
 from datasets.ground_truth import StoredTruth, any_moving
+from datasets.layouts.photographs import ordinal
 from datasets.scene import Scene, Sweep, View, bounding_cube, camera_extent, make_camera, validate_scene
 from datasets.settings import SceneConfig
 from datasets.urban.log import DrivingLog, LogImage, LogSweep, SweepPoints
@@ -85,7 +86,7 @@ def scene_of_log(log: DrivingLog, cfg: SceneConfig, say: Log = lambda line: None
                 is_drive=True,
                 metre=1.0,
                 moving_by=BY_MASKS if has_masks else None,
-                held_out=rule,
+                test_split=rule,
             )
         )
     )
@@ -106,12 +107,6 @@ def split_frames(
     if not test or not train:
         raise SceneError(f"{log.source}: scene.test_every", f"at most the {len(frames)} frames in use", str(test_every))
     return train, test, rule
-
-
-def ordinal(number: int) -> str:
-    """4 -> "4th" """
-    suffix = {1: "st", 2: "nd", 3: "rd"}.get(number % 10, "th") if number % 100 not in (11, 12, 13) else "th"
-    return f"{number}{suffix}"
 
 
 def _selected(log: DrivingLog, cfg: SceneConfig) -> list[LogImage]:

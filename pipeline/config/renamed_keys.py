@@ -38,6 +38,7 @@ ADDED: dict[str, Any] = {
     "train.depth.sky_inverse": 0.1,
     "train.depth.sky_opacity": 0.05,
     "train.cubemap_resolution": 128,
+    "train.select_motion": 0.0,
 }
 _OVERRIDES = "train.static_overrides."  # holds keys of `train`
 

@@ -92,6 +92,8 @@ class Config:
     estimate: bool = False  # print what time, memory and disk the run will need, and stop
     out: str = "results/runs/${scene.name}/${ablation.name}/${train.name}/seed${seed}"  # the run folder
     resume: bool = True  # continue an interrupted run; false: start over
+    view: bool = False  # serve a page that shows the model while it is trained (docs/viewer.md)
+    view_at: str = "127.0.0.1:8080"  # where; the next free port if it is taken. Other hosts can be reached by others
 
     def __post_init__(self) -> None:
         require(

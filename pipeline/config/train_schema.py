@@ -154,6 +154,9 @@ class TrainConfig:
     # Selection of time-varying colour by validation (pipeline/training/select_time_colour.py): two trainings, each this
     # fraction of the schedule. 0: none, time-varying colour is kept. Without effect under a time budget
     select_time_colour: float = 0.0
+    # Static or dynamic by validation, for one moving camera (pipeline/training/selection/motion.py): two trainings,
+    # each this fraction of the schedule. 0: none, dynamic where the views have times
+    select_motion: float = 0.0
     init_opacity: float = 0.1  # of every initial Gaussian
     init_time_scale: float = 0.5  # st of every initial Gaussian; × duration
     init_time_margin: float = 0.0  # initial μt are uniform over the duration widened by this a side; × duration
@@ -180,7 +183,7 @@ class TrainConfig:
             "eval_every": positive_count(),
             "eval_views": positive_count(),
             "checkpoint_every": positive_count(),
-            "select_time_colour": between("[0, 1)", 0, 1).but("0: none"),
+            **dict.fromkeys(("select_time_colour", "select_motion"), between("[0, 1)", 0, 1).but("0: none")),
             "init_opacity": between("(0, 1)", 0, 1),
             "init_time_scale": above(0),
             "init_time_margin": at_least(0),

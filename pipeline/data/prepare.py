@@ -1,9 +1,10 @@
 """Prepares the input of a run: reads the scene, runs structure from motion where needed, and normalises both.
 
-    photographs of one moving camera         poses from the files, random initial points
+    photographs of one moving camera         poses from the files, random initial points or those of the files
     posed multi-camera videos (plenoptic)    poses from the files, points triangulated from the first frames
     multi-camera videos without poses        poses and points from structure from motion
     driving logs                             poses from the files, points from LiDAR, else triangulated along the way
+    one clip without poses                   the same, of all frames in use
 
 Data are read in the units of their files. The result is in canonical coordinates (datasets/canonical.py), as is
 everything computed from it.
@@ -18,7 +19,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from datasets import Scene, is_drive, is_filmed, load_footage, load_posed, load_scene
+from datasets import (
+    Scene,
+    is_drive,
+    is_filmed,
+    load_clip,
+    load_footage,
+    load_posed,
+    load_scene,
+    reads_clip,
+    with_reader,
+)
 from datasets.canonical import Canonical, canonical_of, canonical_space, canonicalise
 from pipeline.config.schema import Config
 from pipeline.data.sfm.photograph import Photograph, Reconstruction
@@ -26,6 +37,7 @@ from pipeline.data.training_views import evenly_spaced
 from rasterizer.camera import Camera
 
 if TYPE_CHECKING:  # imports a video decoder, which other scenes do not need
+    from datasets.clip import Clip
     from datasets.plenoptic import Footage, PosedFootage
 
 # Without depth bounds the 5 % quantile of the points' depths replaces the near bound. One normalised unit is 0.75 of
@@ -42,6 +54,7 @@ class Prepared:
     cloud: Reconstruction | None  # None: random points
     sfm_folder: Path | None  # cache folder of the cloud, with its summary and plot
     canonical: Canonical = Canonical()  # transform from the files' units
+    is_clip: bool = False  # one clip by a camera that moves, in seconds
 
 
 def prepare(cfg: Config, log: Callable[[str], None]) -> Prepared:
@@ -50,6 +63,7 @@ def prepare(cfg: Config, log: Callable[[str], None]) -> Prepared:
     Normalisation comes last, because it depends on poses that structure from motion may estimate or refine. Raises
     ValueError for invalid data or settings.
     """
+    cfg = replace(cfg, scene=with_reader(cfg.scene, log))
     data = _in_file_units(cfg, log)
     transform = canonical_of(data.scene)
     if transform.is_identity:
@@ -61,6 +75,8 @@ def prepare(cfg: Config, log: Callable[[str], None]) -> Prepared:
 
 def _in_file_units(cfg: Config, log: Callable[[str], None]) -> Prepared:
     """Scene and points before normalisation."""
+    if reads_clip(cfg.scene):
+        return _from_clip(cfg, load_clip(cfg.scene, log=log), log)
     if cfg.scene.reader == "video":
         return _from_videos(cfg, load_footage(cfg.scene, threads=cfg.threads, log=log), log)
     if is_filmed(cfg.scene) and cfg.init.source != "random":
@@ -71,7 +87,22 @@ def _in_file_units(cfg: Config, log: Callable[[str], None]) -> Prepared:
         raise ValueError(
             f"init.source: expected auto or random for {cfg.scene.name}, which has one camera per time, found sfm"
         )
-    return Prepared(load_scene(cfg.scene, threads=cfg.threads, log=log), None, None)
+    scene = load_scene(cfg.scene, threads=cfg.threads, log=log)
+    return Prepared(replace(scene, points=None), _given_points(cfg, scene, log), None)
+
+
+def _given_points(cfg: Config, scene: Scene, log: Callable[[str], None]) -> Reconstruction | None:
+    """The points that came with the data; None without any, where they are too few, and for init.source=random."""
+    if scene.points is None or cfg.init.source == "random":
+        return None
+    count = len(scene.points.positions)
+    if count < cfg.init.min_points:
+        log(f"the folder's {count} points are fewer than init.min_points={cfg.init.min_points}: random points instead")
+        return None
+    unknown = np.zeros(count)
+    return Reconstruction(
+        scene.points.positions, scene.points.colors, unknown, unknown.astype(int), {}, "known", len(scene.train), 0.0
+    )
 
 
 def _from_posed(cfg: Config, posed: PosedFootage, log: Callable[[str], None]) -> Prepared:
@@ -126,6 +157,24 @@ def _from_videos(cfg: Config, footage: Footage, log: Callable[[str], None]) -> P
         unit=UNIT_OF_NEAR * near_depth(cloud.points, train_cameras),
     )
     return Prepared(scene, cloud if cfg.init.source != "random" else None, folder)
+
+
+def _from_clip(cfg: Config, clip: Clip, log: Callable[[str], None]) -> Prepared:
+    """Poses and points from the frames in use; the training images are these frames, undistorted and reduced."""
+    from pipeline.data.sfm.cache import clip_reconstruct_cached
+
+    photographs = [Photograph(frame.name, frame.image) for frame in clip.frames]
+    width, height = photographs[0].image.shape[1], photographs[0].image.shape[0]
+    log(f"sfm: {len(photographs)} frames of {clip.source.name}, {width} x {height}")
+    cloud, folder = clip_reconstruct_cached(photographs, cfg.init, clip.source, Path(cfg.scene.cache), log)
+    summary, lens = cloud.summary(), next(iter(cloud.cameras.values()))
+    log(
+        f"sfm: {summary['registered']} of {len(photographs)} frames registered, {summary['points']} points, mean error "
+        f"{summary['mean_error_px']:.2f} px, focal length {lens.camera.fx:.1f} px; cached in {folder}"
+    )
+    cameras = {name: found.camera for name, found in cloud.cameras.items()}
+    scene = clip.to_scene(cameras, lens.radial, UNIT_OF_NEAR * near_depth(cloud.points, list(cameras.values())))
+    return Prepared(scene, cloud if cfg.init.source != "random" else None, folder, is_clip=True)
 
 
 def near_depth(points: np.ndarray, cameras: list[Camera]) -> float:

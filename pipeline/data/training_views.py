@@ -30,6 +30,7 @@ class Target:
     motion: MeasuredFlow | None = None  # None: not measured
     lidar: SparseDepth | None = None  # None: no LiDAR
     sky: Tensor | None = None  # (1, H, W) float32, share of each pixel that is sky; None: unknown
+    mask: Tensor | None = None  # (H, W) bool: pixels that count; None: all
 
 
 def target_of(view: View, scale: float) -> Target:
@@ -42,9 +43,10 @@ def target_of(view: View, scale: float) -> Target:
     if camera is not view.camera:
         height, width = planes.shape[1:]
         planes = area_weights(height, camera.height) @ planes @ area_weights(width, camera.width).T
+    mask = None if view.mask is None else _reduced_mask(view.mask, camera)
     channels = torch.from_numpy(np.ascontiguousarray(planes))
     alpha = channels[3:] if view.coverage is not None else None
-    return Target(view.name, view.time, camera, channels[:3], alpha, sky=_sky(view, camera))
+    return Target(view.name, view.time, camera, channels[:3], alpha, mask=mask, sky=_sky(view, camera))
 
 
 def _sky(view: View, camera: Camera) -> Tensor | None:
@@ -55,6 +57,15 @@ def _sky(view: View, camera: Camera) -> Tensor | None:
     if camera is not view.camera:
         sky = area_weights(sky.shape[0], camera.height) @ sky @ area_weights(sky.shape[1], camera.width).T
     return torch.from_numpy(np.ascontiguousarray(sky))[None]
+
+
+def _reduced_mask(mask: np.ndarray, camera: Camera) -> Tensor:
+    """(H, W) bool at the camera's size: pixels all of whose parts count."""
+    height, width = mask.shape
+    planes = mask.astype(np.float32)
+    if (width, height) != (camera.width, camera.height):
+        planes = area_weights(height, camera.height) @ planes @ area_weights(width, camera.width).T
+    return torch.from_numpy(planes > 1 - 1e-3)
 
 
 def camera_at(camera: Camera, scale: float) -> Camera:

@@ -18,13 +18,20 @@ from datasets.urban.projection import depth_image
 from pipeline.config.schema import Config
 from pipeline.data.frame_order import film_order
 from pipeline.data.training_views import Target, evenly_spaced, target_of
-from pipeline.evaluation.films import HeldOutFilms
 from pipeline.evaluation.flicker import FlickerMeter, mean_flicker
 from pipeline.evaluation.metrics import METRICS, MS_SSIM_NOTE, mean, measure
 from pipeline.evaluation.motion.motion_metrics import measure_motion, motion_means
 from pipeline.evaluation.motion.moving_pixels import MovingPixels
 from pipeline.evaluation.perceptual import Perceptual
-from pipeline.evaluation.pictures import SaveImages, png_saver, write_bullet_time, write_depths, write_moving
+from pipeline.evaluation.pictures.films import HeldOutFilms
+from pipeline.evaluation.pictures.geometry_pictures import write_geometry, write_rendered_depth
+from pipeline.evaluation.pictures.view_pictures import (
+    SaveImages,
+    png_saver,
+    write_bullet_time,
+    write_clip_films,
+    write_moving,
+)
 from pipeline.evaluation.renderer import Renderer
 from pipeline.evaluation.speed import frames_per_second
 from pipeline.model.model import Model
@@ -116,13 +123,17 @@ def evaluate(
 
 def evaluate_with_images(model: Model, scene: Scene, cfg: Config, threads: int, folder: Path) -> Evaluation:
     """`evaluate`, with images in `folder` and, for a filmed scene with `evaluate.videos`, videos: one per test camera
-    (films.HeldOutFilms) and bullet_time.mp4 (pictures.write_bullet_time)."""
+    (films.HeldOutFilms) and bullet_time.mp4 (pictures.write_bullet_time); of one clip pictures.write_clip_films."""
     save = png_saver(folder)
     write_moving(folder, scene, cfg)
+    write_geometry(folder, Renderer(model, scene, cfg, Rasterizer(threads=threads)))
     if scene.is_drive:
-        write_depths(folder, Renderer(model, scene, cfg, Rasterizer(threads=threads)))
+        write_rendered_depth(folder, Renderer(model, scene, cfg, Rasterizer(threads=threads)))
     if not cfg.evaluate.videos or scene.frame_rate is None:
-        return evaluate(model, scene, cfg, threads, save)
+        found = evaluate(model, scene, cfg, threads, save)
+        if cfg.evaluate.videos and scene.playback_rate is not None:
+            write_clip_films(folder, Renderer(model, scene, cfg, Rasterizer(threads=threads)), scene.playback_rate)
+        return found
     with HeldOutFilms(folder, scene.playback_rate or scene.frame_rate) as film:
         found = evaluate(model, scene, cfg, threads, save, film)
     write_bullet_time(folder / "bullet_time.mp4", Renderer(model, scene, cfg, Rasterizer(threads=threads)))
@@ -147,11 +158,12 @@ def _motion(
         geometry = renderer.geometry(target.camera, target.time, None)
     if known is not None and (known.depth is not None or known.flow is not None or lidar is not None):
         geometry = renderer.geometry(target.camera, target.time, known.flow_dt)
+    counted = None if target.mask is None else target.mask.numpy()
     foreground = None
     if has_alpha:
         foreground = np.ones(image.shape[:2], bool) if target.alpha is None else target.alpha.numpy()[0] > 0
     mask, metre = moving.of(index, known), renderer.scene.metre or 1.0
-    return measure_motion(image, truth, mask, foreground, geometry, known, lidar, metre)
+    return measure_motion(image, truth, mask, foreground, geometry, known, counted, lidar, metre)
 
 
 def _parallel_views(camera: Camera, threads: int, lpips_bytes: int) -> int:

@@ -44,6 +44,17 @@ class Renderer:
         flow = None if out.flow is None else (out.flow / alpha).numpy()
         return Geometry((out.depth / alpha).numpy()[0], flow)
 
+    def time_maps(self, camera: Camera, time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(mean of μt, mean of Σtt, alpha), (H, W) each, over the Gaussians at a pixel; units of time, and squared.
+
+        ValueError for a static model.
+        """
+        request = replace(self._request(camera, time), outputs=("alpha", "stats"))
+        out = self.rasterizer.render(self.model.gaussians(), request, differentiable=False)
+        assert out.alpha is not None and out.stats is not None
+        mean, variance = (out.stats / out.alpha.clamp_min(SMALLEST_ALPHA)).numpy()
+        return mean, variance, out.alpha.numpy()[0]
+
     def _request(self, camera: Camera, time: float) -> Request:
         near = self.cfg.scene.near * self.scene.unit
         return Request(camera, time, self.scene.duration, background=self.scene.background, near=near)

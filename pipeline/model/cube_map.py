@@ -18,7 +18,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from pipeline.model.environment_map import INITIAL_COLOR
+from pipeline.model.environment_map import INITIAL_COLOR, EnvironmentMap
 from rasterizer import Camera
 
 FACES = 6
@@ -82,7 +82,20 @@ class CubeMap:
         rotation = camera.world_to_cam[:3, :3]
         right = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
         down = ((np.arange(camera.height) + 0.5 - camera.cy) / camera.fy)[:, None]
-        direction = np.stack([rotation[0, k] * right + (rotation[1, k] * down + rotation[2, k]) for k in range(3)])
+        return self._grid(
+            np.stack([rotation[0, k] * right + (rotation[1, k] * down + rotation[2, k]) for k in range(3)])
+        )
+
+    def equirectangular(self, height: int) -> EnvironmentMap:
+        """The same colours as a map of height × 2 height texels, sampled at their centres; for viewers."""
+        latitude = (np.pi * ((np.arange(height) + 0.5) / height - 0.5))[:, None]
+        azimuth = 2 * np.pi * ((np.arange(2 * height) + 0.5) / (2 * height) - 0.5)
+        flat = np.cos(latitude)
+        direction = np.stack([flat * np.sin(azimuth), np.sin(latitude) + 0 * azimuth, flat * np.cos(azimuth)])
+        return EnvironmentMap(self.sample(self._grid(direction)))
+
+    def _grid(self, direction: np.ndarray) -> Tensor:
+        """(H, W, 2) by directions (3, H, W), as `grid`."""
         face, across, along = face_coordinates(direction)
         r = self.resolution
         column = 2 * (1 + 0.5 * (across + 1) * r) / (r + 2) - 1

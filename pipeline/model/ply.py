@@ -11,6 +11,7 @@ The run's canonical.json has the transform from world units.
 
 from __future__ import annotations
 
+import io
 import itertools
 import os
 from pathlib import Path
@@ -28,6 +29,11 @@ LONGEST_HEADER, LONGEST_LINE = 1000, 1000  # lines, bytes; a full model has 170 
 
 def save_ply(path: Path, model: Model) -> None:
     """Write binary little-endian float32, one vertex per Gaussian, values before activation, as 3DGS does."""
+    path.write_bytes(ply_bytes(model))
+
+
+def ply_bytes(model: Model) -> bytes:
+    """The content of `save_ply`'s file."""
     columns = {
         name: model.parameters[field].reshape(len(model), -1)[:, index].numpy()
         for name, field, index in _layout(model.kind)
@@ -40,7 +46,9 @@ def save_ply(path: Path, model: Model) -> None:
     vertices = np.zeros(len(model), dtype=[(name, "<f4") for name in order])
     for name, column in columns.items():
         vertices[name] = column
-    PlyData([PlyElement.describe(vertices, "vertex")], byte_order="<").write(str(path))
+    file = io.BytesIO()
+    PlyData([PlyElement.describe(vertices, "vertex")], byte_order="<").write(file)
+    return file.getvalue()
 
 
 def load_ply(path: Path) -> Model:

@@ -29,7 +29,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     out = options.out or options.runs_dir.resolve().parent / "report"
     try:
-        report = build_report(options.runs_dir, tuple(options.no_pictures), tuple(options.psnr), options.latex)
+        report = build_report(options.runs_dir, tuple(options.no_pictures), tuple(options.psnr), options.latex, out)
         replace_report(out, report.files)
         for line in report.warnings:
             print(f"warning: {line}", file=sys.stderr)

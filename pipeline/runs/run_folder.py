@@ -2,7 +2,7 @@
 
     config.yaml  environment.json  stages.json  log.jsonl
     sfm.json  sfm.png  canonical.json  init.ply  checkpoint.safetensors  error_vs_time.csv
-    metrics.json  per_image.csv  renders/
+    metrics.json  per_image.csv  renders/  viewer.html
 
 Whole files are written atomically (datasets/files/atomic_write.py). The two that grow line by line (log.jsonl,
 error_vs_time.csv) lose at most an incomplete last line, which is dropped when they are read.
@@ -119,6 +119,10 @@ class RunFolder:
     @property
     def renders(self) -> Path:
         return self.path / "renders"
+
+    @property
+    def viewer(self) -> Path:
+        return self.path / "viewer.html"
 
     # What grows while a run goes on.
 

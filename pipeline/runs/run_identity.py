@@ -14,7 +14,7 @@ from datasets.files.errors import DataError, clear, read_json
 from pipeline.config.renamed_keys import with_renamed_keys
 
 # Keys that do not change what a run computes: a finished run may be repeated with others.
-FREE_KEYS = ("out", "threads", "resume", "scene.cache", "evaluate", "estimate")
+FREE_KEYS = ("out", "threads", "resume", "scene.cache", "evaluate", "estimate", "view", "view_at")
 FILES = (
     "config.yaml",
     "environment.json",
@@ -29,6 +29,10 @@ FILES = (
     "metrics.json",
     "per_image.csv",
     "renders",
+    "exports",
+    "figures",
+    "films",
+    "viewer.html",
 )
 UNFINISHED = tuple(f"{TEMPORARY}{name}" for name in FILES)  # left behind by a killed run
 RENAMED_STAGES = {"trial": "select_time_colour"}  # since version 0.1

@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import argparse
-import functools
 import shlex
-import sys
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NoReturn
 
 from pipeline.runs.provenance import provenance
-from pipeline.terminal.closed_pipe import quiet_on_closed_pipe
+from pipeline.terminal.command_line import CommandParser, log
+from pipeline.terminal.command_line import command as study_command
+
+__all__ = ["Provenance", "StudyParser", "log", "study_command"]
 
 
-class StudyParser(argparse.ArgumentParser):
-    """Parser of `python -m pipeline.studies.<name>`; its description is the first line of `doc`.
-
-    A wrong option prints one line and exits with status 2.
-    """
+class StudyParser(CommandParser):
+    """Parser of `python -m pipeline.studies.<name>`; its description is the first line of `doc`."""
 
     def __init__(self, name: str, doc: str) -> None:
         super().__init__(prog=f"python -m pipeline.studies.{name}", description=doc.splitlines()[0])
@@ -30,39 +25,6 @@ class StudyParser(argparse.ArgumentParser):
             metavar="DIR",
             help="folder of the results (default: %(default)s)",
         )
-
-    def error(self, message: str) -> NoReturn:
-        self.exit(2, f"error: {message}\n")
-
-    def require(self, condition: bool, option: str, expected: str, found: object) -> None:
-        """Ends the program with one line unless `condition` holds."""
-        if not condition:
-            self.error(f"{option}: expected {expected}, found {found}")
-
-
-def study_command(main: Callable[[list[str]], int]) -> Callable[..., int]:
-    """Decorator of a study's `main(arguments)`; called without arguments it takes those of the command line.
-
-    ValueError and OSError become one line on standard error and exit status 1. A closed pipe ends the program quietly.
-    """
-
-    @functools.wraps(main)
-    @quiet_on_closed_pipe()
-    def command(arguments: list[str] | None = None) -> int:
-        try:
-            return main(sys.argv[1:] if arguments is None else arguments)
-        except BrokenPipeError:
-            raise
-        except (ValueError, OSError) as error:
-            print(f"error: {error}", file=sys.stderr)
-            return 1
-
-    return command
-
-
-def log(line: str) -> None:
-    """Progress on standard output, shown at once in a pipe too."""
-    print(line, flush=True)
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from datasets.canonical import Canonical
 from datasets.scene import Scene
 from pipeline.config.compose import config_of_tree
 from pipeline.config.schema import Config
@@ -21,6 +22,7 @@ class TrainedRun:
     cfg: Config
     scene: Scene
     model: Model
+    canonical: Canonical  # from the files' coordinates to those of scene and model
 
 
 def open_run(folder: Path, log: Callable[[str], None]) -> TrainedRun:
@@ -29,5 +31,5 @@ def open_run(folder: Path, log: Callable[[str], None]) -> TrainedRun:
         if not (folder / name).exists():
             raise ValueError(f"{folder}: expected a trained run with {name}, found none")
     cfg = config_of_tree(read_config(folder / "config.yaml"))
-    scene = prepare(cfg, log).scene
-    return TrainedRun(resolved(cfg, scene), scene, load_model(folder / FILE_NAME))
+    data = prepare(cfg, log)
+    return TrainedRun(resolved(cfg, data.scene), data.scene, load_model(folder / FILE_NAME), data.canonical)

@@ -28,6 +28,7 @@ EXAMPLES = (
     ("scene=video scene.path=DIR estimate=true", "videos without poses; only estimates time, memory and disk"),
     ("-m scene=synthetic/lamp ablation=full,no_4dsh seed=0,1,2", "a sweep: six runs; launcher=joblib: side by side"),
     ("scene=synthetic/wheel train.iterations=10000 out=DIR", "single keys, and a run folder of your own"),
+    ("scene=synthetic/lamp view=true", "shows the model in a browser while it is trained"),
     ("experiment=synthetic_suite", "the sweep that `make reproduce` starts with"),
 )
 
@@ -56,6 +57,7 @@ def help_page() -> str:
         '  A path may hold any character; the shell wants its own quotes: "scene.path=/my data/jug".',
         "Then\n"
         "  python -m pipeline.report results/runs    tables, plots and a page of pictures of all runs\n"
+        "  python -m pipeline.view RUN [RUN …]       a page that plays a run, or several side by side, in a browser\n"
         "  --version                                 the version, and the commit of the checkout",
     ]
     return "\n\n".join(parts) + "\n"

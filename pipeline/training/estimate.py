@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from datasets import is_filmed, load_footage, load_scene
+from datasets import Scene, is_filmed, load_clip, load_footage, load_scene, reads_clip
 from pipeline.config.schema import Config
 from pipeline.data.optical_flow import CACHE_LIMIT_BYTES as FLOW_CACHE_LIMIT_BYTES
 from pipeline.data.optical_flow import measured_size
@@ -86,13 +86,23 @@ def estimate(cfg: Config) -> Estimate:
     return _estimate(cfg, measure_size(cfg, threads), threads)
 
 
+def training_minutes(cfg: Config, scene: Scene) -> str:
+    """A line for a scene that is read: how long its training will take on this machine."""
+    camera, threads = scene.train[0].camera, thread_count(cfg.threads)
+    found = _estimate(cfg, Size(len(scene.train), len(scene.test), camera.width, camera.height, 0, 0.0), threads)
+    return (
+        f"{len(scene.train)} training frames of {camera.width} x {camera.height}, {len(scene.test)} held out; training "
+        f"will take about {duration(found.train_seconds)}, evaluations {duration(found.evaluate_seconds)}"
+    )
+
+
 def estimate_if_large(cfg: Config) -> Estimate | None:
     """`estimate` for a scene with more than LARGE_SCENE_BYTES of decoded frames; None for others."""
     if not is_filmed(cfg.scene):
         return None
     footage = load_footage(cfg.scene, threads=cfg.threads)
     decoded_bytes = 3 * footage.size[0] * footage.size[1] * len(footage.names) * footage.count
-    return estimate(cfg) if decoded_bytes / cfg.scene.downscale**2 > LARGE_SCENE_BYTES else None
+    return estimate(cfg) if decoded_bytes / footage.options.downscale**2 > LARGE_SCENE_BYTES else None
 
 
 def _estimate(cfg: Config, size: Size, threads: int) -> Estimate:
@@ -105,8 +115,9 @@ def _estimate(cfg: Config, size: Size, threads: int) -> Estimate:
     train = cfg.train.iterations * iteration
     if cfg.train.time_budget_s is not None:
         train = min(train, cfg.train.time_budget_s)
-    elif cfg.ablation.fourier_order:
-        train *= 1 + 2 * cfg.train.select_time_colour  # an upper bound: at half resolution, and not in static scenes
+    else:
+        selections = cfg.train.select_motion + (cfg.train.select_time_colour if cfg.ablation.fourier_order else 0)
+        train *= 1 + 2 * selections  # an upper bound: at half resolution, and not in static scenes
     view = time_frame(workload, threads, TIMED_ITERATIONS).forward.minimum / 1e3
     image = np.random.default_rng(0).random((size.height, size.width, 3), dtype=np.float32)
     started = time.perf_counter()
@@ -134,9 +145,14 @@ def _estimate(cfg: Config, size: Size, threads: int) -> Estimate:
 
 def measure_size(cfg: Config, threads: int) -> Size:
     """From the headers of videos and the timing of a few frames; other scenes are read."""
+    if reads_clip(cfg.scene):
+        clip = load_clip(cfg.scene)
+        width, height = (side // clip.downscale for side in clip.size)
+        tests = len(clip.frames) // cfg.scene.test_every
+        return Size(len(clip.frames) - tests, tests, width, height, 0, 0.0)
     if is_filmed(cfg.scene):
         footage = load_footage(cfg.scene, threads=cfg.threads)
-        width, height = (side // cfg.scene.downscale for side in footage.size)
+        width, height = (side // footage.options.downscale for side in footage.size)
         tests, cameras = len(footage.held_out), len(footage.names)
         stored = 3 * width * height * cameras * footage.count
         seconds = seconds_per_frame(footage) * cameras * footage.count / threads

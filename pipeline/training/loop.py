@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 from datasets.scene import Scene
 from pipeline.config.schema import Config
@@ -52,6 +53,13 @@ class TrainResult:
 EvaluateFn = Callable[[Model, Progress], dict]  # returns psnr, and optionally ssim, test_loss and psnr_moving
 
 
+class Watcher(Protocol):
+    """Looks on while a model is trained, such as the live view; changes nothing. Its time is not training time."""
+
+    def see(self, model: Model, iteration: int, loss: float, psnr: float) -> None:
+        """Called every PROGRESS_EVERY iterations. loss, psnr: of the last batch."""
+
+
 def train(
     model: Model,
     scene: Scene,
@@ -60,6 +68,7 @@ def train(
     evaluate_fn: EvaluateFn,
     start_iteration: int = 0,
     start_seconds: float = 0.0,
+    watcher: Watcher | None = None,
 ) -> TrainResult:
     """Train `model` (in place) on `scene.train`, or continue from the run folder's checkpoint if `cfg.resume`.
 
@@ -83,6 +92,9 @@ def train(
 
             if state.iteration % PROGRESS_EVERY == 0:
                 _report_progress(state, batch, phase, progress, run)
+                if watcher is not None:
+                    with state.stopwatch.paused():
+                        watcher.see(state.model, state.iteration, batch.loss, psnr(batch.last.image, batch.last.target))
             finished = state.is_finished(cfg.train)
             if finished or state.iteration % cfg.train.eval_every == 0:
                 _evaluate(state, phase, evaluate_fn, progress, run, finished)

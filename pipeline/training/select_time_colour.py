@@ -91,7 +91,7 @@ def select(
             f"select_time_colour: {label} time-varying colour, {short.iterations} iterations; "
             f"{len(part.train)} training views, {len(part.test)} validation views"
         )
-        psnr.append(_trained_psnr(part, variant, cloud, threads))
+        psnr.append(trained_psnr(part, variant, cloud, threads))
     gain, error = mean_and_error(psnr[0] - psnr[1], [view.camera.world_to_cam.tobytes() for view in part.test])
     return Selection(gain, error, len(part.test), time.perf_counter() - started)
 
@@ -109,7 +109,7 @@ def mean_and_error(gains: np.ndarray, poses: Sequence[Hashable]) -> tuple[float,
     return float(samples.mean()), float(samples.std(ddof=1) / len(samples) ** 0.5)
 
 
-def _trained_psnr(part: Scene, cfg: Config, cloud: Reconstruction | None, threads: int) -> np.ndarray:
+def trained_psnr(part: Scene, cfg: Config, cloud: Reconstruction | None, threads: int) -> np.ndarray:
     """(test views,) dB, of a model trained on `part.train`."""
 
     def evaluate_fn(model: Model, progress: Progress) -> dict:

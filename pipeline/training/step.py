@@ -81,7 +81,12 @@ class Batch:
             fourier_order=self._phase.fourier_order,
         )
         rendered = render(rasterizer, model, request)
-        value = view_loss(self._kernels.criterion, rendered.image, target.image, self._size)
+        truth = target.image
+        if (
+            target.mask is not None
+        ):  # a pixel that does not count has the colour that is rendered: no error, no gradient
+            truth = torch.where(target.mask, truth, rendered.image.detach())
+        value = view_loss(self._kernels.criterion, rendered.image, truth, self._size)
         loss, d_flow = value.loss, None
         if target.motion is not None and rendered.flow is not None:
             weight = cfg.train.regularization.flow

@@ -14,7 +14,7 @@ from datasets.canonical import DISTANCE, Canonical, canonical_of, canonical_spac
 from datasets.dnerf import read_dnerf
 from datasets.scene import Scene, View, camera_extent, validate_scene
 from datasets.synthetic import PHOTOGRAPHED, build_scene
-from pipeline.evaluation.camera_path import look_at
+from pipeline.evaluation.pictures.camera_path import look_at
 from rasterizer import Camera
 
 DOWN = np.array([0.0, 1.0, 0.0])

@@ -48,8 +48,10 @@ def test_a_run_folder_is_complete(finished: Path) -> None:
         "metrics.json",
         "per_image.csv",
         "renders",
+        "viewer.html",
     }
-    assert len(list((finished / "renders").glob("*.png"))) == 12  # 3 test views, 3 pictures each and a mask
+    # 3 test views: render, truth, difference, what moves, depth and flow
+    assert len(list((finished / "renders").glob("*.png"))) == 18
 
 
 def test_metrics(finished: Path) -> None:

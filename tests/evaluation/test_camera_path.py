@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from datasets.cameras.optical_axes import intersect_axes
-from pipeline.evaluation.camera_path import FRAME_RATE, SECONDS, bullet_time, ellipse_among, look_at, median_depth
+from pipeline.evaluation.pictures.camera_path import (
+    FRAME_RATE,
+    SECONDS,
+    bullet_time,
+    ellipse_among,
+    look_at,
+    median_depth,
+)
 from rasterizer import Camera
 
 DOWN = np.array([0.0, 1.0, 0.0])

@@ -15,7 +15,7 @@ from tiny import SIZE, evaluation_config
 from tiny_film import RATE, tiny_film
 
 from pipeline.evaluation.evaluate import evaluate_with_images
-from pipeline.evaluation.films import HeldOutFilms, video
+from pipeline.evaluation.pictures.films import HeldOutFilms, video
 from pipeline.model.initialise import initialise
 
 # Mean error of these small images by H.264 at QUALITY and chroma at half resolution, of 255. Measured: up to 2.4.
@@ -81,7 +81,7 @@ def test_images_of_another_size_are_refused(tmp_path: Path) -> None:
 
 
 def test_an_encoder_that_exits_early_is_one_line(tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr("pipeline.evaluation.films._ENCODER", ("-no-such-option", "1"))
+    monkeypatch.setattr("pipeline.evaluation.pictures.films._ENCODER", ("-no-such-option", "1"))
     with pytest.raises(OSError, match="a.mp4: expected .* f(ound|rames)"):
         write(tmp_path / "a.mp4", 480, 640, frames=50)
     assert list(tmp_path.iterdir()) == []

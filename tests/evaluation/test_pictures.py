@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from pipeline.evaluation.pictures import DIFFERENCE_GAIN, png_saver
+from pipeline.evaluation.pictures.view_pictures import DIFFERENCE_GAIN, png_saver
 
 
 def test_render_truth_and_difference_are_written(tmp_path: Path) -> None:

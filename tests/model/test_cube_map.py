@@ -121,6 +121,19 @@ def test_it_is_a_background_model_of_six_faces() -> None:
     assert cube.image.sum() > 0
 
 
+def test_the_same_colours_as_an_equirectangular_map() -> None:
+    """Seen by a camera; both maps are bilinear, so a smooth one differs by the curvature between texels."""
+    cube = CubeMap.grey(16)
+    centre = (2 * torch.arange(16) + 1) / 16 - 1
+    for face in range(6):  # colour channel k is ½ + ¼ of the direction's component k
+        direction = torch.empty(3, 16, 16)
+        direction[face // 2] = -1.0 if face % 2 else 1.0
+        direction[(face // 2 + 1) % 3], direction[(face // 2 + 2) % 3] = centre[None, :], centre[:, None]
+        cube.image[:, face] = 0.5 + 0.25 * direction / direction.norm(dim=0)
+    other, camera = cube.equirectangular(64), wide_camera(2)
+    torch.testing.assert_close(other.sample(other.grid(camera)), cube.sample(cube.grid(camera)), atol=0.01, rtol=0)
+
+
 def test_other_shapes_are_refused() -> None:
     for shape in ((3, 6, 4, 5), (3, 5, 4, 4), (1, 6, 4, 4), (3, 6, 0, 0)):
         with pytest.raises(ValueError, match=r"expected float32 \[3, 6, r, r\]"):

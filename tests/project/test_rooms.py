@@ -10,7 +10,10 @@ from project_file import ROOT
 
 # Room -> its floor. A file imports from its own room and from floors below; rooms on one floor do not know each other.
 FLOORS = {
-    "pipeline": 10,  # the entry points: __main__, cli, stages
+    "pipeline": 11,  # the entry points: __main__, cli, stages, evaluate, render
+    "pipeline.export": 10,  # these three open runs as the studies do
+    "pipeline.figures": 10,
+    "pipeline.view": 10,
     "pipeline.studies": 9,
     "pipeline.report": 9,
     "pipeline.training": 8,

@@ -49,7 +49,7 @@ def test_median_and_worst_view_are_chosen_by_psnr(tmp_path):
 
 def test_difference_gain_is_that_of_the_evaluation():
     # Read as text, since importing the module needs the compiled rasterizer.
-    source = (Path(__file__).parents[2] / "pipeline/evaluation/pictures.py").read_text()
+    source = (Path(__file__).parents[2] / "pipeline/evaluation/pictures/view_pictures.py").read_text()
     assert int(re.search(r"^DIFFERENCE_GAIN = (\d+)", source, re.M)[1]) == DIFFERENCE_GAIN
 
 

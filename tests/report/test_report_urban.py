@@ -49,7 +49,7 @@ def test_strips_have_a_depth_where_the_run_has(tmp_path: Path) -> None:
     assert {strip.parts for strip in plain} == {("render", "truth", "difference × 4")}
     for file in (folder / "renders").glob("*_render.png"):
         picture = np.zeros_like(np.asarray(Image.open(file)))
-        Image.fromarray(picture).save(file.with_name(file.name.replace("_render", "_depth")))
+        Image.fromarray(picture).save(file.with_name(file.name.replace("_render", "_rendered_depth")))
     strips, warnings = make_strips(collect(tmp_path).runs)
     assert strips and not warnings
     assert all(strip.parts[-1] == "depth" for strip in strips)

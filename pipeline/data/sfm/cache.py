@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from importlib import metadata
 from pathlib import Path
@@ -20,12 +20,14 @@ import numpy as np
 from datasets.files.atomic_write import atomic_folder, write_json
 from datasets.files.errors import DataError, read_json
 from pipeline.config.schema import InitConfig
+from pipeline.data.sfm.clip import reconstruct_clip
 from pipeline.data.sfm.photograph import CalibratedCamera, Photograph, Reconstruction
 from pipeline.data.sfm.plot import plot_reconstruction
 from pipeline.data.sfm.run import reconstruct
 from rasterizer.camera import MAX_DISTANCE, Camera
 
 VERSION = 1  # to be increased by every change of this project that alters the result
+CLIP_VERSION = 1  # the same for the two passes over a clip
 # Settings of InitConfig that do not affect structure from motion.
 _UNRELATED = ("source", "min_points", "sphere_points", "sphere_radius")
 
@@ -45,10 +47,20 @@ def reconstruct_cached(
     return result, folder
 
 
-def fingerprint(photographs: Sequence[Photograph], cfg: InitConfig, unit: float) -> str:
-    """Hash of photographs, poses, settings and versions: twelve hexadecimal digits."""
+def clip_reconstruct_cached(
+    photographs: Sequence[Photograph], cfg: InitConfig, source: Path, cache: Path, log: Callable[[str], None]
+) -> tuple[Reconstruction, Path]:
+    """The result of `clip.reconstruct_clip`, from the cache if it is there, and its folder."""
+    folder = cache / f"sfm-{fingerprint(photographs, cfg, 1.0, CLIP_VERSION)}"
+    if not (folder / "result.json").is_file():
+        save(reconstruct_clip(photographs, cfg, source, log), folder)
+    return load(folder), folder
+
+
+def fingerprint(photographs: Sequence[Photograph], cfg: InitConfig, unit: float, clip: int | None = None) -> str:
+    """Hash of photographs, poses, settings and versions: twelve hexadecimal digits. clip: CLIP_VERSION for a clip."""
     settings = {key: value for key, value in asdict(cfg).items() if key not in _UNRELATED}
-    versions = [VERSION, metadata.version("pycolmap")]
+    versions = [VERSION, metadata.version("pycolmap"), *([] if clip is None else [clip])]
     digest = hashlib.blake2b(json.dumps([settings, unit, versions], sort_keys=True).encode(), digest_size=6)
     for photograph in photographs:
         c = photograph.camera

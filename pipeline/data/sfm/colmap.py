@@ -16,15 +16,12 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
-from pipeline.data.sfm.features import camera_record, extract_features, verification_options
-from pipeline.data.sfm.job import ColmapResult, Request, read_request, write_error, write_result
+from pipeline.data.sfm.clip_matches import because_it_turns, keep_unmasked_matches, refuse_still_camera
+from pipeline.data.sfm.features import camera_record, extract_features, match_pairs, verification_options
+from pipeline.data.sfm.job import ColmapResult, Request, SfmError, read_request, write_error, write_result
 from pipeline.data.sfm.registration import register_held_out
 
 MIN_MODEL = 3  # photographs; a third one is needed to verify two
-
-
-class SfmError(ValueError):
-    """The photographs do not suffice for the reconstruction."""
 
 
 def main(folder: Path) -> None:
@@ -41,11 +38,17 @@ def reconstruct(folder: Path, request: Request) -> ColmapResult:
     """Features and matches, then triangulation if the poses are known, else incremental mapping; filtered points."""
     database, images = folder / "database.db", folder / "images"
     used = [p.name for p in request.photographs if not p.held_out]
-    extract_features(database, images, [f"{name}.png" for name in used], request)
-    match_features(database, request)
+    if request.masked:
+        keep_unmasked_matches(database, folder / "masks", request)
+    else:
+        extract_features(database, images, [f"{name}.png" for name in used], request)
+        match_features(database, folder, request)
+    if request.pairs is not None:
+        refuse_still_camera(database)
     model = triangulate(folder, request) if request.poses_known else estimate_cameras(folder, used, request)
     filter_points(model, request)
-    cameras = {name: _camera_record(model, name) for name in used}
+    registered = {Path(image.name).stem for image in model.images.values() if image.has_pose}
+    cameras = {name: _camera_record(model, name) for name in used if name in registered}
     if not request.poses_known:
         for photograph in request.photographs:
             if photograph.held_out:
@@ -66,10 +69,13 @@ def reconstruct(folder: Path, request: Request) -> ColmapResult:
     )
 
 
-def match_features(database: Path, request: Request) -> None:
-    """Exhaustive matching with geometric verification."""
+def match_features(database: Path, folder: Path, request: Request) -> None:
+    """Matching with geometric verification: of request.pairs, or of all photographs with all."""
     options = pycolmap.FeatureMatchingOptions()
     options.use_gpu, options.num_threads = False, 1
+    if request.pairs is not None:
+        match_pairs(database, folder / "pairs.txt", request.pairs, options, request)
+        return
     pycolmap.match_exhaustive(
         database,
         matching_options=options,
@@ -118,10 +124,20 @@ def estimate_cameras(folder: Path, used: list[str], request: Request) -> pycolma
         folder / "database.db", folder / "images", output, options=pipeline_options(request)
     )
     if not models:
-        raise SfmError(f"expected {len(used)} photographs of the same objects, found no initial pair")
+        found = "no initial pair"
+        if request.pairs is not None:
+            found += because_it_turns(folder / "database.db")
+        raise SfmError(f"expected {len(used)} photographs of the same objects, found {found}")
     model = max(models.values(), key=lambda m: (m.num_reg_images(), m.num_points3D()))
     registered = {Path(image.name).stem for image in model.images.values() if image.has_pose}
-    if missing := [name for name in used if name not in registered]:
+    missing = [name for name in used if name not in registered]
+    if request.pairs is not None and len(registered) < request.least_registered * len(used):
+        raise SfmError(
+            f"expected to find the camera of {request.least_registered:.0%} of {len(used)} frames, found that of "
+            f"{len(registered)}{because_it_turns(folder / 'database.db')}; film slowly, with texture in view all the "
+            "time, and so that every part of the scene is seen from several places"
+        )
+    if missing and request.pairs is None:
         raise SfmError(
             f"expected to register all {len(used)} photographs, found no pose for {', '.join(missing)}; "
             "scene.drop_cameras leaves cameras out"

@@ -27,6 +27,8 @@ def extract_features(database: Path, images: Path, files: list[str], request: Re
         camera_mode=pycolmap.CameraMode.PER_IMAGE if camera_per_image else pycolmap.CameraMode.SINGLE,
         device=pycolmap.Device.cpu,
     )
+    if request.intrinsics is not None:
+        set_shared_intrinsics(database, request.intrinsics)
     if request.poses_known:
         with pycolmap.Database.open(database) as db:
             for image in db.read_all_images():
@@ -34,6 +36,31 @@ def extract_features(database: Path, images: Path, files: list[str], request: Re
                 camera.params = request.camera_of(Path(image.name).stem)["intrinsics"]
                 camera.has_prior_focal_length = True
                 db.update_camera(camera)
+
+
+def set_shared_intrinsics(database: Path, intrinsics: list[float]) -> None:
+    """Gives every camera of the database [focal, cx, cy, k] as initial values that verification trusts."""
+    with pycolmap.Database.open(database) as db:
+        for camera in db.read_all_cameras():
+            camera.params = intrinsics
+            camera.has_prior_focal_length = True
+            db.update_camera(camera)
+
+
+def match_pairs(
+    database: Path, file: Path, pairs: list[list[str]], options: pycolmap.FeatureMatchingOptions, request: Request
+) -> None:
+    """Matches and verifies pairs of photographs; writes them to `file`, where COLMAP reads them."""
+    file.write_text("".join(f"{a}.png {b}.png\n" for a, b in pairs))
+    pairing = pycolmap.ImportedPairingOptions()
+    pairing.match_list_path = file
+    pycolmap.match_image_pairs(
+        database,
+        matching_options=options,
+        pairing_options=pairing,
+        verification_options=verification_options(request),
+        device=pycolmap.Device.cpu,
+    )
 
 
 def verification_options(request: Request) -> pycolmap.TwoViewGeometryOptions:

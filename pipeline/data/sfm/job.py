@@ -16,6 +16,10 @@ from pathlib import Path
 import numpy as np
 
 
+class SfmError(ValueError):
+    """The photographs do not suffice for the reconstruction."""
+
+
 @dataclass(frozen=True)
 class PhotographRecord:
     """A photograph without its pixels."""
@@ -39,6 +43,10 @@ class Request:
     max_distance: float
     refine_poses: bool
     shared_intrinsics: bool
+    pairs: list[list[str]] | None = None  # names of photographs to match; None: all with all
+    least_registered: float = 1.0  # share of the photographs whose pose must be found
+    masked: bool = False  # a second pass: the job folder has features and matches, and masks of what moves
+    intrinsics: list[float] | None = None  # initial [focal, cx, cy, k] of the shared lens; None: unknown
 
     @property
     def poses_known(self) -> bool:

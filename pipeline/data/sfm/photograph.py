@@ -11,7 +11,7 @@ from rasterizer.camera import Camera
 
 @dataclass(frozen=True)
 class Photograph:
-    """One image; all photographs of a reconstruction show the same moment."""
+    """One image; all photographs of a reconstruction show the same moment, or are frames of a clip."""
 
     name: str  # of the camera, unique
     image: np.ndarray  # (H, W, 3) uint8
@@ -47,7 +47,7 @@ class Reconstruction:
             "mean_error_px": float(self.errors.mean()),
             "mean_track_length": float(self.track_lengths.mean()),
             "cameras": self.photographs,
-            "registered": self.photographs,
+            "registered": min(self.photographs, len(self.cameras)),
             "seconds": self.seconds,
             "poses": self.poses,
         }

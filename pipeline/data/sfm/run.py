@@ -35,22 +35,8 @@ def reconstruct(photographs: Sequence[Photograph], cfg: InitConfig, unit: float,
         needed = used if known else photographs  # a held-out photograph with known pose is not used
         for photograph in needed:
             Image.fromarray(photograph.image).save(folder / "images" / f"{photograph.name}.png", compress_level=1)
-        write_request(
-            folder,
-            Request(
-                photographs=[_record(p) for p in needed],
-                unit=unit,
-                seed=cfg.seed,
-                max_features=cfg.max_features,
-                max_error_px=cfg.max_error_px,
-                min_track=cfg.min_track,
-                min_angle_deg=cfg.min_angle_deg,
-                max_distance=cfg.max_distance,
-                refine_poses=cfg.refine_poses,
-                shared_intrinsics=cfg.shared_intrinsics,
-            ),
-        )
-        found = _run(folder, source)
+        write_request(folder, request_for(needed, cfg, unit))
+        found = run_colmap(folder, source)
     if len(found.points) < cfg.min_points:
         raise ValueError(
             f"{source}: expected at least {cfg.min_points} points from structure from motion (init.min_points), found "
@@ -59,7 +45,7 @@ def reconstruct(photographs: Sequence[Photograph], cfg: InitConfig, unit: float,
         )
     poses = "estimated" if not known else "refined" if cfg.refine_poses else "known"
     sizes = {p.name: p.image.shape for p in needed}
-    cameras = {name: _calibrated(record, sizes[name]) for name, record in found.cameras.items()}
+    cameras = {name: calibrated(record, sizes[name]) for name, record in found.cameras.items()}
     if poses == "known":  # exactly as given, without rounding by COLMAP
         cameras = {p.name: CalibratedCamera(p.camera) for p in used if p.camera is not None}
     return Reconstruction(
@@ -74,7 +60,24 @@ def reconstruct(photographs: Sequence[Photograph], cfg: InitConfig, unit: float,
     )
 
 
-def _run(folder: Path, source: Path) -> ColmapResult:
+def request_for(photographs: Sequence[Photograph], cfg: InitConfig, unit: float) -> Request:
+    """The request for a first and only pass over all pairs."""
+    return Request(
+        photographs=[_record(p) for p in photographs],
+        unit=unit,
+        seed=cfg.seed,
+        max_features=cfg.max_features,
+        max_error_px=cfg.max_error_px,
+        min_track=cfg.min_track,
+        min_angle_deg=cfg.min_angle_deg,
+        max_distance=cfg.max_distance,
+        refine_poses=cfg.refine_poses,
+        shared_intrinsics=cfg.shared_intrinsics,
+    )
+
+
+def run_colmap(folder: Path, source: Path) -> ColmapResult:
+    """Runs the COLMAP process on a job folder; ValueError with its error."""
     done = subprocess.run(
         [sys.executable, "-m", "pipeline.data.sfm.colmap", str(folder)],
         cwd=PROJECT_ROOT,
@@ -103,7 +106,8 @@ def _record(photograph: Photograph) -> PhotographRecord:
     return PhotographRecord(photograph.name, described, photograph.held_out)
 
 
-def _calibrated(record: dict, shape: tuple[int, ...]) -> CalibratedCamera:
+def calibrated(record: dict, shape: tuple[int, ...]) -> CalibratedCamera:
+    """A camera of COLMAP's result. shape: (H, W, 3) of its photograph."""
     height, width = shape[:2]
     fx, fy, cx, cy = record["intrinsics"]
     return CalibratedCamera(Camera(width, height, fx, fy, cx, cy, record["world_to_cam"]), record["radial"])

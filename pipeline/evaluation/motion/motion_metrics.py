@@ -17,6 +17,7 @@ MOTION_METRICS = (
     "psnr_moving",  # dB over moving pixels
     "psnr_still",  # dB over all others
     "psnr_foreground",  # dB over pixels with alpha > 0
+    "psnr_masked",  # dB over the pixels that the data set's masks count: mPSNR of Gao et al. 2022
     "flow_error",  # flow_error_px / flow_true_px
     "flow_error_px",  # mean end-point error over moving pixels with a known flow
     "flow_true_px",  # mean length of the true flow there
@@ -45,20 +46,22 @@ def measure_motion(
     foreground: np.ndarray | None,
     geometry: Geometry | None,
     known: GroundTruth | None,
+    counted: np.ndarray | None = None,
     lidar: np.ndarray | None = None,
     metre: float = 1.0,
 ) -> dict[str, float | None]:
     """MOTION_METRICS and `moving_share` of one view.
 
-    image, truth: (H, W, 3) in [0, 1]. moving, foreground: (H, W) bool. geometry: of the render; None where `known` has
-    neither depth nor flow and there is no `lidar`, (H, W) depths of held-out points, 0 where there are none. metre:
-    units of the scene.
+    image, truth: (H, W, 3) in [0, 1]. moving, foreground, counted: (H, W) bool. geometry: of the render; None where
+    `known` has neither depth nor flow and there is no `lidar`, (H, W) depths of held-out points, 0 where there are
+    none. metre: units of the scene.
     """
     found: dict[str, float | None] = {
         "psnr_moving": None if moving is None else masked_psnr(image, truth, moving),
         "psnr_still": None if moving is None else masked_psnr(image, truth, ~moving),
         "psnr_foreground": None if foreground is None else masked_psnr(image, truth, foreground),
-        **dict.fromkeys(MOTION_METRICS[3:]),
+        "psnr_masked": None if counted is None else masked_psnr(image, truth, counted),
+        **dict.fromkeys(MOTION_METRICS[4:]),
         "moving_share": None if moving is None else float(moving.mean()),
     }
     if geometry is not None and lidar is not None:

@@ -27,6 +27,7 @@ _COLUMNS = (
     MotionColumn("final_moving", "PSNR ↑ moving", "final.psnr_moving", 2),
     MotionColumn("final_still", "PSNR ↑ still", "final.psnr_still", 2),
     MotionColumn("final_foreground", "PSNR ↑ foreground", "final.psnr_foreground", 2),
+    MotionColumn("final_masked", "PSNR ↑ masked", "final.psnr_masked", 2),
     MotionColumn("flow_error", "Flow error ↓", "final.flow_error", 3),
     MotionColumn("flow_error_px", "Flow error ↓, px", "final.flow_error_px", 2),
     MotionColumn("depth_error", "Depth error ↓", "final.depth_error_median", 4),

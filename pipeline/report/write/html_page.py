@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 import base64
+import os
 import re
+from functools import partial
 from pathlib import Path
+from urllib.parse import quote
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from pipeline.presentation.table_layout import laid_out
+from pipeline.report.write.image_strips import Strip
 from pipeline.report.write.sections import TITLES, Content
 
 # Visible items of each kind; more are in an element that can be expanded.
 _CARDS, _SCENES, _PLOTS, _ROWS = 16, 6, 6, 24
 
 
-def render_page(content: Content) -> str:
-    """HTML text. The template engine escapes text; images become data URIs. Empty sections are left out."""
+def render_page(content: Content, out: Path = Path()) -> str:
+    """HTML text. The template engine escapes text; images become data URIs. Empty sections are left out.
+
+    out: the page's folder, from which links lead to the runs' viewers.
+    """
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent),
         autoescape=True,
@@ -25,6 +32,7 @@ def render_page(content: Content) -> str:
         lstrip_blocks=True,
     )
     environment.filters |= {"svg_uri": _svg_uri, "webp_uri": _webp_uri, "pieces": pieces}
+    environment.filters["viewer_link"] = partial(viewer_link, out=out)
     return environment.get_template("html_page.html").render(
         content=content,
         summary=content.summary,
@@ -42,6 +50,7 @@ def _sections(content: Content) -> dict[str, str]:
     parts = {
         "summary": True,
         "strips": content.strips,
+        "figures": content.figures,
         "curves": content.plots,
         "ablations": content.ablations,
         "paper": content.paper,
@@ -51,6 +60,13 @@ def _sections(content: Content) -> dict[str, str]:
         "raw": content.raw,
     }
     return {key: title for key, title in TITLES.items() if parts[key]}
+
+
+def viewer_link(strip: Strip, out: Path) -> str:
+    """Relative address of the run's viewer at the strip's view, half of it the truth."""
+    assert strip.viewer is not None
+    path = os.path.relpath(strip.viewer.resolve(), out.resolve())
+    return f"{quote(path)}#view={quote(strip.view)}&compare=wipe"
 
 
 def pieces(text: str) -> list[str]:

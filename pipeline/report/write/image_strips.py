@@ -24,12 +24,12 @@ from pipeline.runs.read.run_files import read_view_psnr
 from pipeline.runs.read.run_names import file_name, parts_of
 
 PARTS = ("render", "truth", "difference")
-DEPTH = "depth"  # a fourth part, of driving logs
+DEPTH = "rendered_depth"  # a fourth part, of driving logs
 MOTION = "most motion"  # the choice of a view
 _MAX_SIDE = 512  # pixels of a view, to limit the size of the page
 _GAP = 6  # pixels between the parts
 _QUALITY = 90  # of WebP; the exact images are in the run's renders/
-DIFFERENCE_GAIN = 4  # of the difference images that pipeline/evaluation/pictures.py writes
+DIFFERENCE_GAIN = 4  # of the difference images that pipeline/evaluation/pictures/view_pictures.py writes
 
 
 @dataclass(frozen=True)
@@ -45,6 +45,7 @@ class Strip:
     chosen_for: str  # the model by whose PSNR it was chosen
     psnr: float | None  # of this view, dB
     webp: bytes
+    viewer: Path | None = None  # the run's viewer.html
     with_depth: bool = False
 
     @property
@@ -122,10 +123,9 @@ def _strip(run: pd.Series, choice: str, view: str, chosen_for: str) -> Strip:
         parts = (*PARTS, DEPTH) if (folder / "renders" / f"{view}_{DEPTH}.png").is_file() else PARTS
         webp = compose([opened(folder / "renders" / f"{view}_{part}.png") for part in parts])
     psnr = read_view_psnr(folder / "per_image.csv").get(view)
-    with_depth = choice != MOTION and DEPTH in parts
-    return Strip(
-        run["scene"], run["ablation"], run["train"], int(run["seed"]), view, choice, chosen_for, psnr, webp, with_depth
-    )
+    viewer = folder / "viewer.html" if (folder / "viewer.html").is_file() else None
+    which = run["scene"], run["ablation"], run["train"], int(run["seed"])
+    return Strip(*which, view, choice, chosen_for, psnr, webp, viewer, choice != MOTION and DEPTH in parts)
 
 
 def webp_name(*parts: str) -> str:

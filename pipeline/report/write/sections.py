@@ -4,18 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 from pipeline.presentation.table import Table
 from pipeline.presentation.table_files import markdown
 from pipeline.report.tables.changed_settings import STUDY
 from pipeline.report.tables.summary import Summary, summary_markdown
 from pipeline.report.write.image_strips import Strip
+from pipeline.report.write.run_figures import RunFigure
 from pipeline.report.write.sfm_section import SfmSection
+
+Picture = TypeVar("Picture", Strip, RunFigure)
 
 _RUN_TABLES = ("all_runs", "provenance")  # slugs
 TITLES = {
     "summary": "Summary",
     "strips": "Held-out views",
+    "figures": "Motion and time",
     "curves": "Learning curves",
     "ablations": "Ablations",
     "paper": "The paper's tables with our results",
@@ -45,6 +50,7 @@ class Content:
     ours: Sequence[Table]  # other tables
     sfm: SfmSection | None
     strips: Sequence[Strip]
+    figures: Sequence[RunFigure]  # of pipeline.figures, where it was called
     plots: Sequence[CurvePlot]
 
     @property
@@ -76,10 +82,18 @@ class Content:
 
     @property
     def strips_by_scene(self) -> list[list[Strip]]:
-        groups: dict[str, list[Strip]] = {}
-        for strip in self.strips:
-            groups.setdefault(strip.scene, []).append(strip)
-        return list(groups.values())
+        return _by_scene(self.strips)
+
+    @property
+    def figures_by_scene(self) -> list[list[RunFigure]]:
+        return _by_scene(self.figures)
+
+
+def _by_scene(pictures: Sequence[Picture]) -> list[list[Picture]]:
+    groups: dict[str, list[Picture]] = {}
+    for picture in pictures:
+        groups.setdefault(picture.scene, []).append(picture)
+    return list(groups.values())
 
 
 def report_markdown(content: Content) -> str:
@@ -89,6 +103,10 @@ def report_markdown(content: Content) -> str:
         "strips": [
             f"![{s.scene}, {s.train}, {s.ablation}: {s.view}, {s.choice_text}](strips/{s.filename})\n"
             for s in content.strips
+        ],
+        "figures": [
+            f"**{f.scene}, {f.title}.** {f.seen}\n\n![{f.title} of {f.scene}](strips/{f.filename})\n"
+            for f in content.figures
         ],
         "curves": [f"![{p.title}](plots/{p.slug}.svg)\n" for p in content.plots],
         "ablations": _markdown(content.ablations),

@@ -26,6 +26,7 @@ QUALITY = (
     "psnr_moving",
     "psnr_still",
     "psnr_foreground",
+    "psnr_masked",
     "flow_error",
     "flow_error_px",
     "flow_true_px",
@@ -100,6 +101,7 @@ def read_metrics(path: Path) -> dict[str, Any]:
         row[f"selection.{key}"] = _number(selection.get(key), f"select_time_colour.{key}")
     row["selection.kept"] = selection.get("kept") is True
     row |= _model(data.get("model"), left_out=selection.get("kept") is False)
+    row["test_split"] = _text(data.get("test_split"))
     for key in ("lpips_note", "ms_ssim_note"):  # the reason for a missing number
         row[key] = _text(data["final"].get(key))
     return row

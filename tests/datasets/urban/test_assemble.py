@@ -12,7 +12,6 @@ from datasets import load_scene
 from datasets.files.errors import SceneError
 from datasets.scene import Sweep
 from datasets.settings import SceneConfig
-from datasets.urban.assemble import ordinal
 from datasets.urban.moving import RangeImage, moving_mask, moving_points
 from datasets.urban.projection import hidden, project, seen
 from datasets.urban.sky import estimate_sky
@@ -34,7 +33,7 @@ def test_every_nth_frame_is_held_out_with_all_its_cameras_and_its_sweep(tmp_path
     assert frames(scene.test) == [3, 7] and frames(scene.train) == [0, 1, 2, 4, 5, 6, 8]
     assert len(scene.test) == 4 and [sweep.frame for sweep in scene.test_sweeps] == [3, 7]
     assert frames(scene.sweeps) == frames(scene.train) and "every 4th frame" in lines[0]
-    assert scene.held_out == "every 4th frame"
+    assert scene.test_split == "every 4th frame"
 
 
 def test_validation_holds_out_training_frames_instead(tmp_path: Path) -> None:
@@ -50,10 +49,6 @@ def test_frames_and_cameras_are_selected(tmp_path: Path) -> None:
     for wrong in ({"log_cameras": [1]}, {"first_frame": 50}, {"test_every": 10}):
         with pytest.raises(SceneError):
             load_scene(config(folder, **wrong), log=lambda line: None)
-
-
-def test_ordinals() -> None:
-    assert [ordinal(n) for n in (2, 3, 4, 10, 11, 21, 112)] == ["2nd", "3rd", "4th", "10th", "11th", "21st", "112th"]
 
 
 FRONT = Camera(400, 200, 300.0, 300.0, 200.0, 100.0, np.eye(4))

@@ -114,7 +114,7 @@ def check(folder: Path) -> str:
         for x in ("train_seconds", "iteration"):
             require(bool(np.isfinite(end_of_coarse(named.curves, named.settings, x))), "end_of_coarse is not finite")
         curve_figures(named)
-        content = Content(summarise(named, []), paper_tables(named), run_tables(named, ()), sfm, strips, [])
+        content = Content(summarise(named, []), paper_tables(named), run_tables(named, ()), sfm, strips, [], [])
         for text in (report_markdown(content), terminal_text(content), render_page(content)):
             text.encode("utf-8")
     return VALID

@@ -11,15 +11,14 @@ from PIL import Image
 from datasets.files.atomic_write import atomic_file
 from datasets.scene import Scene
 from pipeline.config.schema import Config
-from pipeline.data.training_views import camera_at, evenly_spaced
-from pipeline.evaluation.camera_path import FRAME_RATE, bullet_time, ellipse_among, median_depth
-from pipeline.evaluation.films import video
+from pipeline.data.training_views import camera_at, evenly_spaced, target_of
 from pipeline.evaluation.motion.moving_pixels import MovingPixels
+from pipeline.evaluation.pictures.camera_path import FRAME_RATE, Ellipse, bullet_time, ellipse_among, median_depth
+from pipeline.evaluation.pictures.films import video
 from pipeline.evaluation.renderer import Renderer
+from rasterizer import Camera
 
 DIFFERENCE_GAIN = 4  # brightness of a difference image relative to |render - truth|, clipped at white
-
-NEAREST_DEPTH = 4.0  # metres, and nearer: the brightest of a depth image, whose brightness falls as 1/√depth
 
 SaveImages = Callable[[str, np.ndarray, np.ndarray], None]  # (view name, render, truth), images (H, W, 3) in [0, 1]
 
@@ -49,28 +48,37 @@ def write_moving(folder: Path, scene: Scene, cfg: Config) -> None:
                 Image.fromarray(mask).save(temporary)
 
 
-def write_depths(folder: Path, renderer: Renderer) -> None:
-    """<view>_depth.png of a driving log's test views that `cfg.evaluate.renders` selects: near is bright."""
-    import matplotlib
-
-    scene, cfg = renderer.scene, renderer.cfg
-    for index in evenly_spaced(len(scene.test), cfg.evaluate.renders):
-        view = scene.test[index]
-        geometry = renderer.geometry(camera_at(view.camera, cfg.train.resolution_scale), view.time, None)
-        metres = geometry.depth / (scene.metre or 1.0)
-        shade = np.where(metres > 0, np.clip(NEAREST_DEPTH / np.maximum(metres, 1e-6), 0, 1) ** 0.5, 0)
-        picture = matplotlib.colormaps["magma"](shade)[..., :3]
-        with atomic_file(folder / f"{view.name.replace('/', '_')}_depth.png") as temporary:
-            Image.fromarray(np.round(picture * 255).astype(np.uint8)).save(temporary)
-
-
-def write_bullet_time(path: Path, renderer: Renderer) -> None:
-    """A video along camera_path's ellipse among the training cameras, with the intrinsics of the first test camera."""
+def path_of(renderer: Renderer) -> tuple[Ellipse, Camera]:
+    """The ellipse among the training cameras, and a camera with the intrinsics of its images."""
     scene, scale = renderer.scene, renderer.cfg.train.resolution_scale
     cameras, intrinsics = [view.camera for view in scene.train], camera_at(scene.test[0].camera, scale)
     points, sphere = renderer.model.parameters["mean"][:, :3], renderer.model.sphere
     depth = median_depth((points if sphere is None else points[~sphere]).numpy(), intrinsics)
-    ellipse = ellipse_among(cameras, default_depth=depth or scene.extent)
+    return ellipse_among(cameras, default_depth=depth or scene.extent), intrinsics
+
+
+def write_bullet_time(path: Path, renderer: Renderer) -> None:
+    """A video along camera_path's ellipse among the training cameras, with the intrinsics of the first test camera."""
+    scene = renderer.scene
+    ellipse, intrinsics = path_of(renderer)
     with video(path, intrinsics.width, intrinsics.height, FRAME_RATE) as send:
         for frame in bullet_time(ellipse, intrinsics, scene.time_start, scene.duration):
             send(renderer.image(frame.camera, frame.time))
+
+
+def write_clip_films(folder: Path, renderer: Renderer, frame_rate: float) -> None:
+    """Three videos of one clip: path_render_and_truth.mp4, every frame beside its render (held-out ones included, in
+    order of time); still_camera.mp4, all times seen by the middle frame's camera; and bullet_time.mp4."""
+    scene, scale = renderer.scene, renderer.cfg.train.resolution_scale
+    views = sorted(scene.train + scene.test, key=lambda view: view.time)
+    still = camera_at(views[len(views) // 2].camera, scale)
+    width, height = still.width, still.height
+    with video(folder / "path_render_and_truth.mp4", 2 * width, height, frame_rate) as send:
+        for view in views:
+            target = target_of(view, scale)
+            image = renderer.image(target.camera, target.time)
+            send(np.concatenate([image, target.image.numpy().transpose(1, 2, 0)], axis=1))
+    with video(folder / "still_camera.mp4", width, height, frame_rate) as send:
+        for view in views:
+            send(renderer.image(still, view.time))
+    write_bullet_time(folder / "bullet_time.mp4", renderer)

@@ -1,0 +1,113 @@
+"""Frames of a clip in order, one at a time: a video file or a folder of images."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import av
+import av.error
+import cv2
+import numpy as np
+
+from datasets.clip.hdr import tone_mapped
+from datasets.clip.probe import Header, open_container
+from datasets.composition import BLACK, compose
+from datasets.files.errors import SceneError
+from datasets.files.image_files import read_rgba
+
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
+IMAGE_RATE = 30.0  # frames a second that images without times are taken to have
+_TURNS = {90: cv2.ROTATE_90_CLOCKWISE, 180: cv2.ROTATE_180, 270: cv2.ROTATE_90_COUNTERCLOCKWISE}
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A decoded frame."""
+
+    index: int  # among the clip's frames, damaged ones included
+    time: float  # seconds since the clip's start
+    image: np.ndarray | None  # (H, W, 3) uint8 RGB, upright; None: damaged
+
+
+def video_frames(path: Path, header: Header, keep: set[int] | None = None, every: int = 1) -> Iterator[Frame]:
+    """The frames of a video. keep: only these indices; every: only each so many-th. Others are decoded, not converted.
+
+    A damaged frame comes without an image; times are those of the file, so that a varying rate is kept.
+    """
+    last = max(keep) if keep else None
+    index, time = -1, 0.0
+    step = 1.0 / header.rate if header.rate else 1.0 / IMAGE_RATE
+    with open_container(path) as container:
+        stream = container.streams.video[0]
+        stream.thread_type = "AUTO"
+        for decoded in _decoded(container, stream):
+            index += 1
+            if decoded is not None and decoded.time is not None:
+                time = float(decoded.time)
+            elif index:
+                time += step
+            if (keep is not None and index not in keep) or index % every:
+                if last is not None and index >= last:
+                    return
+                continue
+            damaged = decoded is None or decoded.is_corrupt
+            yield Frame(index, time, None if decoded is None or damaged else _upright(decoded, header))
+            if last is not None and index >= last:
+                return
+
+
+def image_paths(folder: Path) -> list[Path]:
+    """The images of a folder in the order of their names, numbers by value: 2 before 10."""
+    paths = [p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(".")]
+    return sorted(paths, key=lambda path: _natural(path.name))
+
+
+def image_frames(paths: list[Path], keep: set[int] | None = None, every: int = 1) -> Iterator[Frame]:
+    """Images as frames at IMAGE_RATE; a damaged file comes without an image."""
+    for index, path in enumerate(paths):
+        if (keep is not None and index not in keep) or index % every:
+            continue
+        try:
+            image = compose(read_rgba(path), BLACK)
+        except SceneError:
+            image = None
+        yield Frame(index, index / IMAGE_RATE, image)
+
+
+def _decoded(
+    container: av.container.InputContainer, stream: av.video.stream.VideoStream
+) -> Iterator[av.VideoFrame | None]:
+    """Decoded frames in order; None for a packet that cannot be decoded. A file that ends early just ends."""
+    packets = container.demux(stream)
+    while True:
+        try:
+            packet = next(packets, None)
+        except av.error.FFmpegError:  # truncated
+            return
+        if packet is None:
+            return
+        try:
+            for frame in packet.decode():
+                if isinstance(frame, av.VideoFrame):
+                    yield frame
+        except av.error.FFmpegError:
+            yield None
+
+
+def _upright(frame: av.VideoFrame, header: Header) -> np.ndarray:
+    if header.hdr:
+        image = tone_mapped(frame.to_ndarray(format="rgb48le"), header.transfer)
+    else:
+        image = frame.to_ndarray(format="rgb24")
+    if header.pixel_aspect != 1.0:
+        stored = header.size if header.rotation % 180 == 0 else header.size[::-1]
+        image = cv2.resize(image, stored, interpolation=cv2.INTER_AREA)
+    return cv2.rotate(image, _TURNS[header.rotation]) if header.rotation else image
+
+
+def _natural(name: str) -> list[tuple[int, int | str]]:
+    """A sort key that compares runs of digits by value."""
+    return [(0, int(part)) if part.isdigit() else (1, part.lower()) for part in re.split(r"(\d+)", name) if part]

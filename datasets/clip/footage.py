@@ -1,0 +1,199 @@
+"""A clip opened: its header checked, its frames chosen and read. Cameras come later, from structure from motion."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from datasets.cameras.lens import Undistortion, undistort
+from datasets.canonical import canonical_space
+from datasets.clip.choose import Choice, choose
+from datasets.clip.decode import IMAGE_RATE, Frame, image_frames, image_paths, video_frames
+from datasets.clip.probe import Header, probe
+from datasets.clip.survey import MOST_SURVEYED, survey
+from datasets.composition import BLACK, chosen_downscale, reduced_camera
+from datasets.files.errors import SceneError
+from datasets.layouts.photographs import ordinal
+from datasets.plenoptic.decode import reduce_image
+from datasets.plenoptic.videos import FOOTAGE_SUFFIXES
+from datasets.scene import Scene, View, camera_extent, make_camera, validate_scene
+from rasterizer.camera import Camera
+
+FEWEST_FRAMES = 12  # with fewer neither motion nor a held-out frame can be told
+SFM_SIDE = 1024  # pixels: the longer side of the images that structure from motion gets is not longer
+PLAYBACK_RATES = (5.0, 60.0)  # frames a second of rendered videos
+
+Log = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class ClipOptions:
+    """How a clip is read: settings of SceneConfig."""
+
+    name: str  # of the scene
+    downscale: int = 0  # 0: chosen so that the longer side is at most 640 pixels
+    most: int = 300  # frames in use
+    first_frame: int = 0
+    test_every: int = 8  # every so many-th frame is held out
+    log: Log = print
+
+
+@dataclass(frozen=True)
+class ClipFrame:
+    """A frame in use."""
+
+    name: str  # "frame_00012", by its number in the clip
+    time: float  # seconds since the clip's start
+    image: np.ndarray  # (H, W, 3) uint8 RGB, without bars, reduced by Clip.reduced
+
+
+@dataclass(frozen=True)
+class Clip:
+    """The frames in use, in order; their cameras are not known yet."""
+
+    source: Path
+    header: Header | None  # None: a folder of images
+    frames: tuple[ClipFrame, ...]
+    size: tuple[int, int]  # (width, height) of the file's frames without bars
+    reduced: int  # the frames' images are at 1/reduced of that
+    downscale: int  # of the training images
+    choice: Choice
+    options: ClipOptions
+
+    def to_scene(self, cameras: Mapping[str, Camera], radial: float = 0.0, unit: float | None = None) -> Scene:
+        """The scene of the frames that have a camera (name -> camera of ClipFrame.image). Other frames are left out.
+
+        radial: the lens's distortion (OpenCV's k1). unit: world units per normalised unit; None: the canonical unit.
+        """
+        kept = [frame for frame in self.frames if frame.name in cameras]
+        held_out = set(range(self.options.test_every // 2, len(kept), self.options.test_every))
+        views: dict[str, list[View]] = {"train": [], "test": []}
+        lens = Undistortion.of(cameras[kept[0].name], radial).maps(_size(kept[0].image)) if radial else None
+        for index, frame in enumerate(kept):
+            split = "test" if index in held_out else "train"
+            image = undistort(frame.image, lens) if lens else frame.image
+            camera, image = self._training_view(cameras[frame.name], image)
+            views[split].append(View(camera, frame.time - kept[0].time, image, f"{split}/{frame.name}"))
+        train = [view.camera for view in views["train"]]
+        space = canonical_space(train, unit)
+        return validate_scene(
+            Scene(
+                name=self.options.name,
+                train=tuple(views["train"]),
+                test=tuple(views["test"]),
+                duration=kept[-1].time - kept[0].time,
+                time_start=0.0,
+                background=BLACK,
+                extent=camera_extent(train),
+                init_box=space.inverse.box((-1.2, 1.2)),
+                source=self.source,
+                unit=unit or space.unit,
+                playback_rate=self._playback_rate(kept),
+                test_split=f"every {ordinal(self.options.test_every)} frame",
+            )
+        )
+
+    @staticmethod
+    def _playback_rate(kept: list[ClipFrame]) -> float:
+        """Frames a second at which the frames in use last as long as they did."""
+        rate = (len(kept) - 1) / max(kept[-1].time - kept[0].time, 1e-3)
+        return float(np.clip(rate, *PLAYBACK_RATES))
+
+    def _training_view(self, camera: Camera, image: np.ndarray) -> tuple[Camera, np.ndarray]:
+        if self.downscale % self.reduced == 0:
+            further = self.downscale // self.reduced
+            small = make_camera(self.source, partial(reduced_camera, camera, further))
+            return small, reduce_image(image, further)
+        width, height = (max(1, side // self.downscale) for side in self.size)
+        return camera.resized(width, height), cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+
+
+def is_clip(path: Path) -> bool:
+    """Whether `path` is a video file, or a folder with a single video, or with images and no video."""
+    if not path.is_dir():
+        return path.is_file()
+    videos = _videos(path)
+    return len(videos) == 1 or (not videos and bool(image_paths(path)))
+
+
+def open_clip(path: Path, options: ClipOptions) -> Clip:
+    """Reads the frames in use of a clip. SceneError for what cannot be used, with what to do instead."""
+    if not path.exists():
+        raise SceneError(path, "a video, or a folder of videos or of images in order", "nothing there")
+    if path.is_dir() and (videos := _videos(path)):
+        path = videos[0]
+    header = None if path.is_dir() else probe(path)
+    source = _Source(path, header)
+    if header:
+        for note in header.notes():
+            options.log(f"{path.name}: {note}")
+    total = source.count()
+    every = max(1, -(-total // MOST_SURVEYED))
+    found = survey((f for f in source.frames(every=every) if f.index >= options.first_frame), total)
+    if found is None:
+        raise SceneError(path, "frames that can be decoded", "none")
+    choice = choose(found, options.most)
+    for note in choice.notes:
+        options.log(f"{path.name}: {note}")
+    if len(choice.indices) < FEWEST_FRAMES:
+        raise SceneError(
+            path,
+            f"at least {FEWEST_FRAMES} sharp frames of one take",
+            f"{len(choice.indices)} of {found.total}; film 5 to 20 seconds while walking around what you film",
+        )
+    left, top, right, bottom = found.content
+    size = (right - left, bottom - top)
+    if header is not None and size != header.size:
+        options.log(f"{path.name}: black bars are cut off, {size[0]} x {size[1]} pixels are left")
+    reduced = max(1, -(-max(size) // SFM_SIDE))
+    downscale = options.downscale or chosen_downscale(size)
+    times = dict(zip(choice.indices, choice.times))
+    frames = []
+    for frame in source.frames(keep=set(choice.indices)):
+        if frame.image is not None:
+            image = reduce_image(np.ascontiguousarray(frame.image[top:bottom, left:right]), reduced)
+            frames.append(ClipFrame(f"frame_{frame.index:05d}", times[frame.index], image))
+    _refuse_other_sizes(path, frames)
+    return Clip(path, header, tuple(frames), size, reduced, downscale, choice, options)
+
+
+@dataclass(frozen=True)
+class _Source:
+    """A video file or a folder of images."""
+
+    path: Path
+    header: Header | None
+
+    def count(self) -> int:
+        """Frames, an estimate where the header does not say."""
+        if self.header is None:
+            return len(image_paths(self.path))
+        return self.header.count or round((self.header.seconds or 0.0) * (self.header.rate or IMAGE_RATE))
+
+    def frames(self, keep: set[int] | None = None, every: int = 1) -> Iterator[Frame]:
+        if self.header is None:
+            return image_frames(image_paths(self.path), keep, every)
+        return video_frames(self.path, self.header, keep, every)
+
+
+def _videos(folder: Path) -> list[Path]:
+    return sorted(p for p in folder.iterdir() if p.suffix.lower() in FOOTAGE_SUFFIXES and not p.name.startswith("."))
+
+
+def _size(image: np.ndarray) -> tuple[int, int]:
+    return image.shape[1], image.shape[0]
+
+
+def _refuse_other_sizes(path: Path, frames: list[ClipFrame]) -> None:
+    for frame in frames:
+        if frame.image.shape != frames[0].image.shape:
+            raise SceneError(
+                path / frame.name,
+                "{} x {} pixels as {}".format(*_size(frames[0].image), frames[0].name),
+                "{} x {}".format(*_size(frame.image)),
+            )

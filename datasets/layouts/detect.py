@@ -1,0 +1,99 @@
+"""scene=auto: which layout a folder has, and why it is none of the others."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from datasets.files.errors import SceneError
+from datasets.layouts.colmap import sparse_folder
+from datasets.layouts.llff import image_folder
+from datasets.plenoptic.videos import FOOTAGE_SUFFIXES, PLENOPTIC_NAME
+
+
+@dataclass(frozen=True)
+class Detected:
+    """The layout, as a value of scene.reader, and the reasons in one line."""
+
+    reader: str
+    line: str
+
+
+def detect(path: Path) -> Detected:
+    """SceneError, with the reason for each layout, for a folder that has none."""
+    if path.is_file():
+        return Detected("video", f"{path.name}: taken for one clip (scene=video): it is a file")
+    if not path.is_dir():
+        raise SceneError(path, "a folder, or a video", "nothing there")
+    refused: list[str] = []
+    for reader, name, missing in _LAYOUTS:
+        reason = missing(path)
+        if reason is None:
+            instead = f"; not {', '.join(refused)}" if refused else ""
+            return Detected(reader, f"{path}: taken for {name} (scene.reader={reader}){instead}")
+        refused.append(f"{name} ({reason})")
+    raise SceneError(path, "a layout that is known", f"none: not {', '.join(refused)}")
+
+
+def _dynamic_gaussians(path: Path) -> str | None:
+    return None if (path / "train_meta.json").is_file() else "no train_meta.json"
+
+
+def _nerfies(path: Path) -> str | None:
+    if not (path / "dataset.json").is_file():
+        return "no dataset.json"
+    return None if (path / "camera").is_dir() and (path / "rgb").is_dir() else "no camera/ and rgb/"
+
+
+def _plenoptic(path: Path) -> str | None:
+    numbered = any(PLENOPTIC_NAME.fullmatch(p.name) for p in path.iterdir())
+    return None if numbered and (path / "poses_bounds.npy").is_file() else "no cam00.mp4 with poses_bounds.npy"
+
+
+def _dnerf(path: Path) -> str | None:
+    return None if (path / "transforms_train.json").is_file() else "no transforms_train.json"
+
+
+def _nerfstudio(path: Path) -> str | None:
+    return None if (path / "transforms.json").is_file() else "no transforms.json"
+
+
+def _colmap(path: Path) -> str | None:
+    return None if sparse_folder(path) is not None else "no sparse/0 with images.bin or images.txt"
+
+
+def _llff(path: Path) -> str | None:
+    file = path / "poses_bounds.npy"
+    if not file.is_file():
+        return "no poses_bounds.npy"
+    if image_folder(path) is None:
+        return "no images/"
+    try:
+        rows = len(np.load(file, mmap_mode="r", allow_pickle=False))
+    except (OSError, ValueError, TypeError, EOFError):
+        return None  # its reader says what is wrong
+    return None if rows else "poses_bounds.npy has no rows"
+
+
+def _video(path: Path) -> str | None:
+    from datasets.clip.decode import image_paths
+
+    if any(p.suffix.lower() in FOOTAGE_SUFFIXES and not p.name.startswith(".") for p in path.iterdir()):
+        return None
+    return None if image_paths(path) else "no videos and no images"
+
+
+# Value of scene.reader, name, and what is missing (None: nothing). The most telling files come first.
+_LAYOUTS: tuple[tuple[str, str, Callable[[Path], str | None]], ...] = (
+    ("dynamic_gaussians", "Dynamic 3D Gaussians", _dynamic_gaussians),
+    ("nerfies", "Nerfies, HyperNeRF or DyCheck", _nerfies),
+    ("plenoptic", "Plenoptic Video", _plenoptic),
+    ("dnerf", "D-NeRF", _dnerf),
+    ("nerfstudio", "nerfstudio", _nerfstudio),
+    ("colmap", "COLMAP", _colmap),
+    ("llff", "NVIDIA Dynamic Scenes (LLFF poses)", _llff),
+    ("video", "videos or images without poses", _video),
+)

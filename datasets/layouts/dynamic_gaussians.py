@@ -1,0 +1,129 @@
+"""Reader of Dynamic 3D Gaussians' folder: several calibrated, synchronised cameras (Luiten et al., 3DV 2024).
+
+    train_meta.json   {"w", "h", "k": T×C×3×3, "w2c": T×C×4×4, "fn": T×C names, "cam_id": T×C}
+    test_meta.json    the same of the held-out cameras; optional
+    ims/<fn>          the images; init_pt_cld.npz: "data" (N, 7) x, y, z, r, g, b in [0, 1], segment; optional
+
+Poses have OpenCV's camera axes. Time is the frame's place in the list.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from datasets.cameras.transforms import read_pose
+from datasets.files.errors import SceneError, read_json
+from datasets.files.json_values import get_key, read_number
+from datasets.layouts.photographs import LayoutOptions, Photograph, to_scene
+from datasets.scene import Scene, ScenePoints, make_camera
+from rasterizer.camera import Camera
+
+MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
+
+
+def read_dynamic_gaussians(root: Path, options: LayoutOptions) -> Scene:
+    """The scene; without test_meta.json, scene.test_cameras are held out, by their number in cam_id."""
+    photographs = _read_meta(root, root / "train_meta.json", None)
+    if (root / "test_meta.json").is_file():
+        photographs = _read_meta(root, root / "train_meta.json", False) + _read_meta(
+            root, root / "test_meta.json", True
+        )
+    points = _read_points(root / "init_pt_cld.npz")
+    if points is not None and _is_mirrored(_object(root / "train_meta.json")["w2c"]):
+        points = replace(points, positions=points.positions @ MIRROR[:3, :3])
+    cameras = sorted({photograph.group for photograph in photographs})
+    options.log(
+        f"Dynamic 3D Gaussians: {len(cameras)} cameras ({', '.join(map(str, cameras))}), {len(photographs)} images, "
+        f"{len(points.positions) if points else 0} points"
+    )
+    return to_scene(root, photographs, options, points)
+
+
+def _read_meta(root: Path, file: Path, test: bool | None) -> list[Photograph]:
+    content = _object(file)
+    width, height = (int(read_number(get_key(content, key, file), f"{file}: {key}", 1e6)) for key in "wh")
+    tables = {key: get_key(content, key, file) for key in ("k", "w2c", "fn", "cam_id")}
+    times = len(tables["fn"]) if isinstance(tables["fn"], list) else 0
+    for key, table in tables.items():
+        if not isinstance(table, list) or len(table) != times or not times:
+            raise SceneError(f"{file}: {key}", f"a list of {times} frames", _kind(table))
+    mirrored = _is_mirrored(tables["w2c"])
+    found = []
+    missing: Path | None = None
+    for t in range(times):
+        row = {key: table[t] for key, table in tables.items()}
+        lengths = {key: len(value) if isinstance(value, list) else -1 for key, value in row.items()}
+        if len(set(lengths.values())) != 1 or lengths["fn"] < 1:
+            raise SceneError(f"{file}: frame {t}", "as many cameras in k, w2c, fn and cam_id", f"{lengths}")
+        for c in range(lengths["fn"]):
+            where = f"{file}: frame {t}, camera {c}"
+            name = str(row["fn"][c])
+            path = root / "ims" / name
+            if not path.is_file():
+                missing = missing or path
+                continue
+            camera = _camera(row["k"][c], row["w2c"][c], (width, height), mirrored, where)
+            number = int(read_number(row["cam_id"][c], f"{where}: cam_id", 1e6))
+            found.append(Photograph(f"cam{number:02d}_{t:05d}", path, camera, None, float(t), number, test))
+    if missing is not None and not found:
+        raise SceneError(missing, f"an image that {file.name} names", "no such file")
+    return found
+
+
+def _object(file: Path) -> dict[str, Any]:
+    try:
+        content = read_json(file, SceneError)
+    except FileNotFoundError:
+        raise SceneError(file, "a file", "none") from None
+    if not isinstance(content, dict):
+        raise SceneError(file, "an object with k, w2c, fn, cam_id", type(content).__name__)
+    return content
+
+
+def _is_mirrored(rows: list[Any]) -> bool:
+    """Whether every pose is a reflection. Some calibrations are of a mirrored world; mirrored back, images stay."""
+    try:
+        matrices = np.array([pose for row in rows for pose in row], dtype=np.float64)
+        return bool(len(matrices)) and bool((np.linalg.det(matrices[:, :3, :3]) < 0).all())
+    except (TypeError, ValueError, IndexError):
+        return False  # refused one by one
+
+
+def _camera(k: Any, w2c: Any, size: tuple[int, int], mirrored: bool, where: str) -> Camera:
+    try:
+        matrix = np.array(k, dtype=np.float64)
+    except (TypeError, ValueError):
+        matrix = np.zeros(())
+    if matrix.shape != (3, 3) or not np.isfinite(matrix).all() or abs(matrix[0, 1]) > 1e-3 * abs(matrix[0, 0]):
+        raise SceneError(f"{where}: k", "3 x 3 numbers without skew", _kind(k))
+    try:
+        world_to_cam = np.array(w2c, dtype=np.float64)
+    except (TypeError, ValueError):
+        world_to_cam = np.zeros(())
+    if world_to_cam.shape == (4, 4) and mirrored:
+        world_to_cam = world_to_cam @ MIRROR
+    pose = read_pose(world_to_cam.tolist(), f"{where}: w2c")
+    return make_camera(where, lambda: Camera(*size, matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], pose))
+
+
+def _read_points(path: Path) -> ScenePoints | None:
+    if not path.is_file():
+        return None
+    try:
+        with np.load(path, allow_pickle=False) as content:
+            table = np.asarray(content["data"], dtype=np.float64)
+    except Exception as error:  # numpy and zipfile raise many types for broken files
+        raise SceneError(path, "points (data, N x 7)", str(error)) from None
+    if table.ndim != 2 or table.shape[1] < 6:
+        raise SceneError(path, "points (data, N x 7)", f"{table.shape}")
+    good = np.isfinite(table).all(axis=1)
+    colors = np.clip(255 * table[good, 3:6], 0, 255).round().astype(np.uint8)
+    return ScenePoints(table[good, :3], colors) if good.any() else None
+
+
+def _kind(value: Any) -> str:
+    return f"{type(value).__name__} of {len(value)}" if isinstance(value, list) else repr(value)

@@ -1,0 +1,233 @@
+"""Photographs with cameras and times, as any layout describes them, and the `Scene` that they make.
+
+Images are read when they are first used, so that memory does not grow with a folder of thousands: only their headers
+are read here.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from datasets.cameras.lens import Lens, undistort, undistort_rgba
+from datasets.canonical import canonical_space
+from datasets.composition import BLACK, Color, chosen_downscale, compose, reduced_camera
+from datasets.files.errors import SceneError
+from datasets.files.image_files import common_size, read_rgba
+from datasets.scene import Scene, ScenePoints, View, camera_extent, make_camera, validate_scene
+from rasterizer.camera import Camera
+
+KEPT_BYTES = 1 << 30  # of decoded images, which are then kept; more are read again at each use
+PLAYBACK_RATE = 30.0  # frames a second of rendered videos of one moving camera
+FEWEST = 3  # photographs
+
+Log = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class LayoutOptions:
+    """How a folder is read: settings of SceneConfig."""
+
+    name: str  # of the scene
+    downscale: int = 0  # 0: chosen, see composition.chosen_downscale
+    test_every: int = 8  # where the layout has no test split
+    test_cameras: Sequence[int] = (0,)  # where several cameras filmed
+    first_frame: int = 0
+    frames: int = 300  # largest number of different times in use
+    background: Color | None = None  # under transparent pixels; None: black
+    log: Log = print
+
+
+@dataclass(frozen=True)
+class Photograph:
+    """An image file with its camera."""
+
+    name: str  # unique; numbers in it give the order in time
+    path: Path
+    camera: Camera  # of the full-size, undistorted image
+    lens: Lens | None = None  # None: no distortion
+    time: float | None = None  # any unit and origin; None: unknown
+    group: int = 0  # number of the physical camera
+    test: bool | None = None  # held out by the layout; None: the layout does not say
+    mask: Path | None = None  # an image, black where pixels do not count; None: all count
+
+
+class FileImage:
+    """Pixels (H, W, 3) uint8 of a photograph, read when needed; `np.asarray` reads them."""
+
+    dtype = np.dtype(np.uint8)
+
+    def __init__(self, photograph: Photograph, shape: tuple[int, int, int], downscale: int, background: Color) -> None:
+        self.shape: tuple[int, ...] = shape
+        self._photograph, self._downscale, self._background = photograph, downscale, background
+        self.keep = False
+        self._pixels: np.ndarray | None = None
+
+    def __array__(self, dtype: np.dtype | None = None, copy: bool | None = None) -> np.ndarray:
+        image = self._pixels if self._pixels is not None else self._read()
+        if self.keep:
+            self._pixels = image
+        return image if dtype is None else image.astype(dtype, copy=False)
+
+    def _read(self) -> np.ndarray:
+        photograph = self._photograph
+        rgba = read_rgba(photograph.path)
+        if rgba.shape[:2] != (photograph.camera.height, photograph.camera.width):
+            raise SceneError(
+                photograph.path,
+                f"{photograph.camera.width} x {photograph.camera.height} pixels, as its camera",
+                "{1} x {0}".format(*rgba.shape),
+            )
+        if photograph.lens:
+            rgba = undistort_rgba(rgba, photograph.lens.maps((photograph.camera.width, photograph.camera.height)))
+        return compose(rgba, self._background, self._downscale)
+
+
+def to_scene(
+    root: Path, photographs: Sequence[Photograph], options: LayoutOptions, points: ScenePoints | None = None
+) -> Scene:
+    """The scene of photographs in any order. SceneError where they do not make one."""
+    photographs = _timed(_natural_order(photographs), options)
+    photographs = _limited(photographs, options)
+    if len(photographs) < FEWEST:
+        raise SceneError(root, f"at least {FEWEST} photographs with a camera", f"{len(photographs)}")
+    size = common_size([photograph.path for photograph in photographs])
+    for photograph in photographs:
+        if (photograph.camera.width, photograph.camera.height) != size:
+            raise SceneError(
+                photograph.path,
+                f"{photograph.camera.width} x {photograph.camera.height} pixels, as its camera",
+                "{} x {}".format(*size),
+            )
+    downscale = options.downscale or chosen_downscale(size)
+    if min(size) < downscale:
+        raise SceneError(root, f"at least {downscale} pixels a side (scene.downscale)", "{} x {}".format(*size))
+    held_out, how = _held_out(root, photographs, options)
+    options.log(f"held out: {how}")
+    background = options.background or BLACK
+    views: dict[str, list[View]] = {"train": [], "test": []}
+    cameras: dict[int, Camera] = {}
+    for photograph in photographs:
+        split = "test" if photograph.name in held_out else "train"
+        small = cameras.setdefault(
+            id(photograph.camera), make_camera(photograph.path, partial(reduced_camera, photograph.camera, downscale))
+        )
+        image = FileImage(photograph, (small.height, small.width, 3), downscale, background)
+        image.keep = len(photographs) * 3 * small.width * small.height <= KEPT_BYTES
+        assert photograph.time is not None
+        views[split].append(
+            View(small, photograph.time, image, f"{split}/{photograph.name}", mask=_mask(photograph, downscale))
+        )
+    train_cameras = [view.camera for view in views["train"]]
+    space = canonical_space(train_cameras)
+    times = [photograph.time for photograph in photographs if photograph.time is not None]
+    low, high = min(times), max(times)
+    duration = high - low or 1.0
+    while low + duration < high:  # rounding
+        duration = float(np.nextafter(duration, np.inf))
+    return validate_scene(
+        Scene(
+            name=options.name,
+            train=tuple(views["train"]),
+            test=tuple(views["test"]),
+            duration=duration,
+            time_start=low,
+            background=background,
+            extent=camera_extent(train_cameras),
+            init_box=space.inverse.box((-1.2, 1.2)),
+            source=root,
+            unit=space.unit,
+            playback_rate=PLAYBACK_RATE if len({p.group for p in photographs}) == 1 and high > low else None,
+            points=points,
+            test_split=how,
+        )
+    )
+
+
+def _timed(photographs: Sequence[Photograph], options: LayoutOptions) -> list[Photograph]:
+    """All with a time, ascending: the layout's, else the numbers in the names, else evenly spaced."""
+    known = [photograph.time for photograph in photographs if photograph.time is not None]
+    if known and len(known) < len(photographs):
+        missing = next(photograph for photograph in photographs if photograph.time is None)
+        raise SceneError(missing.path, "a time in every frame or in none", f"none here and {len(known)} elsewhere")
+    if known:
+        return sorted(photographs, key=lambda p: (p.time, p.name))
+    numbers = [_last_number(photograph.path.stem) for photograph in photographs]
+    if None not in numbers and len(set(numbers)) == len(numbers):
+        times, how = [float(number) for number in numbers if number is not None], "the numbers in the file names"
+    else:
+        times, how = [float(index) for index in range(len(photographs))], "evenly spaced, in the order of the names"
+    options.log(f"times: {how}; if nothing moves, ablation.static=true leaves time out")
+    return sorted((replace(p, time=t) for p, t in zip(photographs, times)), key=lambda p: p.time or 0.0)
+
+
+def _limited(photographs: Sequence[Photograph], options: LayoutOptions) -> list[Photograph]:
+    """Those of at most options.frames different times, evenly spread, from options.first_frame on."""
+    times = sorted({photograph.time for photograph in photographs if photograph.time is not None})
+    chosen = times[options.first_frame :]
+    if len(chosen) > options.frames:
+        chosen = [chosen[i] for i in np.unique(np.linspace(0, len(chosen) - 1, options.frames).round().astype(int))]
+        options.log(f"{options.frames} of {len(times)} times are used, evenly spread (scene.frames={options.frames})")
+    kept = set(chosen)
+    return [photograph for photograph in photographs if photograph.time in kept]
+
+
+def _held_out(root: Path, photographs: Sequence[Photograph], options: LayoutOptions) -> tuple[set[str], str]:
+    """(names held out, how the split is called in tables)."""
+    stated = {photograph.name for photograph in photographs if photograph.test}
+    if stated and len(stated) < len(photographs):
+        return stated, "the layout's test frames"
+    groups = sorted({photograph.group for photograph in photographs})
+    times = len({photograph.time for photograph in photographs})
+    if len(groups) > 2 and times < len(photographs):
+        # 0, the default, is the first camera also where a folder counts from 1.
+        chosen = sorted({groups[0] if number == 0 else number for number in options.test_cameras})
+        if not set(chosen) < set(groups):
+            raise SceneError(f"{root}: scene.test_cameras", f"some of the cameras {groups}", f"{chosen}")
+        names = {photograph.name for photograph in photographs if photograph.group in chosen}
+        return names, "camera " + ", ".join(map(str, chosen))
+    every = options.test_every
+    held_out = {photograph.name for photograph in photographs[every // 2 :: every]}
+    if not held_out:
+        held_out = {photographs[len(photographs) // 2].name}
+    return held_out, f"every {ordinal(every)} frame"
+
+
+def ordinal(number: int) -> str:
+    """ "2nd", "3rd", "8th"."""
+    ending = {1: "st", 2: "nd", 3: "rd"}.get(number % 10, "th") if number % 100 not in (11, 12, 13) else "th"
+    return f"{number}{ending}"
+
+
+def _mask(photograph: Photograph, downscale: int) -> np.ndarray | None:
+    """(H, W) bool of the reduced image: pixels all of whose parts count."""
+    if photograph.mask is None:
+        return None
+    if not photograph.mask.is_file():
+        raise SceneError(photograph.mask, f"the mask of {photograph.name}", "no such file")
+    rgba = read_rgba(photograph.mask)
+    width, height = photograph.camera.width, photograph.camera.height
+    if rgba.shape[:2] != (height, width):
+        raise SceneError(photograph.mask, f"{width} x {height} pixels, as its image", "{1} x {0}".format(*rgba.shape))
+    counts = np.where(rgba[..., :3].max(axis=2) > 127, 255, 0).astype(np.uint8)
+    if photograph.lens:
+        counts = undistort(counts, photograph.lens.maps((width, height)))
+    small = compose(np.dstack([counts] * 3 + [np.full_like(counts, 255)]), BLACK, downscale)[..., 0]
+    return small == 255
+
+
+def _natural_order(photographs: Sequence[Photograph]) -> list[Photograph]:
+    def key(photograph: Photograph) -> list[tuple[int, int | str]]:
+        return [(0, int(p)) if p.isdigit() else (1, p) for p in re.split(r"(\d+)", photograph.name) if p]
+
+    return sorted(photographs, key=key)
+
+
+def _last_number(stem: str) -> int | None:
+    found = re.findall(r"\d+", stem)
+    return int(found[-1]) if found else None

@@ -1,0 +1,95 @@
+"""Evaluates a model on the test views of a scene, wherever it was trained.
+
+MODEL is a run folder or a file: a checkpoint of this program (.safetensors), one of the released program (.pth), or a
+.ply file. The scene and all other keys are those of `python -m pipeline`: scene=dnerf/lego scene.path=DIR. Writes
+metrics.json, per_image.csv and renders/. A .pth file has the coordinates of the data's files, others canonical ones.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from hydra import compose, initialize_config_dir
+from hydra.errors import HydraException
+from omegaconf.errors import OmegaConfBaseException
+from rich.console import Console
+from rich.table import Table
+
+from datasets.files.atomic_write import write_json
+from pipeline.config.compose import CONFIG_DIR, one_line, quote_paths, register_schema, to_config
+from pipeline.config.schema import Config
+from pipeline.data.prepare import prepare
+from pipeline.evaluation.evaluate import Evaluation, evaluate_with_images
+from pipeline.model.model import Model
+from pipeline.model.scene_settings import resolved
+from pipeline.runs.run_folder import now, write_csv
+from pipeline.studies.model_file import read_model
+from pipeline.terminal.command_line import CommandParser, command, log
+from pipeline.training.checkpoint import FILE_NAME
+from rasterizer.cores import thread_count
+
+
+@command
+def main(arguments: list[str]) -> int:
+    parser = CommandParser(
+        prog="python -m pipeline.evaluate", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("model", type=Path, metavar="MODEL", help="a run folder or a file of a model")
+    parser.add_argument("keys", nargs="+", metavar="KEY=VALUE", help="scene=…, and any other key")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="default: results/evaluated/SCENE/MODEL")
+    options = parser.parse_intermixed_args(arguments)
+    cfg = _composed(options.keys)
+    path = options.model / FILE_NAME if options.model.is_dir() else options.model
+    data = prepare(cfg, log)
+    cfg = resolved(cfg, data.scene)
+    model = read_model(path, data.canonical)
+    out = options.out or Path("results") / "evaluated" / cfg.scene.name / options.model.stem
+    log(f"evaluate: {len(model)} Gaussians of {path} on {len(data.scene.test)} test views of {cfg.scene.name}")
+    (out / "renders").mkdir(parents=True, exist_ok=True)
+    found = evaluate_with_images(model, data.scene, cfg, thread_count(cfg.threads), out / "renders")
+    write_csv(out / "per_image.csv", found.per_image)
+    write_json(out / "metrics.json", _metrics(cfg, path, model, found))
+    Console(highlight=False, soft_wrap=True).print(_table(found))
+    log(f"written to {out}")
+    return 0
+
+
+def _composed(keys: list[str]) -> Config:
+    """The configuration of a command's keys. ValueError, one line, where one is wrong."""
+    register_schema()
+    try:
+        with initialize_config_dir(version_base="1.3", config_dir=str(CONFIG_DIR)):
+            return to_config(compose("config", overrides=quote_paths(keys)))
+    except (HydraException, OmegaConfBaseException) as error:
+        raise ValueError(one_line(error)) from None
+
+
+def _metrics(cfg: Config, path: Path, model: Model, found: Evaluation) -> dict:
+    kind = model.kind
+    return {
+        "scene": cfg.scene.name,
+        "model_file": str(path),
+        "model": {"motion": kind.motion, "fourier_order": kind.fourier_order, "sh_degree": kind.sh_degree},
+        "date": now(),
+        "final": found.metrics,
+        "n_gaussians": len(model),
+        "model_mb": model.bytes / 1e6,
+        "n_alive_mean": found.n_alive_mean,
+        "n_test_views": len(found.per_image),
+        "note": found.note(),
+    }
+
+
+def _table(found: Evaluation) -> Table:
+    """The numbers that there are, by their names in metrics.json."""
+    table = Table("", "mean over the test views")
+    for name, value in found.metrics.items():
+        if isinstance(value, float):
+            table.add_row(name, f"{value:.4g}")
+    return table
+
+
+if __name__ == "__main__":
+    sys.exit(main())

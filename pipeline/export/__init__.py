@@ -1,0 +1,1 @@
+"""Splat files of a trained model for other programs: `python -m pipeline.export RUN FORMAT`."""

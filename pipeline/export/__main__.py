@@ -1,0 +1,88 @@
+"""Splat files of a trained model, for other programs.
+
+MODEL is a run folder, or a file: a checkpoint (.safetensors), a model (.ply) or a checkpoint of the released program
+(.pth). A static format holds one frame: without --times there are 30, from the first time to the last, as a sequence
+that SuperSplat plays. Lengths and times are canonical (docs/conventions.md); --world gives those of the data's files.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import textwrap
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.export.formats import FORMATS
+from pipeline.export.source import Source, open_source
+from pipeline.export.write_files import write_files
+from pipeline.terminal.command_line import CommandParser, command, log
+
+SEQUENCE = 30  # frames
+
+
+@command
+def main(arguments: list[str]) -> int:
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    source = open_source(options.model, options.start, options.duration, log)
+    folder = options.out or source.folder
+    for name in options.formats:
+        paths = list(write_files(name, source, _times(options.times, source), folder, options.world))
+        size = sum(path.stat().st_size for path in paths)
+        files = f"{paths[0].name} … {paths[-1].name}" if len(paths) > 1 else paths[0].name
+        log(f"{folder}/{files}: {size / 1e6:.1f} MB; lost: {FORMATS[name].loses}")
+    return 0
+
+
+def _times(wanted: list[float] | None, source: Source) -> list[float]:
+    """Of the frames of a static format. ValueError for one outside of the scene's time."""
+    line = source.timeline
+    if source.model.kind.motion == "static":
+        return [line.start]
+    if wanted is None:
+        return np.linspace(line.start, line.end, SEQUENCE).tolist()
+    for time in wanted:
+        if not line.start <= time <= line.end:
+            raise ValueError(f"--times: expected times in {line.start:g} to {line.end:g}, found {time:g}")
+    return wanted
+
+
+def _parser() -> CommandParser:
+    parser = CommandParser(
+        prog="python -m pipeline.export",
+        description=__doc__,
+        epilog=_table(),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("model", type=Path, metavar="MODEL", help="a run folder, or a file of a model")
+    parser.add_argument("formats", nargs="+", choices=FORMATS, metavar="FORMAT", help=", ".join(FORMATS))
+    parser.add_argument(
+        "--times",
+        type=_numbers,
+        metavar="T,T,…",
+        help=f"of the frames of a static format (default: {SEQUENCE} from the first time to the last)",
+    )
+    parser.add_argument("--out", type=Path, metavar="DIR", help="default: RUN/exports, or the folder of the file")
+    parser.add_argument("--world", action="store_true", help="lengths and times of the data's files, not canonical")
+    parser.add_argument("--start", type=float, metavar="T", help="of a file: the scene's first time (default: 0)")
+    parser.add_argument("--duration", type=float, metavar="T", help="of a file: the scene's duration (default: 1)")
+    return parser
+
+
+def _numbers(text: str) -> list[float]:
+    return [float(part) for part in text.split(",")]
+
+
+def _table() -> str:
+    """The formats, for --help."""
+    lines = ["formats, who reads them, and what they lose:", ""]
+    for name, form in FORMATS.items():
+        lines.append(f"  {name:<9} {form.holds}; {form.read_by}")
+        lines += textwrap.wrap(f"loses {form.loses}", 110, initial_indent=" " * 12, subsequent_indent=" " * 12)
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

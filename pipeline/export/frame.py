@@ -1,0 +1,77 @@
+"""The 3D Gaussians that a model is at one time: what every static splat format holds.
+
+Conditioned on time a 4D Gaussian is a 3D one with mean μ(t), covariance Σ(t) and opacity α p(t) (docs/method.md 1.1),
+and its 4DSH is a sum of spherical harmonics with known weights (1.4). The frame is exact up to float32.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
+from pipeline.model.model import Model, ModelKind
+from rasterizer.reference.blend import MIN_ALPHA, MIN_MARGINAL
+from rasterizer.reference.render import MAX_LOGIT, opacity, slice_in_time
+from rasterizer.reference.sh import fourier_basis
+
+SMALLEST_SCALE = 1e-30  # in units of the scene; the logarithm of a flat axis stays finite
+
+
+def frame_at(model: Model, time: float, duration: float) -> Model:
+    """A static model that renders as `model` does at `time`, without the Gaussians that cannot be seen then.
+
+    duration: T of the Fourier series. Background models are left out: no static format has them.
+    """
+    if model.kind.motion == "static":
+        return Model(model.kind, model.parameters)
+    gaussians = model.gaussians().to(torch.float64)
+    sliced = slice_in_time(gaussians, time)
+    alpha = opacity(gaussians.opacity_logit) * sliced.marginal
+    seen = (sliced.marginal >= MIN_MARGINAL) & (alpha >= MIN_ALPHA)
+    log_scale, quat = scales_and_rotation(sliced.factor[seen])
+    weights = fourier_basis(time - gaussians.mean[seen, 3], duration, model.kind.fourier_order)
+    return static_model(
+        sliced.mean[seen], log_scale, quat, logit(alpha[seen]), constant_colour(model, gaussians.sh[seen], weights)
+    )
+
+
+def static_model(mean: Tensor, log_scale: Tensor, quat: Tensor, opacity_logit: Tensor, sh: Tensor) -> Model:
+    """A static model of 3D Gaussians, of any floating-point type."""
+    fields = {"mean": mean, "log_scale": log_scale, "quat_left": quat, "opacity_logit": opacity_logit, "sh": sh}
+    kind = ModelKind("static", 0, math.isqrt(sh.shape[1]) - 1)
+    return Model(kind, {name: tensor.to(torch.float32) for name, tensor in fields.items()})
+
+
+def scales_and_rotation(factor: Tensor) -> tuple[Tensor, Tensor]:
+    """(log scales (N, 3), quaternions (N, 4) wxyz) of the covariances A Aᵀ, from A (N, 3, K) float64.
+
+    The singular values of A are the scales: of A Aᵀ a thin axis would lose half of its digits.
+    """
+    axes, scale, _ = np.linalg.svd(factor.numpy(), full_matrices=False)
+    axes[:, :, 2] *= np.linalg.det(axes)[:, None]  # a rotation, not a reflection
+    quat = Rotation.from_matrix(axes).as_quat() if len(axes) else np.zeros((0, 4))
+    return torch.from_numpy(np.log(np.maximum(scale, SMALLEST_SCALE))), torch.from_numpy(np.roll(quat, 1, axis=1))
+
+
+def constant_colour(model: Model, sh: Tensor, weights: Tensor) -> Tensor:
+    """Σ_n weight_n k_n, (N, (l+1)², 3): spherical harmonics without time, from 4DSH coefficients (N, K, 3)."""
+    orders = sh.unflatten(1, (model.kind.fourier_order + 1, (model.kind.sh_degree + 1) ** 2))
+    return torch.einsum("nf,nfbc->nbc", weights, orders)
+
+
+def logit(alpha: Tensor) -> Tensor:
+    return torch.clamp(torch.log(alpha) - torch.log1p(-alpha), -MAX_LOGIT, MAX_LOGIT)
+
+
+def colours(sh: Tensor) -> Tensor:
+    """(N, 3) RGB of degree 0 alone, in [0, 1]: for formats without spherical harmonics."""
+    return (0.5 + sh[:, 0] / math.sqrt(4 * math.pi)).clamp(0.0, 1.0)
+
+
+def unit_quaternions(quat: Tensor) -> Tensor:
+    return F.normalize(quat.double(), dim=1)

@@ -1,0 +1,70 @@
+"""What is exported: the model of a run folder or of a file, and the time of its scene."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from datasets.canonical import Canonical
+from pipeline.model.model import Model
+from pipeline.model.transformed import in_canonical
+from pipeline.studies.model_file import read_model
+from pipeline.studies.open_run import open_run
+
+PLAYED_SECONDS = 5.0  # of photographs, which have no frame rate
+FRAMES = 300  # of a file's timeline, whose frames are not known
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """The time of a scene, in its own unit, and how it is played."""
+
+    start: float
+    duration: float
+    seconds: float = PLAYED_SECONDS  # of playback
+    frames: int = FRAMES  # distinct times of the data; for a player's slider
+
+    @property
+    def end(self) -> float:
+        return self.start + self.duration
+
+
+@dataclass(frozen=True)
+class Source:
+    """A model and its time, both canonical."""
+
+    model: Model
+    timeline: Timeline
+    canonical: Canonical  # from the coordinates of the data's files
+    name: str  # of the exported files
+    folder: Path  # where they are written by default
+
+    def time_in_world(self, time: float) -> float:
+        return self.canonical.inverse.time(time)
+
+    def in_world(self) -> tuple[Model, Timeline]:
+        """Both in the coordinates of the data's files."""
+        line, inverse = self.timeline, self.canonical.inverse
+        in_files = replace(line, start=inverse.time(line.start), duration=line.duration * inverse.time_scale)
+        return in_canonical(self.model, inverse), in_files
+
+
+def open_source(path: Path, start: float | None, duration: float | None, log: Callable[[str], None]) -> Source:
+    """A run folder, whose data set tells the times; or a file, whose times are `start` (0) to start + `duration` (1).
+
+    ValueError, one line, for anything else and for options that do not fit.
+    """
+    if path.is_file():
+        model = read_model(path, Canonical())
+        timeline = Timeline(start or 0.0, 1.0 if duration is None else duration)
+        return Source(model, timeline, Canonical(), path.name.removesuffix(path.suffix), path.parent)
+    if start is not None or duration is not None:
+        raise ValueError(
+            f"{path}: expected a file with --start or --duration, found none; a run's data set has its times"
+        )
+    run = open_run(path, log)
+    scene = run.scene
+    seconds = PLAYED_SECONDS if scene.frame_rate is None else scene.duration  # 30 frames of a film are a unit
+    timeline = Timeline(scene.time_start, scene.duration, seconds, len(scene.train_times))
+    return Source(run.model, timeline, run.canonical, run.cfg.scene.name.replace("/", "_"), path / "exports")

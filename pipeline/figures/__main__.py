@@ -1,0 +1,91 @@
+"""The paper's figures of a run, with a sentence on each: RUN/figures/.
+
+flow.png        rendered optical flow, beside the true one or OpenCV's, and its end-point error
+time_maps.png   where in time the Gaussians at each pixel live: mean and deviation
+lifetimes.png   histogram of the Gaussians' deviations in time
+slices.png      a row of pixels over time
+growth.png      number of Gaussians against the length of the video
+film.png        new views along a path, of bullet_time.mp4
+figures.md      all of them; `python -m pipeline.report` shows them too
+
+--lengths RUNS adds video_length.svg, of runs trained on films of several lengths (experiment=video_length).
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from datasets.files.atomic_write import atomic_file, write_json, write_text
+from pipeline.evaluation.renderer import Renderer
+from pipeline.figures.figure import FILE, Figure
+from pipeline.figures.film import film_figure
+from pipeline.figures.growth import growth_figure
+from pipeline.figures.lifetimes import lifetimes_figure
+from pipeline.figures.motion import flow_figure
+from pipeline.figures.moving_view import most_moving
+from pipeline.figures.slices import slices_figure
+from pipeline.figures.time_maps import time_maps_figure
+from pipeline.runs.read.collect import collect
+from pipeline.studies.open_run import open_run
+from pipeline.studies.video_length import draw, exponent, lengths_of
+from pipeline.terminal.command_line import CommandParser, command, log
+from rasterizer import Rasterizer
+from rasterizer.cores import thread_count
+
+LENGTHS = "video_length.svg"
+
+
+@command
+def main(arguments: list[str]) -> int:
+    parser = CommandParser(
+        prog="python -m pipeline.figures", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("run", type=Path, metavar="RUN", help="folder of a finished run")
+    parser.add_argument("--lengths", type=Path, metavar="RUNS", help="folder of runs of several scene.frames")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="default: RUN/figures")
+    options = parser.parse_args(arguments)
+    lengths = lengths_of(collect(options.lengths)) if options.lengths else None
+    run = open_run(options.run, log)
+    renderer = Renderer(run.model, run.scene, run.cfg, Rasterizer(threads=thread_count(run.cfg.threads)))
+    out = options.out or options.run / "figures"
+    out.mkdir(parents=True, exist_ok=True)
+    figures = []
+    for figure in figures_of(renderer, out):
+        log(f"{figure.file}: {figure.seen}")
+        with atomic_file(out / figure.file) as temporary:
+            temporary.write_bytes(figure.png)
+        figures.append(figure)
+    page = markdown(f"{run.cfg.scene.name}, {run.cfg.ablation.name}, {run.cfg.train.name}", figures)
+    if lengths is not None:
+        write_text(out / LENGTHS, draw(lengths, run.cfg.scene.name))
+        growth = f"N = c · frames^{exponent(lengths, 'gaussians'):.2f} over {len(lengths)} lengths, each trained alone."
+        page += f"\n## Trained on videos of several lengths\n\n{growth}\n\n![{growth}]({LENGTHS})\n"
+        log(f"{LENGTHS}: {growth}")
+    write_json(out / FILE, [{"file": f.file, "title": f.title, "seen": f.seen} for f in figures])
+    write_text(out / "figures.md", page)
+    log(f"written to {out}")
+    return 0
+
+
+def figures_of(renderer: Renderer, folder: Path) -> Iterator[Figure]:
+    """A static model, which has no time, has new views only."""
+    if renderer.model.kind.motion != "static":
+        view = most_moving(renderer)
+        yield flow_figure(renderer, view)
+        yield time_maps_figure(renderer, view)
+        yield lifetimes_figure(renderer)
+        yield slices_figure(renderer, view)
+        yield growth_figure(renderer)
+    yield film_figure(renderer, folder)
+
+
+def markdown(title: str, figures: list[Figure]) -> str:
+    parts = [f"## {figure.title}\n\n{figure.seen}\n\n![{figure.title}]({figure.file})\n" for figure in figures]
+    return "\n".join([f"# {title}\n", *parts])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,56 @@
+"""x-t slices: one row of pixels of a fixed camera, over time. What moves draws a curve, what rests a vertical line."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from datasets.scene import View
+from pipeline.data.training_views import target_of
+from pipeline.evaluation.renderer import Renderer
+from pipeline.figures.figure import Figure, canvas, png_of
+from pipeline.figures.moving_view import MovingView
+
+STEPS = 200  # times of a rendered slice, at most 4 for each of the scene's
+
+
+def slices_figure(renderer: Renderer, view: MovingView) -> Figure:
+    """The row with most motion of the view's camera; the truth beside it where that camera stands still in the data."""
+    scene, camera = renderer.scene, view.target.camera
+    count = min(STEPS, 4 * len(scene.train_times))
+    times = np.linspace(scene.time_start, scene.time_end, count)
+    images = np.stack([renderer.image(camera, float(time)) for time in times])  # (T, H, W, 3)
+    row = _row(view, images)
+    parts = [("render", images[:, row])]
+    same = sorted((v for v in scene.test if _stands_still(v, scene.test[view.index])), key=lambda v: v.time)
+    scale = renderer.cfg.train.resolution_scale
+    if len(same) > 2:
+        parts.append(("truth", np.stack([target_of(v, scale).image.numpy()[:, row].T for v in same])))
+    figure = canvas(4.2 * (1 + len(parts)), 3.6)
+    axes = figure.subplots(1, 1 + len(parts))
+    axes[0].imshow(np.clip(view.truth, 0, 1))
+    axes[0].axhline(row, color="#ff00c8", lw=1)
+    axes[0].set_title(f"{view.target.name}, truth; the row", fontsize=9, loc="left")
+    axes[0].set_axis_off()
+    for axis, (title, image) in zip(axes[1:], parts):
+        extent = (0, camera.width, scene.time_end, scene.time_start)
+        axis.imshow(np.clip(image, 0, 1), aspect="auto", extent=extent, interpolation="nearest")
+        axis.set(xlabel="x, pixels", ylabel="t")
+        axis.set_title(f"{title}, row {row}", fontsize=9, loc="left")
+    change = float(np.abs(np.diff(images[:, row], axis=0)).sum(axis=0).mean())
+    beside = f"; its true frames are beside it ({len(same)} of them)" if len(parts) > 1 else ""
+    seen = (
+        f"Row {row} over time, {count} rendered moments: what rests draws vertical lines, what moves slanted ones; a "
+        f"pixel changes by {change:.2f} of full scale in all{beside}."
+    )
+    return Figure("slices", "Slices through time", seen, png_of(figure))
+
+
+def _row(view: MovingView, images: np.ndarray) -> int:
+    """The row with most moving pixels; where they are unknown, with most change over time in the render."""
+    if view.moving is not None and view.moving.any():
+        return int(view.moving.sum(axis=1).argmax())
+    return int((images.max(axis=0) - images.min(axis=0)).sum(axis=(1, 2)).argmax())
+
+
+def _stands_still(view: View, other: View) -> bool:
+    return np.array_equal(view.camera.world_to_cam, other.camera.world_to_cam)

@@ -1,0 +1,1 @@
+"""Decisions that a run takes on validation views, before its training: see motion.py."""

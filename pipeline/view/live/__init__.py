@@ -1,0 +1,1 @@
+"""The live view: the viewer's page, served on this machine while a run is trained."""

@@ -1,0 +1,134 @@
+"""A model as a viewer's data: quantised, in order of place, compressed.
+
+What is lost, at most, in units of the picture:
+
+    position   POSITION_PX pixels at a depth of one normalised unit, over the whole time in which the Gaussian is seen
+    scale      SCALE_STEP / 2 of itself;   lifetime: LIFETIME_STEP / 2;   rotation: ROTATION_STEP / 2 radians
+    opacity    LOGIT_STEP / 8 at most;     time: TIME_STEP of the shortest lifetimes
+    colour     SH_STEP / 2 a coefficient, which makes a standard deviation of 0.003 of a Gaussian's colour
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from datasets.scene import Scene
+from pipeline.model.cube_map import CubeMap
+from pipeline.model.environment_map import EnvironmentMap
+from pipeline.model.model import Model
+from pipeline.view.columns import Column, quantised
+from pipeline.view.trajectories import LIFETIME, Trajectories, trajectories
+
+POSITION_PX = 0.05
+SCALE_STEP, LIFETIME_STEP, ROTATION_STEP = 0.01, 0.005, 0.002
+LOGIT_STEP, SH_STEP = 0.02, 0.01
+TIME_STEP = 0.01
+ENVIRONMENT_STEP = 1 / 512
+LOGITS = (-10.0, 10.0)  # beyond them neither the picture nor the kernel's alpha of at most 0.99 changes
+LARGEST_SH = 2**15 - 1  # steps: a texture's 16-bit integer
+MORTON_BITS = 10  # an axis
+
+COMPRESSION = 3  # of zlib; 6 would take three times as long for 5 % less
+
+
+@dataclass(frozen=True)
+class Packed:
+    """A model of a viewer."""
+
+    header: dict  # count, kind, columns: what the page needs to read `data`
+    data: bytes  # zlib
+
+
+def pack(model: Model, scene: Scene, compression: int = COMPRESSION) -> Packed:
+    """The Gaussians of `model` that are seen at a time of `scene`, and its environment map."""
+    columns = _Columns()
+    seen = _columns_of(trajectories(model), scene, columns)
+    header: dict = {
+        "trained": len(model),
+        "count": seen,
+        "motion": model.kind.motion,
+        "orders": model.kind.fourier_order + 1,
+        "coefficients": (model.kind.sh_degree + 1) ** 2,
+        "float32_bytes": model.bytes,
+    }
+    if (environment := model.environment_map) is not None:
+        if isinstance(environment, CubeMap):  # the page knows one kind of map
+            environment = environment.equirectangular(2 * environment.resolution)
+        header["environment"] = _environment(environment, columns)
+    header["columns"] = [column.to_dict() for column in columns.found]
+    return Packed(header, zlib.compress(b"".join(columns.planes), compression))
+
+
+class _Columns:
+    """Columns of one model in the order of their planes."""
+
+    def __init__(self) -> None:
+        self.found: list[Column] = []
+        self.planes: list[bytes] = []
+
+    def add(self, name: str, values: np.ndarray, step: float) -> None:
+        """Appends a column of `values` (N, …), rounded to `step`."""
+        column, planes = quantised(name, values, step)
+        self.found.append(column)
+        self.planes += planes
+
+
+def _columns_of(t: Trajectories, scene: Scene, columns: _Columns) -> int:
+    """Appends the columns of the Gaussians that are seen; returns how many there are.
+
+    Stored is the part of a Gaussian's line where it is seen: its middle, and how far it is from there to its end. The
+    error of a place is then the same at all times.
+    """
+    length = POSITION_PX * scene.unit / max(max(view.camera.fx, view.camera.fy) for view in scene.train)
+    if t.velocity is None or t.mean_t is None or t.sigma_t is None:
+        rows = _by_place(t.mean)
+        columns.add("middle", t.mean[rows], length)
+    else:
+        shortest = np.quantile(t.sigma_t, 0.01) if len(t.sigma_t) else 0.0
+        step = max(TIME_STEP * float(shortest), scene.duration * 2.0**-23)
+        sigma = np.exp(np.rint(np.log(t.sigma_t) / LIFETIME_STEP) * LIFETIME_STEP)
+        mean_t = np.rint(t.mean_t / step) * step
+        first, last = seen_from_to(mean_t, sigma, scene.time_start, scene.time_end)
+        half = 0.5 * (last - first)
+        middle = t.mean + t.velocity * (0.5 * (first + last) - t.mean_t)[:, None]
+        rows = np.flatnonzero(half >= 0)
+        rows = rows[_by_place(middle[rows])]
+        columns.add("mean_t", t.mean_t[rows], step)
+        columns.add("log_sigma_t", np.log(t.sigma_t)[rows], LIFETIME_STEP)
+        columns.add("middle", middle[rows], length)
+        columns.add("reach", (t.velocity * half[:, None])[rows], length)
+    columns.add("log_scale", np.log(np.maximum(t.scale[rows], 0.1 * length)), SCALE_STEP)
+    columns.add("rotation", t.rotation[rows], ROTATION_STEP)
+    columns.add("opacity_logit", np.clip(t.opacity_logit[rows], *LOGITS), LOGIT_STEP)
+    columns.add("sh", np.clip(t.sh[rows], -LARGEST_SH * SH_STEP, LARGEST_SH * SH_STEP), SH_STEP)
+    return len(rows)
+
+
+def seen_from_to(mean_t: np.ndarray, sigma_t: np.ndarray, start: float, end: float) -> tuple[np.ndarray, np.ndarray]:
+    """When each Gaussian has p(t) >= 0.05, within [start, end]; the first time is after the last where it never has."""
+    return np.maximum(start, mean_t - LIFETIME * sigma_t), np.minimum(end, mean_t + LIFETIME * sigma_t)
+
+
+def _by_place(points: np.ndarray) -> np.ndarray:
+    """Rows (N,) in Morton order of `points` (N, 3)."""
+    if len(points) == 0:
+        return np.zeros(0, np.int64)
+    low, high = np.quantile(points, 0.01, axis=0), np.quantile(points, 0.99, axis=0)
+    cells = (points - low) / np.maximum(high - low, np.finfo(np.float32).tiny) * 2**MORTON_BITS
+    cells = np.clip(cells, 0, 2**MORTON_BITS - 1).astype(np.int64)
+    key = np.zeros(len(points), np.int64)
+    for bit in range(MORTON_BITS):
+        for axis in range(3):
+            key |= (cells[:, axis] >> bit & 1) << (3 * bit + axis)
+    return np.argsort(key, kind="stable")
+
+
+def _environment(environment: EnvironmentMap, columns: _Columns) -> Sequence[int]:
+    """Appends the map as a column of a row a texel; returns its (height, width)."""
+    image = environment.image.numpy()
+    columns.add("environment", np.clip(image, -8, 8).reshape(3, -1).T, ENVIRONMENT_STEP)
+    return image.shape[1:]

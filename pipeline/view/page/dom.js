@@ -1,0 +1,3 @@
+// Elements by their id.
+
+export const $ = (id) => document.getElementById(id);

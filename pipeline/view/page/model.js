@@ -1,0 +1,101 @@
+// One model: what its data mean, as the arrays that the worker and the textures take.
+
+import { inflated, unpackColumns } from "./payload.js";
+
+// seen: { start, end } of the scene's time; lifetime: half of a Gaussian's, in standard deviations.
+export async function readModel(header, packed, scene) {
+    const columns = unpackColumns(header, await inflated(packed));
+    const motion = motionOf(header, columns, scene);
+    return {
+        header,
+        motion,
+        geometry: geometryOf(header.count, columns, motion),
+        sh: shOf(header, columns.sh),
+        shStep: columns.sh.step,
+        environment: header.environment ? environmentOf(header, columns.environment) : null,
+        ranges: { lifetime: quantiles(motion.sigma, Math.log), speed: quantiles(motion.speed, (x) => x) },
+    };
+}
+
+// A Gaussian is stored by the middle of the part of its line that is seen, and the way from there to its end.
+function motionOf(header, columns, scene) {
+    const n = header.count;
+    const mean = new Float32Array(3 * n);
+    const velocity = new Float32Array(3 * n);
+    const meanT = new Float32Array(n);
+    const sigma = new Float32Array(n).fill(Number.POSITIVE_INFINITY);
+    const lifetime = new Float32Array(n).fill(Number.POSITIVE_INFINITY);
+    const speed = new Float32Array(n);
+    for (let i = 0; i < n; ++i) {
+        let half = 0;
+        let fromMiddle = 0;
+        if (columns.mean_t) {
+            const centre = columns.mean_t.components[0][i] * columns.mean_t.step;
+            sigma[i] = Math.exp(columns.log_sigma_t.components[0][i] * columns.log_sigma_t.step);
+            meanT[i] = centre;
+            lifetime[i] = scene.lifetime * sigma[i];
+            const first = Math.max(scene.start, centre - lifetime[i]);
+            const last = Math.min(scene.end, centre + lifetime[i]);
+            half = 0.5 * (last - first);
+            fromMiddle = centre - 0.5 * (first + last);
+        }
+        for (let k = 0; k < 3; ++k) {
+            if (half > 0) velocity[3 * i + k] = (columns.reach.components[k][i] * columns.reach.step) / half;
+            mean[3 * i + k] = columns.middle.components[k][i] * columns.middle.step + velocity[3 * i + k] * fromMiddle;
+        }
+        speed[i] = Math.hypot(velocity[3 * i], velocity[3 * i + 1], velocity[3 * i + 2]);
+    }
+    return { mean, velocity, meanT, sigma, lifetime, speed };
+}
+
+// Four texels a Gaussian: mean and mean of time; velocity and 1/σt; scale and opacity; rotation as a quaternion (x, y, z, w).
+function geometryOf(n, columns, motion) {
+    const geometry = new Float32Array(16 * n);
+    const { log_scale: logScale, rotation, opacity_logit: logit } = columns;
+    for (let i = 0; i < n; ++i) {
+        const at = 16 * i;
+        const turn = rotation.components.map((component) => component[i] * rotation.step);
+        const angle = Math.hypot(...turn);
+        const sine = angle > 0 ? Math.sin(0.5 * angle) / angle : 0.5;
+        for (let k = 0; k < 3; ++k) {
+            geometry[at + k] = motion.mean[3 * i + k];
+            geometry[at + 4 + k] = motion.velocity[3 * i + k];
+            geometry[at + 8 + k] = Math.exp(logScale.components[k][i] * logScale.step);
+            geometry[at + 12 + k] = turn[k] * sine;
+        }
+        geometry[at + 3] = motion.meanT[i];
+        geometry[at + 7] = 1 / motion.sigma[i];
+        geometry[at + 11] = 1 / (1 + Math.exp(-logit.components[0][i] * logit.step));
+        geometry[at + 15] = Math.cos(0.5 * angle);
+    }
+    return geometry;
+}
+
+// A texel of RGB and one unused number for each coefficient.
+function shOf(header, column) {
+    const texels = header.coefficients * header.orders;
+    const sh = new Int16Array(4 * texels * header.count);
+    column.components.forEach((numbers, index) => {
+        const first = 4 * Math.floor(index / 3) + (index % 3);
+        for (let i = 0; i < header.count; ++i) sh[4 * texels * i + first] = numbers[i];
+    });
+    return sh;
+}
+
+function environmentOf(header, column) {
+    const [height, width] = header.environment;
+    const pixels = new Float32Array(4 * width * height);
+    column.components.forEach((numbers, channel) => {
+        for (let i = 0; i < numbers.length; ++i) pixels[4 * i + channel] = numbers[i] * column.step;
+    });
+    return { width, height, pixels };
+}
+
+// From the 5 % to the 95 % quantile, what colours show.
+function quantiles(values, of) {
+    if (values.length === 0) return [0, 1];
+    const ordered = Float32Array.from(values, of).sort();
+    const at = (share) => ordered[Math.floor(share * (ordered.length - 1))];
+    const [low, high] = [at(0.05), at(0.95)];
+    return high > low ? [low, high] : [low, low + 1];
+}

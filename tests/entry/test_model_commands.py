@@ -1,0 +1,108 @@
+"""Commands on a trained model: export, evaluate, render and figures, on one run of seconds."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from shell import TINY, Shell
+
+from pipeline.evaluate import main as evaluate
+from pipeline.export.__main__ import main as export
+from pipeline.export.formats import FORMATS
+from pipeline.figures.__main__ import main as figures
+from pipeline.model.ply import load_ply
+from pipeline.render import main as render
+from pipeline.training.checkpoint import load_model
+
+SCENE = TINY[:1] + TINY[2:]  # without the schedule
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory) -> Path:
+    shell = Shell(tmp_path_factory.mktemp("commands"))
+    _, err = shell(*TINY, "out=run", f"scene.cache={shell.folder}/cache")
+    assert err == ""
+    return shell.folder / "run"
+
+
+def test_every_format_is_written(run: Path, capsys: pytest.CaptureFixture) -> None:
+    assert export([str(run), *FORMATS, "--times", "0,1"]) == 0
+    said = capsys.readouterr().out
+    names = {path.name for path in (run / "exports").iterdir()}
+    assert names == {f"synthetic_wheel_000{i}.{name}" for i in (0, 1) for name in ("ply", "splat", "spz", "glb")} | {
+        f"synthetic_wheel.{name}" for name in ("ftgs.ply", "splatv", "4dgs", "pth")
+    }
+    assert all(form.loses in said for form in FORMATS.values())
+    assert load_ply(run / "exports/synthetic_wheel_0000.ply").kind.motion == "static"
+
+
+def test_help_says_what_each_format_loses(capsys: pytest.CaptureFixture) -> None:
+    with pytest.raises(SystemExit):
+        export(["--help"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert all(f"{name} {form.holds}; {form.read_by} loses {form.loses}" in said for name, form in FORMATS.items())
+
+
+@pytest.mark.parametrize(
+    "arguments, error",
+    [
+        (["ply", "--times", "2"], "--times: expected times in 0 to 1, found 2"),
+        (["ply", "--duration", "2"], "run: expected a file with --start or --duration"),
+    ],
+)
+def test_wrong_options_end_in_a_line(
+    run: Path, capsys: pytest.CaptureFixture, arguments: list[str], error: str
+) -> None:
+    assert export([str(run), *arguments]) == 1
+    assert error in capsys.readouterr().err
+
+
+def test_a_model_in_a_file_is_exported_and_evaluated(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    """Of the released program's layout, which has all of the model: the same numbers as the run's own evaluation."""
+    assert export([str(run), "pth", "--out", str(tmp_path)]) == 0
+    file = tmp_path / "synthetic_wheel.pth"
+    assert export([str(file), "ply", "--times", "0.5"]) == 0
+    assert load_ply(tmp_path / "synthetic_wheel.ply").kind.motion == "static"
+    assert evaluate([str(file), *SCENE, f"scene.cache={run.parent}/cache", "--out", str(tmp_path / "found")]) == 0
+    found, own = (json.loads((folder / "metrics.json").read_text()) for folder in (tmp_path / "found", run))
+    for name in ("psnr", "ssim", "flow_error", "depth_error_median"):
+        assert found["final"][name] == own["final"][name], name
+    assert found["n_gaussians"] == len(load_model(run / "checkpoint.safetensors"))
+    assert sorted(path.name for path in (tmp_path / "found").iterdir()) == ["metrics.json", "per_image.csv", "renders"]
+    capsys.readouterr()
+    assert evaluate([str(run / "metrics.json"), *SCENE]) == 1
+    assert "expected a file of a model (.safetensors, .ply, .pth), found .json" in capsys.readouterr().err
+    assert evaluate([str(file), "scene=synthetic/weel"]) == 1
+    assert "error: scene=synthetic/weel: no such option" in capsys.readouterr().err
+
+
+def test_a_path_of_ones_own_is_rendered(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    pose = [[1, 0, 0, 0], [0, 0, -1, -4.0], [0, 1, 0, 0], [0, 0, 0, 1]]
+    file = tmp_path / "poses.json"
+    file.write_text(json.dumps({"w": 40, "h": 30, "frames": [{"transform_matrix": pose, "time": 0.5}] * 2}))
+    out = tmp_path / "out"
+    assert render([str(run), "--path", str(file), "--out", str(out)]) == 0
+    kinds = ("render", "depth", "flow")
+    assert {path.name for path in out.iterdir()} == {f"{kind}.mp4" for kind in kinds} | {
+        f"{number:04d}_{kind}.png" for number in (0, 1) for kind in kinds
+    }
+    first, second = (np.asarray(Image.open(out / f"000{i}_render.png")) for i in (0, 1))
+    assert first.shape == (30, 40, 3) and np.array_equal(first, second), "one pose, one time"
+    assert render([str(run), "--path", str(file), "--times", "0,0.5,1"]) == 1
+    assert "--times: expected 2, one a frame of the path, found 3" in capsys.readouterr().err
+    assert render([str(run), "--frames", "3", "--out", str(tmp_path / "orbit")]) == 0
+    assert (tmp_path / "orbit/0002_flow.png").exists()
+
+
+def test_figures_are_in_the_run_folder(run: Path) -> None:
+    assert figures([str(run)]) == 0
+    index = json.loads((run / "figures/figures.json").read_text())
+    assert [row["file"] for row in index] == [
+        "flow.png", "time_maps.png", "lifetimes.png", "slices.png", "growth.png", "film.png",
+    ]  # fmt: skip
+    page = (run / "figures/figures.md").read_text()
+    assert all(row["seen"] in page and (run / "figures" / row["file"]).exists() for row in index)

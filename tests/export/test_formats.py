@@ -1,0 +1,154 @@
+"""Each format, read back by another reader, renders as the kernel does, to the format's precision."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import fourdgs
+import numpy as np
+import pytest
+import torch
+from builders import generator, make_request, random_gaussians
+from export_readers import read_fourdgs, read_ftgs, read_glb, read_splat, read_splatv, read_spz
+
+from pipeline.evaluation.metrics import psnr
+from pipeline.export.formats import FORMATS, FilmFormat, FrameFormat
+from pipeline.export.frame import frame_at
+from pipeline.export.moving import MovingGaussians, moving_gaussians
+from pipeline.export.source import Timeline
+from pipeline.model.model import Model
+from pipeline.model.ply import load_ply
+from rasterizer import Rasterizer
+from rasterizer.covariance import rotation_3d
+
+START, DURATION, TIME = 0.1, 0.8, 0.45
+LINE = Timeline(START, DURATION, seconds=4.0, frames=25)
+
+
+@pytest.fixture(scope="module")
+def model() -> Model:
+    """Without time-varying colour, which no temporal format has; colours of degree 0 within [0, 1]."""
+    return model_of(sh_degree=3)
+
+
+def model_of(sh_degree: int) -> Model:
+    gaussians = random_gaussians(150, "full", generator(5), sh_degree=sh_degree, fourier_order=0).to(torch.float32)
+    gaussians.sh.mul_(0.7).clamp_(-0.9, 0.9)
+    return Model.from_gaussians(gaussians)
+
+
+def image(model: Model, time: float = 0.0) -> np.ndarray:
+    return Rasterizer(threads=1).render(model.gaussians(), make_request(time=time)).color.numpy()
+
+
+def without_directions(model: Model) -> Model:
+    return Model.from_gaussians(
+        type(model.gaussians()).from_tensors(model.parameters | {"sh": model.parameters["sh"][:, :1].contiguous()})
+    )
+
+
+def test_ply_and_gltf_are_exact(model: Model, tmp_path: Path) -> None:
+    frame = frame_at(model, TIME, DURATION)
+    (tmp_path / "frame.ply").write_bytes(FORMATS["ply"].content(frame))
+    assert np.array_equal(image(load_ply(tmp_path / "frame.ply")), image(frame)), "the same bits"
+    # activated values in float32, and rotated SH: 1e-5 is a few hundred roundings
+    assert np.abs(image(read_glb(FORMATS["glb"].content(frame))) - image(frame)).max() < 1e-5
+    assert np.abs(image(frame) - image(model, TIME)).max() < 1e-4
+
+
+def test_gltf_is_read_by_another_library(model: Model, tmp_path: Path) -> None:
+    frame = frame_at(model, TIME, DURATION)
+    path = tmp_path / "frame.glb"
+    path.write_bytes(FORMATS["glb"].content(frame))
+    found = fourdgs.from_gltf(path).gaussians
+    assert found.count == len(frame) and found.sh_degree == 3
+    expected = frame.parameters["mean"].numpy() * [1, -1, -1]
+    assert found.positions == pytest.approx(expected, abs=1e-6)
+    assert found.colors[:, 3] == pytest.approx(torch.sigmoid(frame.parameters["opacity_logit"]).numpy(), abs=1e-6)
+
+
+def test_splat_keeps_eight_bits(model: Model) -> None:
+    plain = without_directions(model)
+    frame = frame_at(plain, TIME, DURATION)
+    read = read_splat(FORMATS["splat"].content(frame))
+    size = torch.sigmoid(read.parameters["opacity_logit"]) * read.parameters["log_scale"].sum(dim=1).exp()
+    assert (size.diff() <= 0.2 * size[:-1]).all(), "largest first, but for rounded opacities"
+    # Opacity and colour are off by at most 1/510, rotations by 1/256 a component. Several layers of splats whose edges
+    # turn by 0.01 rad: RMS 0.01 of full scale
+    assert psnr(image(read), image(frame)) > 40
+
+
+def test_spz_keeps_its_bits(model: Model) -> None:
+    frame = frame_at(model, TIME, DURATION)
+    read = read_spz(FORMATS["spz"].content(frame))
+    assert (read.parameters["mean"] - frame.parameters["mean"]).abs().max() <= 0.5 / 4096 + 1e-6
+    assert (read.parameters["log_scale"] - frame.parameters["log_scale"]).abs().max() <= 0.5 / 16 + 1e-6
+    turn = rotation_3d(read.parameters["quat_left"]).transpose(1, 2) @ rotation_3d(frame.parameters["quat_left"])
+    # Components are off by 1/1445, the fourth follows from them: angles below 2 · 4/1445 = 6e-3, cosines above 1 - 2e-5
+    assert turn.diagonal(dim1=1, dim2=2).abs().min() > 1 - 2e-5
+    rest = (read.parameters["sh"] - frame.parameters["sh"])[:, 1:].abs()
+    assert rest[:, :3].max() <= 4.5 / 128 and rest[:, 3:].max() <= 8.5 / 128, "half of 8 and of 16 steps, and rounding"
+    # Coefficients of SH off by 0.02 and 0.036 RMS, 15 of them: colours by about 0.1 where there is one splat
+    assert psnr(image(read), image(frame)) > 30
+    plain = frame_at(without_directions(model), TIME, DURATION)
+    assert psnr(image(read_spz(FORMATS["spz"].content(plain))), image(plain)) > 40, "scales off by 3 %"
+
+
+def test_spz_refuses_what_its_fixed_point_lacks(model: Model) -> None:
+    frame = frame_at(model, TIME, DURATION)
+    far = Model(frame.kind, frame.parameters | {"mean": frame.parameters["mean"] + 3000})
+    with pytest.raises(ValueError, match="spz: expected positions within ± 2048"):
+        FORMATS["spz"].content(far)
+
+
+def in_time(moving: MovingGaussians) -> MovingGaussians:
+    """From normalised times to those of the scene."""
+    return MovingGaussians(
+        moving.mean,
+        moving.velocity / DURATION,
+        moving.log_scale,
+        moving.quat,
+        moving.opacity,
+        moving.sh,
+        START + moving.time * DURATION,
+        moving.sigma * DURATION,
+    )
+
+
+def test_ftgs_ply_is_exact(model: Model) -> None:
+    moving = moving_gaussians(model, START, DURATION)
+    read = in_time(read_ftgs(FORMATS["ftgs.ply"].content(moving, LINE)))
+    for time in (START, TIME, START + DURATION):
+        # float32 positions, velocities and times of about 1: 1e-4 as for a frame
+        assert np.abs(image(read.at(time)) - image(model, time)).max() < 1e-4
+
+
+def test_splatv_keeps_half_precision(model: Model) -> None:
+    plain = without_directions(model)
+    read = in_time(read_splatv(FORMATS["splatv"].content(moving_gaussians(plain, START, DURATION), LINE)))
+    for time in (START, TIME, START + DURATION):
+        # As .splat; times are off by 1/4096 of the duration at speeds of about 1 in a scene of size 2
+        assert psnr(image(read.at(time)), image(plain, time)) > 40
+
+
+def test_fourdgs_keeps_its_bounds(model: Model) -> None:
+    read = in_time(read_fourdgs(FORMATS["4dgs"].content(moving_gaussians(model, START, DURATION), LINE), LINE.seconds))
+    for time in (START, TIME, START + DURATION):
+        # SH bytes are off by 1/64, opacities and colours by 0.5/255; the format's profile "fine" bounds the rest
+        assert psnr(image(read.at(time)), image(model, time)) > 38
+
+
+def test_a_degree_without_directions_is_written(tmp_path: Path) -> None:
+    model = model_of(sh_degree=0)
+    frame, moving = frame_at(model, TIME, DURATION), moving_gaussians(model, START, DURATION)
+    for form in FORMATS.values():
+        if isinstance(form, FrameFormat):
+            assert form.content(frame)
+        elif isinstance(form, FilmFormat):
+            assert form.content(moving, LINE)
+    assert fourdgs.from_gltf(written(tmp_path / "a.glb", FORMATS["glb"].content(frame))).gaussians.sh_degree == 0
+
+
+def written(path: Path, content: bytes) -> Path:
+    path.write_bytes(content)
+    return path
