@@ -62,7 +62,7 @@ def load_released(path: Path) -> Model:
     stored = _fields(path)
     try:
         return _model(stored).checked()
-    except (KeyError, IndexError, TypeError, AttributeError, ValueError, RuntimeError) as error:
+    except (KeyError, IndexError, TypeError, AttributeError, ValueError, ArithmeticError, RuntimeError) as error:
         raise DataError(path, "Gaussians of the released program", str(error)) from None
 
 
