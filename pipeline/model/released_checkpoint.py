@@ -105,6 +105,8 @@ def _fields(path: Path) -> dict[str, Any]:
 
 def _model(stored: dict[str, Any]) -> Model:
     mean = _tensor(stored, "xyz", 3)
+    if len(mean) == 0:
+        raise ValueError("expected at least one Gaussian, found none")
     parameters = {
         "mean": mean,
         "log_scale": _tensor(stored, "scaling", 3),
