@@ -62,7 +62,7 @@ def load_released(path: Path) -> Model:
     stored = _fields(path)
     try:
         return _model(stored).checked()
-    except (KeyError, IndexError, TypeError, AttributeError, ValueError, RuntimeError) as error:
+    except (KeyError, IndexError, TypeError, AttributeError, ValueError, ArithmeticError, RuntimeError) as error:
         raise DataError(path, "Gaussians of the released program", str(error)) from None
 
 
@@ -105,6 +105,8 @@ def _fields(path: Path) -> dict[str, Any]:
 
 def _model(stored: dict[str, Any]) -> Model:
     mean = _tensor(stored, "xyz", 3)
+    if len(mean) == 0:
+        raise ValueError("expected at least one Gaussian, found none")
     parameters = {
         "mean": mean,
         "log_scale": _tensor(stored, "scaling", 3),
