@@ -14,7 +14,7 @@ from pipeline.config.schema import InitConfig
 from pipeline.data.sfm.clip import reconstruct_clip
 from pipeline.data.sfm.moving_masks import fundamental_matrix
 from pipeline.data.sfm.photograph import Photograph
-from pipeline.evaluation.camera_path import look_at
+from pipeline.evaluation.pictures.camera_path import look_at
 from rasterizer.camera import Camera
 
 COUNT = 14
