@@ -22,6 +22,7 @@ __all__ = [
     "Scene",
     "SceneError",
     "View",
+    "is_drive",
     "is_filmed",
     "load_clip",
     "load_footage",
@@ -44,11 +45,31 @@ def load_scene(cfg: SceneConfig, *, threads: int = 0, log: Log = print) -> Scene
     cfg = with_reader(cfg)
     if is_filmed(cfg):
         return load_posed(cfg, threads=threads, log=log).to_scene()
+    if is_drive(cfg):
+        return _read_drive(cfg, log)
     scene = _read_photographs(cfg, log)
     if not cfg.validation_every:
         return scene
     hold_out = hold_out_outermost if cfg.validation_outermost else hold_out_every
     return validate_scene(hold_out(scene, cfg.validation_every))
+
+
+def is_drive(cfg: SceneConfig) -> bool:
+    """Whether the scene is a driving log: cameras on a car, with LiDAR or without."""
+    if cfg.reader == "synthetic":
+        from datasets.synthetic import DRIVEN
+
+        return _synthetic_name(cfg) in DRIVEN
+    return cfg.reader in ("kitti", "waymo")
+
+
+def _read_drive(cfg: SceneConfig, log: Log) -> Scene:
+    from datasets.urban import open_log
+    from datasets.urban.assemble import scene_of_log
+
+    if cfg.reader == "synthetic":
+        return scene_of_log(open_log("waymo", _make_synthetic(cfg, log)), cfg, log)
+    return scene_of_log(open_log(cfg.reader, _path(cfg)), cfg, log)
 
 
 def with_reader(cfg: SceneConfig, log: Log | None = None) -> SceneConfig:
@@ -169,8 +190,9 @@ def __getattr__(name: str) -> Any:
 
 
 def _make_synthetic(cfg: SceneConfig, log: Log) -> Path:
-    from datasets.synthetic import make_scene
+    from datasets.synthetic import DRIVEN, make_scene
 
+    what = "frames" if _synthetic_name(cfg) in DRIVEN else "cameras"
     return make_scene(
         _synthetic_name(cfg),
         cfg.cache,
@@ -180,7 +202,8 @@ def _make_synthetic(cfg: SceneConfig, log: Log) -> Path:
         test_views=cfg.test_views,
         cameras=cfg.cameras,
         frames=cfg.frames,
-        progress=lambda done, total: log(f"{cfg.name}: {done} of {total} cameras rendered"),
+        layout=cfg.layout,
+        progress=lambda done, total: log(f"{cfg.name}: {done} of {total} {what} rendered"),
     )
 
 

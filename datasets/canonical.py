@@ -7,7 +7,7 @@ drawn in a cube around the origin, and float32 loses digits far from it. Every s
 
 Space: the origin is the least-squares intersection of the training cameras' optical axes, at a mean distance of 4
 units, as in D-NeRF's scenes and the released program's converter. There is no rotation. Time: photographs take
-[0, 1], D-NeRF's convention; 30 video frames are one unit, which is a second of Plenoptic Video.
+[0, 1], D-NeRF's convention, and so do driving logs; 30 video frames are one unit, which is a second of Plenoptic Video.
 
 A scene that follows the convention within 10 % is left unchanged, bit for bit. Two scalings of one world that are both
 within 10 % are therefore not made equal.
@@ -21,11 +21,12 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from datasets.cameras.optical_axes import intersect_axes, mean_direction
-from datasets.scene import Box, Corner, Scene, View, camera_extent
+from datasets.scene import Box, Corner, Scene, Sweep, View, camera_extent
 from rasterizer.camera import Camera
 
 DISTANCE = 4.0  # mean distance of the training cameras from the origin
 FRAMES_PER_UNIT = 30.0  # of a video
+SHORTEST_DRIVE = 40.0  # metres: what a parked car sees is no smaller
 TOLERANCE = 0.1  # relative deviation from the convention up to which a scene is left unchanged
 # Relative. Removes the rounding of a frame rate that was computed from times in float64.
 RATE_ROUNDING = 1e-9
@@ -113,7 +114,8 @@ class Canonical:
 
 def canonical_of(scene: Scene) -> Canonical:
     """The transform for a scene, from its training cameras, its range of time and the frame rate of its videos."""
-    space = canonical_space([view.camera for view in scene.train], scene.unit)
+    cameras = [view.camera for view in scene.train]
+    space = along_a_drive(cameras) if scene.is_drive else canonical_space(cameras, scene.unit)
     if scene.frame_rate is None:
         time_scale = 1.0 / scene.duration
     else:
@@ -121,6 +123,17 @@ def canonical_of(scene: Scene) -> Canonical:
         if abs(time_scale - 1.0) < RATE_ROUNDING:
             time_scale = 1.0
     return replace(space, time_origin=float(scene.time_start), time_scale=float(time_scale))
+
+
+def along_a_drive(cameras: Sequence[Camera]) -> Canonical:
+    """The spatial part of a driving log: the origin is the middle of the way, half of which is DISTANCE units.
+
+    Optical axes say nothing here: they are parallel, or those of cameras to the side meet behind the car. Speeds are
+    then alike in logs of any length, as times are in [0, 1]. A log of less than twice SHORTEST_DRIVE is not enlarged.
+    """
+    positions = np.stack([camera.position for camera in cameras])
+    unit = max(camera_extent(cameras), SHORTEST_DRIVE) / DISTANCE
+    return Canonical(tuple((0.5 * (positions.min(axis=0) + positions.max(axis=0))).tolist()), 1.0 / unit)
 
 
 def canonical_space(cameras: Sequence[Camera], unit: float | None = None) -> Canonical:
@@ -162,14 +175,21 @@ def canonicalise(scene: Scene, transform: Canonical) -> Scene:
         truth = view.truth and view.truth.in_units(transform.scale, transform.time_scale)
         return replace(view, camera=cameras[key], time=transform.time(view.time), truth=truth)
 
+    def sweep_of(sweep: Sweep) -> Sweep:
+        time, origin = transform.time(sweep.time), transform.points(sweep.origin)
+        return replace(sweep, time=time, origin=origin, points=transform.points(sweep.points))
+
     return replace(
         scene,
         train=tuple(map(view_of, scene.train)),
         test=tuple(map(view_of, scene.test)),
+        sweeps=tuple(map(sweep_of, scene.sweeps)),
+        test_sweeps=tuple(map(sweep_of, scene.test_sweeps)),
         duration=scene.duration * transform.time_scale,
         time_start=transform.time(scene.time_start),
         extent=scene.extent * transform.scale,
         init_box=transform.box(scene.init_box),
         unit=scene.unit * transform.scale,
+        metre=None if scene.metre is None else scene.metre * transform.scale,
         frame_rate=None if scene.frame_rate is None else scene.frame_rate / transform.time_scale,
     )

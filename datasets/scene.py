@@ -49,7 +49,20 @@ class View:
     name: str  # unique in the scene, e.g. "train/r_0"
     coverage: np.ndarray | None = None  # (H, W) uint8, alpha × 255; None: opaque everywhere
     truth: StoredTruth | None = None  # of motion and geometry, read when asked for; None: unknown
+    frame: int | None = None  # of a driving log: views and sweep of one moment share it
+    sky: np.ndarray | None = None  # (H, W) bool; None: unknown
+    moving: np.ndarray | None = None  # (H, W) bool, what moves by a mask of the data; None: unknown
     mask: np.ndarray | None = None  # (H, W) bool: pixels that count in the loss and in psnr_masked; None: all
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """One LiDAR sweep: the points where its beams met a surface."""
+
+    frame: int  # as View.frame
+    time: float  # as View.time
+    origin: np.ndarray  # (3,) float64, where the beams start, world units
+    points: np.ndarray  # (N, 3) float64, world units
 
 
 @dataclass(frozen=True)
@@ -79,6 +92,11 @@ class Scene:
     unit: float = 1.0  # world units per normalised unit, in which the near plane is given
     frame_rate: float | None = None  # of videos: frames per unit of time; None: photographs
     playback_rate: float | None = None  # of videos: frames a second of rendered videos; None: frame_rate
+    sweeps: tuple[Sweep, ...] = ()  # LiDAR of the training frames, in the order of time
+    test_sweeps: tuple[Sweep, ...] = ()  # of the held-out frames; no model is trained on them
+    is_drive: bool = False  # a car drives through it; images of different cameras may differ in size
+    metre: float | None = None  # world units per metre; None: unknown
+    moving_by: str | None = None  # where the views' masks of what moves come from
     points: ScenePoints | None = None  # initial points; None: random, or from structure from motion
     test_split: str | None = None  # how the held-out views were chosen, for tables; None: as scene.test_split says
 
@@ -157,6 +175,9 @@ def validate_scene(scene: Scene) -> Scene:
             raise SceneError(scene.source, "each view's name once", f"{view.name} twice")
         names.add(view.name)
 
+    for sweep in scene.sweeps + scene.test_sweeps:
+        _validate_sweep(sweep, scene)
+
     # Relative to the distance from the origin: rounding errors are no extent, but a rig of one metre is, also in map
     # coordinates of millions of metres.
     farthest = max(float(np.linalg.norm(view.camera.position)) for view in scene.train)
@@ -176,7 +197,7 @@ def _validate_view(view: View, scene: Scene, first: View) -> None:
         raise SceneError(
             where, f"an image of uint8 {shape}, its camera's size", f"{view.image.dtype} {view.image.shape}"
         )
-    if view.image.shape != first.image.shape:
+    if view.image.shape != first.image.shape and not scene.is_drive:
         raise SceneError(
             where,
             f"{first.camera.width} x {first.camera.height} pixels as {first.name}",
@@ -184,3 +205,14 @@ def _validate_view(view: View, scene: Scene, first: View) -> None:
         )
     if not scene.time_start <= view.time <= scene.time_end:  # also false for NaN
         raise SceneError(where, f"a time in [{scene.time_start:g}, {scene.time_end:g}]", f"{view.time}")
+    for name, mask in (("sky", view.sky), ("moving", view.moving)):
+        if mask is not None and (mask.dtype != np.bool_ or mask.shape != shape[:2]):
+            raise SceneError(where, f"a {name} mask of bool {shape[:2]}", f"{mask.dtype} {mask.shape}")
+
+
+def _validate_sweep(sweep: Sweep, scene: Scene) -> None:
+    where = f"{scene.source}: sweep of frame {sweep.frame}"
+    if not scene.time_start <= sweep.time <= scene.time_end:
+        raise SceneError(where, f"a time in [{scene.time_start:g}, {scene.time_end:g}]", f"{sweep.time}")
+    if not (np.isfinite(sweep.points).all() and np.isfinite(sweep.origin).all()):
+        raise SceneError(where, "finite points", "NaN or Inf")

@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, Optional
 
-BACKGROUND_MODELS = ("none", "sphere", "envmap")
+BACKGROUND_MODELS = ("none", "sphere", "envmap", "cubemap")
 LAYOUTS = ("colmap", "nerfstudio", "dynamic_gaussians", "nerfies", "llff")  # folders of other tools (datasets/layouts)
-READERS = ("dnerf", "plenoptic", "video", "synthetic", "auto", *LAYOUTS)
+READERS = ("dnerf", "plenoptic", "video", "synthetic", "kitti", "waymo", "auto", *LAYOUTS)
 SYNC = ("none", "auto", "given")
+SKY_MASKS = ("auto", "none", "files", "estimated")
+STREET_LAYOUTS = ("processed", "kitti_format")
 COLOR_NAMES = ("auto", "black", "white")  # of scene.background
 
 
@@ -19,7 +21,7 @@ class SceneConfig:
     # Name of the scene and of its run folder; may contain a slash. By default derived from the folder of scene.path
     name: str = "dnerf"
     # Layout of the data: dnerf | plenoptic | video | synthetic | colmap | nerfstudio | dynamic_gaussians | nerfies |
-    # llff | auto: found out and said (datasets/layouts/detect.py)
+    # llff | kitti | waymo | auto: found out and said (datasets/layouts/detect.py)
     reader: str = "dnerf"
     path: Optional[str] = None  # folder of the data; not used by synthetic scenes
     test_split: str = "test"  # dnerf: the held-out split, test | val
@@ -32,13 +34,20 @@ class SceneConfig:
     # Videos of several cameras: none: synchronised | auto: starts found by sound, else by the picture | given: offsets
     sync: str = "none"
     offsets: list[float] = field(default_factory=list)  # seconds at which each camera started, in the order of names
-    first_frame: int = 0  # plenoptic, video: the first video frame in use
-    frames: int = 300  # plenoptic, video: largest number of frames in use; synthetic/counter: frames to render
+    first_frame: int = 0  # plenoptic, video, driving logs: the first frame in use, counted from 0
+    # plenoptic, video, driving logs: largest number of frames in use; synthetic/counter, synthetic/street: to render
+    frames: int = 300
+    log_cameras: Optional[list[int]] = None  # driving logs: numbers of the cameras in use; None: the layout's
+    # Driving logs: auto: masks that come with the data, else estimated from colour, edges and LiDAR | none | files |
+    # estimated
+    sky_masks: str = "auto"
+    layout: str = "processed"  # synthetic/street: the layout it is written in, processed | kitti_format
+    fourier_order: Optional[int] = None  # highest Fourier order that such data need; None: the ablation's
     downscale: int = 2  # images are read at 1/downscale of their size; 0 (own data): chosen by the size
     # Colour under transparent pixels: black, white or RGB in [0, 1]. auto: the border colour of opaque images if all
     # borders have one colour, else black
     background: Any = "auto"
-    background_model: str = "none"  # model of the distant background: none | sphere | envmap
+    background_model: str = "none"  # model of the distant background: none | sphere | envmap | cubemap
     cache: str = "results/cache"  # folder of synthetic scenes, decoded frames and COLMAP's results
     size: int = 200  # synthetic: image width in pixels
     cameras: int = 12  # synthetic/counter: number of cameras, held-out ones included
@@ -64,6 +73,22 @@ class SceneConfig:
         require(self.sync in SYNC, "scene.sync", ", ".join(SYNC), self.sync)
         require(self.first_frame >= 0, "scene.first_frame", ">= 0", self.first_frame)
         require(self.frames >= 1, "scene.frames", "at least 1", self.frames)
+        require(self.test_every >= 2, "scene.test_every", "at least 2", self.test_every)
+        require(
+            self.log_cameras is None
+            or (0 < len(self.log_cameras) == len(set(self.log_cameras)) and min(self.log_cameras) >= 0),
+            "scene.log_cameras",
+            "different camera numbers, 0 or more",
+            self.log_cameras and list(self.log_cameras),
+        )
+        require(self.sky_masks in SKY_MASKS, "scene.sky_masks", ", ".join(SKY_MASKS), self.sky_masks)
+        require(self.layout in STREET_LAYOUTS, "scene.layout", ", ".join(STREET_LAYOUTS), self.layout)
+        require(
+            self.fourier_order is None or 0 <= self.fourier_order <= 2,
+            "scene.fourier_order",
+            "0 to 2",
+            self.fourier_order,
+        )
         require(
             self.background_model in BACKGROUND_MODELS,
             "scene.background_model",
@@ -78,7 +103,6 @@ class SceneConfig:
             "at least 2, or 0 (off)",
             self.validation_every,
         )
-        require(self.test_every >= 2, "scene.test_every", "at least 2", self.test_every)
         require(
             1 <= self.downscale <= 16 or (self.downscale == 0 and self.reader in ("video", "auto", *LAYOUTS)),
             "scene.downscale",

@@ -48,6 +48,9 @@ _HEADINGS = {
     "flow_error": "flow error",
     "flow_error_px": "flow error, px",
     "depth_error_median": "depth error",
+    "lidar_error_median": "LiDAR error",
+    "lidar_error_mean": "LiDAR AbsRel",
+    "lidar_rmse": "LiDAR RMSE, m",
     "fps_render": "FPS",
     "fps_raster": "FPS (raster)",
 }

@@ -141,6 +141,8 @@ def stage_inputs(cfg: Config, data: Prepared) -> dict[str, str]:
     if data.sfm_folder is not None:
         found["sfm"] = _hash(data.sfm_folder.name)
         beginning.append(found["sfm"])
+    if data.scene.is_drive:
+        beginning += [asdict(cfg.init), cfg.effective_fourier_order, config["train"]["densify"]["max_gaussians"]]
     if cfg.effective_background_model != "none":
         beginning += [cfg.effective_background_model, cfg.init.sphere_points, cfg.init.sphere_radius]
     if motion.due(cfg, data.scene):
@@ -157,7 +159,7 @@ def stage_inputs(cfg: Config, data: Prepared) -> dict[str, str]:
 
 
 def fingerprint(scene: Scene) -> str:
-    """Hash of a scene's images, cameras, times and bounds. Its folder does not matter."""
+    """Hash of a scene's images, masks, cameras, sweeps, times and bounds. Its folder does not matter."""
     digest = hashlib.blake2b(digest_size=16)
     digest.update(repr((scene.duration, scene.time_start, scene.background, scene.init_box)).encode())
     for view in scene.train + scene.test:
@@ -170,6 +172,12 @@ def fingerprint(scene: Scene) -> str:
         for plane in (view.coverage, view.mask):
             if plane is not None:
                 digest.update(np.ascontiguousarray(plane).data)
+        for mask in (view.sky, view.moving):
+            if mask is not None:
+                digest.update(np.packbits(mask).data)
+    for sweep in scene.sweeps + scene.test_sweeps:
+        digest.update(repr((sweep.frame, sweep.time)).encode())
+        digest.update(np.ascontiguousarray(sweep.points).data)
     return digest.hexdigest()
 
 

@@ -5,6 +5,7 @@ lamp      colours that depend on time and direction   tests 4DSH
 burst     objects that appear, move and vanish        tests densification in time
 still     static, without times                       the control: none of these is needed
 counter   multi-camera video                          motion, flicker and a distant background
+street    a driving log of three cameras and a LiDAR  depth, sky and what moves seen from a moving car
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ from datasets.files.errors import SceneError
 
 PHOTOGRAPHED = ("wheel", "lamp", "burst", "still")  # in the D-NeRF layout: one camera per time
 FILMED = ("counter",)  # in the Plenoptic Video layout: several cameras at every time
-SCENE_NAMES = PHOTOGRAPHED + FILMED
+DRIVEN = ("street",)  # in the layouts of driving logs: cameras on a car, LiDAR
+SCENE_NAMES = PHOTOGRAPHED + FILMED + DRIVEN
 
 Progress = Callable[[int, int], None]  # called after each camera of a film: cameras done, all cameras
 
@@ -38,22 +40,24 @@ def make_scene(
     cameras: int = 12,
     frames: int = 60,
     processes: int = 1,
+    layout: str = "processed",
     progress: Progress | None = None,
 ) -> Path:
     """The folder of a synthetic scene under `cache`; traces the scene if it is not there.
 
     size: image width in pixels. train_views, test_views: of photographed scenes. cameras, frames, processes, progress:
-    of filmed scenes, see build_scene. The folder's name ends with a hash of everything that determines the images: the
-    sources of the tracer and of the scene, and the arguments. Raises SceneError for an unknown name or an invalid
-    argument.
+    of filmed scenes, see build_scene. frames, layout (urban.write.WRITERS): of drives. The folder's name ends with a
+    hash of everything that determines the images: the sources of the tracer and of the scene, and the arguments.
+    Raises SceneError for an unknown name or an invalid argument.
     """
     _check_name(name)
     parameters: dict[str, Any] = {"scene": name, "seed": seed, "size": size}
-    parameters |= (
-        {"cameras": cameras, "frames": frames}
-        if name in FILMED
-        else {"train_views": train_views, "test_views": test_views}
-    )
+    if name in FILMED:
+        parameters |= {"cameras": cameras, "frames": frames}
+    elif name in DRIVEN:
+        parameters |= {"frames": frames, "layout": layout}
+    else:
+        parameters |= {"train_views": train_views, "test_views": test_views}
     folder = Path(cache) / f"{name}-{_fingerprint(parameters)}"
     if not (folder / "meta.json").is_file():
         build_scene(folder, **parameters, processes=processes, progress=progress)
@@ -72,6 +76,7 @@ def build_scene(
     frames: int = 60,
     samples: int = 3,
     processes: int = 1,
+    layout: str = "processed",
     progress: Progress | None = None,
 ) -> Path:
     """Traces a scene into `folder`, which must be absent or empty. The same arguments give the same bytes.
@@ -85,6 +90,13 @@ def build_scene(
 
         settings = FilmSettings(scene=scene, seed=seed, size=size, cameras=cameras, frames=frames, samples=samples)
         return write_film(settings, Path(folder), processes=processes, progress=progress)
+
+    if scene in DRIVEN:
+        from datasets.synthetic.drive.write_drive import write_drive
+
+        return write_drive(
+            Path(folder), scene=scene, seed=seed, size=size, frames=frames, layout=layout, progress=progress
+        )
 
     from datasets.synthetic.camera_path import held_out_poses, training_poses
     from datasets.synthetic.write import write_scene
@@ -120,6 +132,9 @@ def _check_name(name: str) -> None:
 def _fingerprint(parameters: dict) -> str:
     here = Path(__file__).parent
     digest = hashlib.sha256(json.dumps(parameters, sort_keys=True).encode())
-    for source in [*sorted(here.glob("*.py")), here / "scenes" / f"{parameters['scene']}.py"]:
+    sources = (
+        [*here.glob("*.py"), *(here / "drive").glob("*.py")] if parameters["scene"] in DRIVEN else here.glob("*.py")
+    )
+    for source in [*sorted(sources), here / "scenes" / f"{parameters['scene']}.py"]:
         digest.update(source.read_bytes())
     return digest.hexdigest()[:12]

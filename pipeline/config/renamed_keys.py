@@ -32,6 +32,12 @@ ADDED: dict[str, Any] = {
     "train.densify.error_points": 0,
     "train.densify.error_points_every": 500,
     "train.dropout": 0.0,
+    # Without effect but on driving logs, which no earlier version read.
+    "train.depth.lidar": 1.0,
+    "train.depth.lidar_decay": 0.267,
+    "train.depth.sky_inverse": 0.1,
+    "train.depth.sky_opacity": 0.05,
+    "train.cubemap_resolution": 128,
     "train.select_motion": 0.0,
 }
 _OVERRIDES = "train.static_overrides."  # holds keys of `train`

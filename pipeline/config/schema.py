@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Optional
 
 from datasets.settings import BACKGROUND_MODELS, SceneConfig, require
-from pipeline.config.ranges import above, at_least, check, one_of, positive_count
+from pipeline.config.ranges import above, at_least, between, check, one_of, positive_count
 from pipeline.config.train_schema import TrainConfig
 
 
@@ -19,7 +19,8 @@ from pipeline.config.train_schema import TrainConfig
 class InitConfig:
     """Where the initial points come from. COLMAP's part applies where several cameras filmed at one time."""
 
-    source: str = "auto"  # auto: sfm where several cameras filmed at once, else random | random | sfm
+    # auto: lidar where sweeps are, sfm in other driving logs and where several cameras filmed at once, else random
+    source: str = "auto"  # auto | random | sfm | lidar
     refine_poses: bool = False  # let COLMAP adjust the poses that came with the data
     seed: int = 0  # COLMAP's, apart from the run's: runs of several seeds share its result
     max_features: int = 8192  # SIFT features an image
@@ -29,12 +30,16 @@ class InitConfig:
     max_distance: float = 100.0  # farther points are dropped; from the cameras' centre, normalised units (Scene.unit)
     min_points: int = 100  # fewer points end the run with advice
     shared_intrinsics: bool = True  # poses unknown: one lens for all cameras
+    lidar_points: Optional[int] = None  # driving logs: initial points; None: half of train.densify.max_gaussians
+    far_share: float = 0.25  # driving logs: share of them for what no LiDAR reaches, above its highest beam
     sphere_points: int = 100_000  # points on the sphere of background_model=sphere
     sphere_radius: float = 10.0  # of that sphere; × the farthest camera or point from the scene's centre
 
     def __post_init__(self) -> None:
         check("init", self, {
-            "source": one_of("auto", "random", "sfm"),
+            "source": one_of("auto", "random", "sfm", "lidar"),
+            "lidar_points": positive_count(),
+            "far_share": between("[0, 1)", 0, 1),
             **dict.fromkeys(("seed", "min_angle_deg"), at_least(0)),
             **dict.fromkeys(("max_error_px", "max_distance", "sphere_radius"), above(0)),
             **dict.fromkeys(("max_features", "min_points", "sphere_points"), positive_count()),
@@ -81,7 +86,7 @@ class Config:
     ablation: AblationConfig = field(default_factory=AblationConfig)
     train: TrainConfig = field(default_factory=TrainConfig)
     evaluate: EvaluateConfig = field(default_factory=EvaluateConfig)
-    background_model: str = "auto"  # none | sphere | envmap; auto: the schedule's or the scene's
+    background_model: str = "auto"  # none | sphere | envmap | cubemap; auto: the schedule's or the scene's
     seed: int = 0  # of everything random in the run
     threads: int = 0  # 0: all the cores this process may use
     estimate: bool = False  # print what time, memory and disk the run will need, and stop
@@ -102,7 +107,13 @@ class Config:
 
     @property
     def effective_background_model(self) -> str:
-        """none, sphere or envmap: what the command line says, else the schedule, else the scene."""
+        """none, sphere, envmap or cubemap: what the command line says, else the schedule, else the scene."""
         if self.background_model != "auto":
             return self.background_model
         return self.train.background_model or self.scene.background_model
+
+    @property
+    def effective_fourier_order(self) -> int:
+        """The highest Fourier order of a model with time: the ablation's, unless the scene needs fewer."""
+        order = self.scene.fourier_order
+        return self.ablation.fourier_order if order is None else min(order, self.ablation.fourier_order)

@@ -113,6 +113,19 @@ class RegularizationConfig:
 
 
 @dataclass
+class DepthConfig:
+    """Weights of the losses on depth and sky of driving logs (pipeline/training/objective/depth_loss.py). 0: none."""
+
+    lidar: float = 1.0  # of the inverse depth at LiDAR pixels, scene units; 0.1 in the authors' code (docs/urban.md)
+    lidar_decay: float = 0.267  # of that weight: × exp(-fraction of the schedule / this), as there; 0: constant
+    sky_inverse: float = 0.1  # of the inverse depth in the sky, as there
+    sky_opacity: float = 0.05  # of -log(1 - alpha) in the sky, as Periodic Vibration Gaussian has it
+
+    def __post_init__(self) -> None:
+        check("train.depth", self, {f.name: at_least(0).but("0: none") for f in fields(self)})
+
+
+@dataclass
 class TrainConfig:
     """The schedule. The defaults are `train=paper`."""
 
@@ -126,12 +139,14 @@ class TrainConfig:
     ssim_weight: float = 0.2  # w of the loss (1 - w) L1 + w (1 - SSIM)
     rigid_weight: float = 0.0  # of the release's rigid loss; 0: none
     regularization: RegularizationConfig = field(default_factory=RegularizationConfig)
+    depth: DepthConfig = field(default_factory=DepthConfig)
     dropout: float = 0.0  # share of the Gaussians left out of each training view, at random; 0: none
     random_background: bool = False  # compose transparent images over a new colour each time
-    background_model: Optional[str] = None  # none | sphere | envmap; None: the scene's
+    background_model: Optional[str] = None  # none | sphere | envmap | cubemap; None: the scene's
     sphere_freeze_after: int = 10_000  # iterations for which the background sphere is trained
     envmap_height: int = 500  # rows of the environment map; it has twice as many columns
-    envmap_until: int = 5000  # iterations for which the environment map is trained
+    envmap_until: int = 5000  # iterations for which the environment map or the cube map is trained
+    cubemap_resolution: int = 128  # texels along a side of the cube map's faces
     optimiser: str = "adam"  # adam (dense, the paper's) | sparse_adam (Gaussians of the batch's views only)
     sh_degree_every: int = 1000  # iterations between increases of the SH degree, up to 3; 0: 3 from the start
     # Iterations from which Fourier order 1 and 2 are trained; empty: from the start
@@ -178,6 +193,7 @@ class TrainConfig:
             "sphere_freeze_after": at_least(0),
             "envmap_height": positive_count(2),
             "envmap_until": at_least(0),
+            "cubemap_resolution": positive_count(),
             "rigid_weight": at_least(0),
             "dropout": between("[0, 1)", 0, 1).but("0: none"),
             "sh_degree_every": at_least(0).but("0: all at once"),

@@ -3,6 +3,7 @@
     photographs of one moving camera         poses from the files, random initial points or those of the files
     posed multi-camera videos (plenoptic)    poses from the files, points triangulated from the first frames
     multi-camera videos without poses        poses and points from structure from motion
+    driving logs                             poses from the files, points from LiDAR, else triangulated along the way
     one clip without poses                   the same, of all frames in use
 
 Data are read in the units of their files. The result is in canonical coordinates (datasets/canonical.py), as is
@@ -18,10 +19,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from datasets import Scene, is_filmed, load_clip, load_footage, load_posed, load_scene, reads_clip, with_reader
+from datasets import (
+    Scene,
+    is_drive,
+    is_filmed,
+    load_clip,
+    load_footage,
+    load_posed,
+    load_scene,
+    reads_clip,
+    with_reader,
+)
 from datasets.canonical import Canonical, canonical_of, canonical_space, canonicalise
 from pipeline.config.schema import Config
 from pipeline.data.sfm.photograph import Photograph, Reconstruction
+from pipeline.data.training_views import evenly_spaced
 from rasterizer.camera import Camera
 
 if TYPE_CHECKING:  # imports a video decoder, which other scenes do not need
@@ -31,6 +43,7 @@ if TYPE_CHECKING:  # imports a video decoder, which other scenes do not need
 # Without depth bounds the 5 % quantile of the points' depths replaces the near bound. One normalised unit is 0.75 of
 # it, as in LLFF (datasets/plenoptic/poses.py).
 UNIT_OF_NEAR, NEAR_QUANTILE = 0.75, 0.05
+DRIVE_PHOTOGRAPHS = 60  # images of a driving log, evenly spaced, that structure from motion takes
 
 
 @dataclass(frozen=True)
@@ -68,6 +81,8 @@ def _in_file_units(cfg: Config, log: Callable[[str], None]) -> Prepared:
         return _from_videos(cfg, load_footage(cfg.scene, threads=cfg.threads, log=log), log)
     if is_filmed(cfg.scene) and cfg.init.source != "random":
         return _from_posed(cfg, load_posed(cfg.scene, threads=cfg.threads, log=log), log)
+    if is_drive(cfg.scene):
+        return _from_drive(cfg, load_scene(cfg.scene, threads=cfg.threads, log=log), log)
     if cfg.init.source == "sfm":
         raise ValueError(
             f"init.source: expected auto or random for {cfg.scene.name}, which has one camera per time, found sfm"
@@ -106,6 +121,24 @@ def training_photographs(posed: PosedFootage) -> list[Photograph]:
         for name, image in posed.first_images().items()
         if name not in posed.footage.held_out
     ]
+
+
+def _from_drive(cfg: Config, scene: Scene, log: Callable[[str], None]) -> Prepared:
+    """A driving log. With LiDAR its points are taken from the sweeps later (model/initialise.py); without, or where
+    `init.source` says so, structure from motion finds points with the log's poses."""
+    if cfg.init.source == "lidar" and not scene.sweeps:
+        raise ValueError(
+            f"init.source: expected auto, sfm or random for {scene.source}, a log without LiDAR, found lidar"
+        )
+    if cfg.init.source not in ("auto", "sfm") or (cfg.init.source == "auto" and scene.sweeps):
+        return Prepared(scene, None, None)
+    chosen = evenly_spaced(len(scene.train), DRIVE_PHOTOGRAPHS)
+    photographs = [
+        Photograph(view.name.replace("/", "_"), np.asarray(view.image), view.camera)
+        for view in (scene.train[index] for index in chosen)
+    ]
+    cloud, folder = _reconstruct(cfg, photographs, scene.unit, scene.source, log)
+    return Prepared(scene, cloud, folder)
 
 
 def _from_videos(cfg: Config, footage: Footage, log: Callable[[str], None]) -> Prepared:
@@ -161,7 +194,7 @@ def _reconstruct(
     """
     from pipeline.data.sfm.cache import reconstruct_cached  # not needed by scenes with random points
 
-    log(f"sfm: {len(photographs)} cameras, first frames of {source}")
+    log(f"sfm: {len(photographs)} images of {source}")
     known = [photograph.camera for photograph in photographs if photograph.camera is not None]
     transform = canonical_space(known, unit) if known else Canonical()
     if not transform.is_identity:

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from datasets.scene import View
+from pipeline.data.lidar.depth_targets import DepthTargets, SparseDepth
 from pipeline.data.optical_flow import FlowTargets, MeasuredFlow
 from rasterizer import Camera
 
@@ -27,6 +28,8 @@ class Target:
     image: Tensor  # (3, H, W) float32 in [0, 1]
     alpha: Tensor | None = None  # (1, H, W) float32 in [0, 1]; None: 1 everywhere
     motion: MeasuredFlow | None = None  # None: not measured
+    lidar: SparseDepth | None = None  # None: no LiDAR
+    sky: Tensor | None = None  # (1, H, W) float32, share of each pixel that is sky; None: unknown
     mask: Tensor | None = None  # (H, W) bool: pixels that count; None: all
 
 
@@ -43,7 +46,17 @@ def target_of(view: View, scale: float) -> Target:
     mask = None if view.mask is None else _reduced_mask(view.mask, camera)
     channels = torch.from_numpy(np.ascontiguousarray(planes))
     alpha = channels[3:] if view.coverage is not None else None
-    return Target(view.name, view.time, camera, channels[:3], alpha, mask=mask)
+    return Target(view.name, view.time, camera, channels[:3], alpha, mask=mask, sky=_sky(view, camera))
+
+
+def _sky(view: View, camera: Camera) -> Tensor | None:
+    """(1, H, W) share of sky of each pixel of `camera`, area average; None where it is unknown."""
+    if view.sky is None:
+        return None
+    sky = view.sky.astype(np.float32)
+    if camera is not view.camera:
+        sky = area_weights(sky.shape[0], camera.height) @ sky @ area_weights(sky.shape[1], camera.width).T
+    return torch.from_numpy(np.ascontiguousarray(sky))[None]
 
 
 def _reduced_mask(mask: np.ndarray, camera: Camera) -> Tensor:
@@ -80,10 +93,14 @@ class TrainingViews:
     """`target_of` for a fixed list of views; caches the images of the last scale if they fit cache_limit_bytes."""
 
     def __init__(
-        self, views: Sequence[View], flows: FlowTargets | None = None, cache_limit_bytes: int = CACHE_LIMIT_BYTES
+        self,
+        views: Sequence[View],
+        flows: FlowTargets | None = None,
+        depths: DepthTargets | None = None,
+        cache_limit_bytes: int = CACHE_LIMIT_BYTES,
     ) -> None:
-        """flows: of the same views; None: targets have no motion."""
-        self._views, self._flows = views, flows
+        """flows, depths: of the same views; None: targets have no motion, no LiDAR."""
+        self._views, self._flows, self._depths = views, flows, depths
         self._pixels = sum(view.image.shape[0] * view.image.shape[1] for view in views)
         self._limit = cache_limit_bytes
         self._scale: float | None = None
@@ -97,4 +114,8 @@ class TrainingViews:
             target = target_of(self._views[index], scale)
             if self._pixels * scale**2 * 12 <= self._limit:  # 3 channels of 4 bytes
                 self._cache[index] = target
-        return target if self._flows is None else replace(target, motion=self._flows.at(index, target.camera))
+        if self._flows is not None:
+            target = replace(target, motion=self._flows.at(index, target.camera))
+        if self._depths is not None:
+            target = replace(target, lidar=self._depths.at(index, target.camera))
+        return target

@@ -13,7 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets.scene import Scene
+from datasets.scene import Scene, Sweep
+from datasets.urban.projection import depth_image
 from pipeline.config.schema import Config
 from pipeline.data.frame_order import film_order
 from pipeline.data.training_views import Target, evenly_spaced, target_of
@@ -23,7 +24,7 @@ from pipeline.evaluation.motion.motion_metrics import measure_motion, motion_mea
 from pipeline.evaluation.motion.moving_pixels import MovingPixels
 from pipeline.evaluation.perceptual import Perceptual
 from pipeline.evaluation.pictures.films import HeldOutFilms
-from pipeline.evaluation.pictures.geometry_pictures import write_geometry
+from pipeline.evaluation.pictures.geometry_pictures import write_geometry, write_rendered_depth
 from pipeline.evaluation.pictures.view_pictures import (
     SaveImages,
     png_saver,
@@ -44,7 +45,7 @@ MEASURE_BYTES = 4 * 1024**3  # memory limit for the views that are measured in p
 class Evaluation:
     """Means over the test views, and the rows that they are means of."""
 
-    # METRICS, MOTION_METRICS, lpips_*, flicker, fps_*; *_note where a number is missing; moving_by: BY_TRUTH, BY_COLOUR
+    # METRICS, MOTION_METRICS, lpips_*, flicker, fps_*; *_note where a number is missing; moving_by: how known
     metrics: dict[str, float | str | None]
     per_image: list[dict]  # view, time, METRICS, lpips_*, MOTION_METRICS, moving_share, flicker, n_alive
     n_alive_mean: float  # Gaussians with temporal marginal p(t) >= 0.05, mean over the views
@@ -75,6 +76,7 @@ def evaluate(
         )
     perceptual, flicker = Perceptual(cfg, scene), FlickerMeter(scene.frame_rate)
     moving = MovingPixels(scene, cfg.train.resolution_scale)
+    sweeps = {sweep.frame: sweep for sweep in scene.test_sweeps}
     renderer = Renderer(model, scene, cfg, Rasterizer(threads=threads))
     has_alpha = any(view.coverage is not None for view in scene.test)
     saved = set(evenly_spaced(len(scene.test), cfg.evaluate.renders))
@@ -95,7 +97,8 @@ def evaluate(
                 images.append(renderer.image(target.camera, target.time))
                 truths.append(target.image.numpy().transpose(1, 2, 0))
                 n_alive.append(renderer.rasterizer.alive)
-                motion.append(_motion(renderer, moving, index, target, images[-1], has_alpha))
+                sweep = sweeps.get(-1 if (frame := scene.test[index].frame) is None else frame)
+                motion.append(_motion(renderer, moving, index, target, images[-1], has_alpha, sweep))
             found_rows = pool.map(measured, indices, images, truths)
             for index, image, truth, alive, of_motion, row in zip(indices, images, truths, n_alive, motion, found_rows):
                 view = scene.test[index]
@@ -124,6 +127,8 @@ def evaluate_with_images(model: Model, scene: Scene, cfg: Config, threads: int, 
     save = png_saver(folder)
     write_moving(folder, scene, cfg)
     write_geometry(folder, Renderer(model, scene, cfg, Rasterizer(threads=threads)))
+    if scene.is_drive:
+        write_rendered_depth(folder, Renderer(model, scene, cfg, Rasterizer(threads=threads)))
     if not cfg.evaluate.videos or scene.frame_rate is None:
         found = evaluate(model, scene, cfg, threads, save)
         if cfg.evaluate.videos and scene.playback_rate is not None:
@@ -136,18 +141,29 @@ def evaluate_with_images(model: Model, scene: Scene, cfg: Config, threads: int, 
 
 
 def _motion(
-    renderer: Renderer, moving: MovingPixels, index: int, target: Target, image: np.ndarray, has_alpha: bool
+    renderer: Renderer,
+    moving: MovingPixels,
+    index: int,
+    target: Target,
+    image: np.ndarray,
+    has_alpha: bool,
+    sweep: Sweep | None,
 ) -> dict[str, float | None]:
-    """measure_motion of one test view. has_alpha: of any test view, so that an opaque one is all foreground."""
+    """measure_motion of one test view. has_alpha: of any test view, so that an opaque one is all foreground. sweep: of
+    the view's frame."""
     truth, known = target.image.numpy().transpose(1, 2, 0), moving.truth_of(index)
+    lidar = None if sweep is None else depth_image(sweep.points, target.camera)
     geometry = None
-    if known is not None and (known.depth is not None or known.flow is not None):
+    if lidar is not None and known is None:
+        geometry = renderer.geometry(target.camera, target.time, None)
+    if known is not None and (known.depth is not None or known.flow is not None or lidar is not None):
         geometry = renderer.geometry(target.camera, target.time, known.flow_dt)
     counted = None if target.mask is None else target.mask.numpy()
     foreground = None
     if has_alpha:
         foreground = np.ones(image.shape[:2], bool) if target.alpha is None else target.alpha.numpy()[0] > 0
-    return measure_motion(image, truth, moving.of(index, known), foreground, geometry, known, counted)
+    mask, metre = moving.of(index, known), renderer.scene.metre or 1.0
+    return measure_motion(image, truth, mask, foreground, geometry, known, counted, lidar, metre)
 
 
 def _parallel_views(camera: Camera, threads: int, lpips_bytes: int) -> int:

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from datasets.scene import Scene
 from pipeline.config.schema import Config
+from pipeline.data.lidar.initial_points import initial_points
 from pipeline.data.sfm.photograph import Reconstruction
 from pipeline.model.model import Model, kind_of
 from pipeline.model.sphere import sphere_points
@@ -29,10 +30,15 @@ SH_C0 = 0.28209479177387814  # Y_00 = 1 / (2 √π)
 def initialise(scene: Scene, cfg: Config, rng: np.random.Generator, cloud: Reconstruction | None = None) -> Model:
     """A new model of the kind that scene and ablation determine.
 
-    Positions and colours are those of `cloud`. Without one, positions are uniform in `scene.init_box` (or the cube
-    `train.init_box`³) and colours grey. Times are uniform over the scene's duration, widened by
-    `train.init_time_margin` × duration on each side. Deterministic in `rng`.
+    Positions and colours are those of `cloud`. A driving log with LiDAR starts from its sweeps, which also give the
+    times (pipeline/data/lidar/initial_points.py), unless `init.source` says otherwise. Without points, positions are
+    uniform in `scene.init_box` (or the cube `train.init_box`³) and colours grey. Times are uniform over the scene's
+    duration, widened by `train.init_time_margin` × duration on each side. Deterministic in `rng`.
     """
+    if cloud is None and scene.sweeps and cfg.init.source in ("auto", "lidar"):
+        budget = cfg.init.lidar_points or max(1, cfg.train.densify.max_gaussians // 2)
+        start = initial_points(scene, budget, cfg.init.far_share, rng)
+        return from_points(start.points, start.times, _sh_dc(start.colors), scene, cfg)
     points, sh_dc = _random_points(scene, cfg, rng) if cloud is None else (cloud.points, _sh_dc(cloud.colors))
     n_sphere = 0
     if cfg.effective_background_model == "sphere":

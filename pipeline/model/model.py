@@ -2,7 +2,8 @@
 
 `ModelKind` determines which tensors there are and their shapes: a static model stores no time, a model without 4D
 rotation no right quaternion, a model without Fourier orders no coefficients for them. With a background model there is
-also the label of the Gaussians on the sphere around the scene (sphere.py) or the environment map (environment_map.py).
+also the label of the Gaussians on the sphere around the scene (sphere.py), the environment map (environment_map.py) or,
+in its place, the cube map (cube_map.py).
 """
 
 from __future__ import annotations
@@ -14,9 +15,11 @@ from torch import Tensor
 
 from datasets.scene import Scene
 from pipeline.config.schema import Config
+from pipeline.model.cube_map import CubeMap
 from pipeline.model.environment_map import EnvironmentMap
 from rasterizer.gaussians import Gaussians, Motion
 
+BackgroundMap = EnvironmentMap | CubeMap
 GLOBAL_TENSORS = ("environment",)  # of `Model.state()`: not one row per Gaussian
 
 
@@ -61,9 +64,13 @@ def kind_of(scene: Scene, cfg: Config) -> ModelKind:
     static = scene.is_static if cfg.ablation.static is None else cfg.ablation.static
     if static:
         return ModelKind("static", 0, cfg.ablation.sh_degree)
-    return ModelKind(
-        "full" if cfg.ablation.rotation_4d else "separable", cfg.ablation.fourier_order, cfg.ablation.sh_degree
-    )
+    motion: Motion = "full" if cfg.ablation.rotation_4d else "separable"
+    return ModelKind(motion, cfg.effective_fourier_order, cfg.ablation.sh_degree)
+
+
+def background_map(image: Tensor) -> BackgroundMap:
+    """The map whose `image` this is."""
+    return CubeMap(image) if image.dim() == 4 else EnvironmentMap(image)
 
 
 class Model:
@@ -77,7 +84,7 @@ class Model:
         kind: ModelKind,
         parameters: dict[str, Tensor],
         sphere: Tensor | None = None,
-        environment_map: EnvironmentMap | None = None,
+        environment_map: BackgroundMap | None = None,
     ) -> None:
         """sphere: (N,) bool, which Gaussians are on the sphere around the scene; None without a sphere.
 
@@ -131,7 +138,7 @@ class Model:
     def restored(cls, kind: ModelKind, state: dict[str, Tensor]) -> Model:
         """The model whose `state()` this is."""
         parameters = {name: tensor for name, tensor in state.items() if name not in ("sphere", *GLOBAL_TENSORS)}
-        environment_map = EnvironmentMap(state["environment"]) if "environment" in state else None
+        environment_map = background_map(state["environment"]) if "environment" in state else None
         return cls(kind, parameters, state.get("sphere"), environment_map)
 
     def checked(self) -> Model:
@@ -150,8 +157,10 @@ class Model:
 
     @property
     def background_model(self) -> str:
-        """none, sphere or envmap, as in the configuration."""
-        return "envmap" if self.environment_map is not None else "none" if self.sphere is None else "sphere"
+        """none, sphere, envmap or cubemap, as in the configuration."""
+        if self.environment_map is not None:
+            return "cubemap" if isinstance(self.environment_map, CubeMap) else "envmap"
+        return "none" if self.sphere is None else "sphere"
 
     @property
     def bytes(self) -> int:

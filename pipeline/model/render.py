@@ -1,4 +1,4 @@
-"""Renders a view of a model: the Gaussians, composited over its environment map where it has one.
+"""Renders a view of a model: the Gaussians, composited over its environment or cube map where it has one.
 
     image = colour + (1 - alpha) · environment_map(direction of the pixel)
 
@@ -29,6 +29,8 @@ class Rendered:
     image: Tensor  # (3, H, W), not clamped
     composite: Composite | None  # None without an environment map
     flow: Tensor | None = None  # (2, H, W) pixels; None unless requested
+    alpha: Tensor | None = None  # (1, H, W) of the Gaussians; None unless requested
+    depth: Tensor | None = None  # (1, H, W) Σ w z of the Gaussians; None unless requested
 
 
 def render_image(rasterizer: Rasterizer, model: Model, request: Request) -> Tensor:
@@ -37,22 +39,24 @@ def render_image(rasterizer: Rasterizer, model: Model, request: Request) -> Tens
 
 
 def render(rasterizer: Rasterizer, model: Model, request: Request, differentiable: bool = True) -> Rendered:
-    """Render the colour of `model`, and its optical flow on request; other outputs of the request are ignored.
+    """Render the colour of `model`, and flow, alpha and depth of its Gaussians on request.
 
-    An environment map replaces the request's background.
+    An environment map or cube map replaces the request's background.
     """
     gaussians, environment_map = model.gaussians(), model.environment_map
-    flow = ("flow",) if "flow" in request.outputs else ()
+    also = tuple(name for name in ("alpha", "depth", "flow") if name in request.outputs)
     if environment_map is None:
-        out = rasterizer.render(gaussians, replace(request, outputs=("color", *flow)), differentiable)
+        out = rasterizer.render(gaussians, replace(request, outputs=("color", *also)), differentiable)
         assert out.color is not None
-        return Rendered(out.color, None, out.flow)
-    request = replace(request, outputs=("color", "alpha", *flow), background=(0.0, 0.0, 0.0))
+        return Rendered(out.color, None, out.flow, out.alpha, out.depth)
+    also = tuple(name for name in also if name != "alpha")
+    request = replace(request, outputs=("color", "alpha", *also), background=(0.0, 0.0, 0.0))
     out = rasterizer.render(gaussians, request, differentiable)
     assert out.color is not None and out.alpha is not None
     grid = environment_map.grid(request.camera)
     colors = environment_map.sample(grid)
-    return Rendered(out.color + (1 - out.alpha) * colors, Composite(out.alpha, colors, grid), out.flow)
+    composite = Composite(out.alpha, colors, grid)
+    return Rendered(out.color + (1 - out.alpha) * colors, composite, out.flow, out.alpha, out.depth)
 
 
 def backward(
@@ -61,15 +65,18 @@ def backward(
     rendered: Rendered,  # by the last `render` with this rasterizer and model
     d_image: Tensor,  # (3, H, W) ∂L/∂image
     gradients: Gradients,
-    d_environment_map: Tensor | None = None,  # (3, h, 2h); None: the environment map is not trained
+    d_environment_map: Tensor | None = None,  # of the map's image; None: the map is not trained
     d_flow: Tensor | None = None,  # (2, H, W) ∂L/∂flow; None: zero
+    d_alpha: Tensor | None = None,  # (1, H, W) ∂L/∂alpha besides that by the image; None: zero
+    d_depth: Tensor | None = None,  # (1, H, W) ∂L/∂depth; None: zero
 ) -> ViewGradient:
     """Add ∂L/∂parameters to `gradients` and ∂L/∂environment map to `d_environment_map`, both in place."""
     composite = rendered.composite
     if composite is None:
-        return rasterizer.backward(gradients, d_color=d_image, d_flow=d_flow)
+        return rasterizer.backward(gradients, d_color=d_image, d_alpha=d_alpha, d_depth=d_depth, d_flow=d_flow)
     if d_environment_map is not None:
         assert model.environment_map is not None
         model.environment_map.add_gradient(d_environment_map, composite.grid, (1 - composite.alpha) * d_image)
-    d_alpha = -(d_image * composite.colors).sum(dim=0, keepdim=True)
-    return rasterizer.backward(gradients, d_color=d_image, d_alpha=d_alpha, d_flow=d_flow)
+    by_image = -(d_image * composite.colors).sum(dim=0, keepdim=True)
+    d_alpha = by_image if d_alpha is None else by_image + d_alpha
+    return rasterizer.backward(gradients, d_color=d_image, d_alpha=d_alpha, d_depth=d_depth, d_flow=d_flow)

@@ -12,6 +12,7 @@ from typing import Protocol
 
 from datasets.scene import Scene
 from pipeline.config.schema import Config
+from pipeline.data.lidar.depth_targets import DepthTargets
 from pipeline.data.optical_flow import FlowTargets
 from pipeline.data.training_views import TrainingViews
 from pipeline.model.model import Model
@@ -77,7 +78,8 @@ def train(
     """
     state = start(model, scene, cfg, run, start_iteration, start_seconds)
     flows = FlowTargets(scene) if cfg.train.regularization.flow > 0 and state.model.kind.motion == "full" else None
-    views, refinement_views = TrainingViews(scene.train, flows), RefinementViews.of(scene)
+    depths = DepthTargets(scene) if scene.sweeps and cfg.train.depth.lidar > 0 else None
+    views, refinement_views = TrainingViews(scene.train, flows, depths), RefinementViews.of(scene)
 
     with TrainingProgress(state.iteration, cfg.train.iterations, cfg.train.time_budget_s) as progress:
         finished = state.is_finished(cfg.train)

@@ -10,6 +10,7 @@ from datasets.scene import Scene
 from pipeline.config.random_streams import Stream, split_stream, stream
 from pipeline.config.schema import Config
 from pipeline.config.train_schema import TrainConfig
+from pipeline.model.cube_map import CubeMap
 from pipeline.model.environment_map import EnvironmentMap
 from pipeline.model.model import Model
 from pipeline.training import checkpoint as checkpoints
@@ -81,6 +82,8 @@ def start(
     saved = checkpoints.load(path) if path.exists() else None
     if cfg.effective_background_model == "envmap":  # init.ply has no environment map
         model.environment_map = EnvironmentMap.grey(cfg.train.envmap_height)
+    if cfg.effective_background_model == "cubemap":  # nor a cube map
+        model.environment_map = CubeMap.grey(cfg.train.cubemap_resolution)
     if saved is not None:
         expected, found = (
             f"seed {seed}, {of.kind} and background {of.background_model}"

@@ -14,10 +14,11 @@ from pipeline.config.random_streams import Stream, stream
 from pipeline.config.schema import Config
 from pipeline.data.training_views import Target, TrainingViews
 from pipeline.model.model import Model
-from pipeline.model.render import backward, render
+from pipeline.model.render import Rendered, backward, render
 from pipeline.model.sphere import trainable_rows
 from pipeline.training import finite_checks
 from pipeline.training.kernels import Kernels
+from pipeline.training.objective.depth_loss import DepthGradient, lidar_loss, sky_loss
 from pipeline.training.objective.dropout import draw_dropped, without
 from pipeline.training.objective.flow_loss import flow_loss
 from pipeline.training.objective.losses import view_loss
@@ -73,7 +74,7 @@ class Batch:
             target.time,
             scene.duration,
             view.background,
-            outputs=("color",) if target.motion is None else ("color", "flow"),
+            outputs=("color", *self._also(target)),
             flow_dt=None if target.motion is None else target.motion.step,
             near=cfg.scene.near * scene.unit,
             sh_degree=self._phase.sh_degree,
@@ -91,7 +92,14 @@ class Batch:
             weight = cfg.train.regularization.flow
             error, d_flow = flow_loss(rendered.flow, target.motion.flow, weight / self._size)
             loss += weight * error
-        gradient = backward(rasterizer, model, rendered, value.d_image, gradients, self.d_environment_map, d_flow)
+        of_depth = self._depth_loss(rendered, target)
+        d_alpha = d_depth = None
+        if of_depth is not None:
+            loss += of_depth.loss
+            d_alpha, d_depth = of_depth.d_alpha / self._size, of_depth.d_depth / self._size
+        gradient = backward(
+            rasterizer, model, rendered, value.d_image, gradients, self.d_environment_map, d_flow, d_alpha, d_depth
+        )
         if cfg.train.rigid_weight > 0 and self._model.kind.motion == "full":
             loss += self._add_rigid_gradient(target.time, gradients)
         if self.visible is not None:
@@ -100,6 +108,30 @@ class Batch:
         self.n_alive += rasterizer.alive / self._size
         self.last = RenderedView(loss, rendered.image, target.image, gradient)
         return self.last
+
+    def _also(self, target: Target) -> tuple[str, ...]:
+        """The outputs that the losses of a view need besides its colour."""
+        needs_depth = self._needs_lidar(target) or self._needs_sky(target)
+        return (("alpha", "depth") if needs_depth else ()) + (("flow",) if target.motion is not None else ())
+
+    def _needs_lidar(self, target: Target) -> bool:
+        return target.lidar is not None and self._phase.lidar_weight > 0
+
+    def _needs_sky(self, target: Target) -> bool:
+        return target.sky is not None and max(self._cfg.train.depth.sky_inverse, self._cfg.train.depth.sky_opacity) > 0
+
+    def _depth_loss(self, rendered: Rendered, target: Target) -> DepthGradient | None:
+        """The losses on depth and sky of one view; None without any."""
+        if rendered.depth is None or rendered.alpha is None:
+            return None
+        weights, found = self._cfg.train.depth, None
+        if self._needs_lidar(target) and target.lidar is not None:
+            found = lidar_loss(rendered.depth, rendered.alpha, target.lidar, self._phase.lidar_weight)
+        if self._needs_sky(target) and target.sky is not None:
+            depth, alpha = rendered.depth, rendered.alpha
+            of_sky = sky_loss(depth, alpha, target.sky, weights.sky_inverse, weights.sky_opacity)
+            found = of_sky if found is None else found + of_sky
+        return found
 
     def gradients_of(self, view: DrawnView) -> Gradients:
         """The gradient of one view alone; finite_checks finds the non-finite view with it."""

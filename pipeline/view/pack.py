@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from datasets.scene import Scene
+from pipeline.model.cube_map import CubeMap
 from pipeline.model.environment_map import EnvironmentMap
 from pipeline.model.model import Model
 from pipeline.view.columns import Column, quantised
@@ -54,8 +55,10 @@ def pack(model: Model, scene: Scene, compression: int = COMPRESSION) -> Packed:
         "coefficients": (model.kind.sh_degree + 1) ** 2,
         "float32_bytes": model.bytes,
     }
-    if model.environment_map is not None:
-        header["environment"] = _environment(model.environment_map, columns)
+    if (environment := model.environment_map) is not None:
+        if isinstance(environment, CubeMap):  # the page knows one kind of map
+            environment = environment.equirectangular(2 * environment.resolution)
+        header["environment"] = _environment(environment, columns)
     header["columns"] = [column.to_dict() for column in columns.found]
     return Packed(header, zlib.compress(b"".join(columns.planes), compression))
 

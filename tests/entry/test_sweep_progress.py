@@ -107,7 +107,7 @@ def test_experiments_are_commands_of_their_own() -> None:
 def test_the_plan_of_reproduce_has_each_run_once() -> None:
     register_schema()
     work = planned_work([["experiment=synthetic_suite"], ["experiment=synthetic_ablation"]])
-    assert len(work) == 42
+    assert len(work) == 45
     overrides = ["experiment=synthetic_suite", "scene=synthetic/counter", "seed=2"]
     with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
         cfg = compose("config", overrides)
@@ -124,5 +124,5 @@ def test_a_single_run_has_no_plan() -> None:
 def test_reproduce_begins_with_each_scene_once() -> None:
     """Runs side by side then trace different scenes."""
     register_schema()
-    first = list(planned_work([["experiment=synthetic_suite"]]))[:5]
-    assert len({out.split("/short/")[0] for out in first}) == 5
+    first = list(planned_work([["experiment=synthetic_suite"]]))[:6]
+    assert len({out.split("/short/")[0] for out in first}) == 6

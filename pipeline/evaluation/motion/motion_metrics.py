@@ -23,6 +23,9 @@ MOTION_METRICS = (
     "flow_true_px",  # mean length of the true flow there
     "depth_error_median",  # of |depth - truth| / truth over pixels with a known depth
     "depth_error_mean",
+    "lidar_error_median",  # of |depth - LiDAR| / LiDAR over the held-out LiDAR points that the view sees
+    "lidar_error_mean",
+    "lidar_rmse",  # metres, likewise
 )
 
 Row = Mapping[str, float | None]
@@ -44,11 +47,14 @@ def measure_motion(
     geometry: Geometry | None,
     known: GroundTruth | None,
     counted: np.ndarray | None = None,
+    lidar: np.ndarray | None = None,
+    metre: float = 1.0,
 ) -> dict[str, float | None]:
     """MOTION_METRICS and `moving_share` of one view.
 
-    image, truth: (H, W, 3) in [0, 1]. moving, foreground, counted: (H, W) bool. geometry: of the render; None
-    where `known` has neither depth nor flow.
+    image, truth: (H, W, 3) in [0, 1]. moving, foreground, counted: (H, W) bool. geometry: of the render; None where
+    `known` has neither depth nor flow and there is no `lidar`, (H, W) depths of held-out points, 0 where there are
+    none. metre: units of the scene.
     """
     found: dict[str, float | None] = {
         "psnr_moving": None if moving is None else masked_psnr(image, truth, moving),
@@ -58,6 +64,8 @@ def measure_motion(
         **dict.fromkeys(MOTION_METRICS[4:]),
         "moving_share": None if moving is None else float(moving.mean()),
     }
+    if geometry is not None and lidar is not None:
+        found |= lidar_errors(geometry.depth, lidar, metre)
     if geometry is None or known is None:
         return found
     if geometry.flow is not None and known.flow is not None and known.flow_valid is not None and moving is not None:
@@ -88,6 +96,20 @@ def depth_errors(depth: np.ndarray, truth: np.ndarray) -> dict[str, float | None
         return {}
     relative = np.abs(depth[mask] - truth[mask].astype(np.float64)) / truth[mask]
     return {"depth_error_median": float(np.median(relative)), "depth_error_mean": float(relative.mean())}
+
+
+def lidar_errors(depth: np.ndarray, lidar: np.ndarray, metre: float) -> dict[str, float | None]:
+    """{lidar_error_median, lidar_error_mean, lidar_rmse} of a rendered depth (H, W) at held-out LiDAR points (H, W)."""
+    relative = depth_errors(depth, lidar)
+    if not relative:
+        return {}
+    mask = lidar > 0
+    difference = (depth[mask] - lidar[mask].astype(np.float64)) / metre
+    return {
+        "lidar_error_median": relative["depth_error_median"],
+        "lidar_error_mean": relative["depth_error_mean"],
+        "lidar_rmse": float(np.sqrt(np.mean(difference**2))),
+    }
 
 
 def motion_means(rows: Sequence[Row]) -> dict[str, float | None]:

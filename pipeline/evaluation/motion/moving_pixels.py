@@ -1,7 +1,8 @@
 """Which pixels of the test views show something that moves.
 
-Known for scenes with ground truth (datasets/ground_truth.py). Elsewhere, where a held-out camera stands still, a pixel
-counts as moving if its true colour changes over the camera's test views; that includes shadows and changing lights.
+Known for scenes with ground truth (datasets/ground_truth.py) and for driving logs (Scene.moving_by). Elsewhere, where a
+held-out camera stands still, a pixel counts as moving if its true colour changes over the camera's test views; that
+includes shadows and changing lights.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ class MovingPixels:
     """The masks of a scene's test views at the final resolution of training. Masks by colour are kept."""
 
     def __init__(self, scene: Scene, scale: float) -> None:
-        self._views, self._scale = scene.test, scale
+        self._views, self._scale, self._moving_by = scene.test, scale, scene.moving_by
         self._by_pose: dict[bytes, np.ndarray] = {}
         views_of = Counter(map(_pose, scene.test))
         self._still = set() if scene.is_static else {pose for pose, views in views_of.items() if views >= STILL_VIEWS}
@@ -35,6 +36,8 @@ class MovingPixels:
         truth = truth or self.truth_of(index, moving_only=True)
         if truth is not None and truth.moving is not None:
             return truth.moving
+        if view.moving is not None:
+            return any_moving(view.moving, camera.width, camera.height)
         if (pose := _pose(view)) not in self._still:
             return None
         if pose not in self._by_pose:
@@ -49,9 +52,11 @@ class MovingPixels:
         return None if view.truth is None else view.truth.read(moving_only).resized(camera.width, camera.height)
 
     def source(self, index: int) -> str | None:
-        """BY_TRUTH, BY_COLOUR or None, by what the mask of test view `index` is known."""
+        """BY_TRUTH, BY_COLOUR, Scene.moving_by or None, by what the mask of test view `index` is known."""
         if self.of(index) is None:
             return None
+        if self._views[index].moving is not None and self._views[index].truth is None:
+            return self._moving_by
         return BY_COLOUR if _pose(self._views[index]) in self._by_pose else BY_TRUTH
 
 

@@ -17,6 +17,7 @@ from pipeline.evaluation.renderer import Renderer
 
 LARGEST_DEPTH_ERROR = 0.2  # relative; brightest in the picture
 LONGEST_QUANTILE = 0.98  # of the true flows that are not zero: the full colour
+DRIVE_DEPTHS = (4.0, 80.0)  # metres: nearest and farthest colour of a driving log's depth
 GAP = 4  # pixels between the parts
 
 
@@ -36,6 +37,17 @@ def write_geometry(folder: Path, renderer: Renderer) -> None:
             save_picture(folder / f"{name}_depth.png", depth_parts(found.depth, known.depth))
         if known.flow is not None and found.flow is not None:
             save_picture(folder / f"{name}_flow.png", flow_parts(found, known))
+
+
+def write_rendered_depth(folder: Path, renderer: Renderer) -> None:
+    """<view>_rendered_depth.png of a driving log's test views that `evaluate.renders` selects, of one view's size."""
+    scene, cfg = renderer.scene, renderer.cfg
+    near, far = (metres * (scene.metre or 1.0) for metres in DRIVE_DEPTHS)
+    for index in evenly_spaced(len(scene.test), cfg.evaluate.renders):
+        target = target_of(scene.test[index], cfg.train.resolution_scale)
+        depth = renderer.geometry(target.camera, target.time, None).depth
+        name = target.name.replace("/", "_")
+        save_picture(folder / f"{name}_rendered_depth.png", [depth_picture(depth, near, far)])
 
 
 def depth_parts(depth: np.ndarray, truth: np.ndarray) -> list[np.ndarray]:

@@ -30,6 +30,7 @@ FAMILIES = (
     "dnerf_own",
     "plenoptic_own",
     "video_own",
+    "urban",
     "other",
 )  # in the order of the report
 
@@ -73,6 +74,8 @@ def family(scene: str) -> str:
     kind = scene.split("/")[0]
     if kind == "synthetic":
         return "synthetic"
+    if kind in ("kitti", "waymo"):
+        return "urban"
     return f"{kind}_own" if f"{kind}_own" in FAMILIES else "other"
 
 

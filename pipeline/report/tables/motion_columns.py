@@ -31,12 +31,16 @@ _COLUMNS = (
     MotionColumn("flow_error", "Flow error ↓", "final.flow_error", 3),
     MotionColumn("flow_error_px", "Flow error ↓, px", "final.flow_error_px", 2),
     MotionColumn("depth_error", "Depth error ↓", "final.depth_error_median", 4),
+    MotionColumn("lidar_error", "LiDAR error ↓", "final.lidar_error_median", 4),
+    MotionColumn("lidar_error_mean", "LiDAR AbsRel ↓", "final.lidar_error_mean", 4),
+    MotionColumn("lidar_rmse", "LiDAR RMSE ↓, m", "final.lidar_rmse", 2),
 )
 NOTE = (
     "",
     "All final. Moving: pixels of bodies that move, where they are known, else those whose true colour changes by more "
     "than 0.1 before a still camera; still: all others. Foreground: alpha > 0. Flow error: mean end-point error over "
-    "moving pixels as a share of their mean true motion. Depth error: median of |z − truth| / truth.",
+    "moving pixels as a share of their mean true motion. Depth error: median of |z − truth| / truth. LiDAR: the "
+    "same of held-out sweeps' points, its mean (AbsRel), and the root mean square of z − truth.",
 )
 
 

@@ -17,6 +17,7 @@ from pipeline.report.tables.motion_columns import NOTE as MOTION_NOTE
 from pipeline.report.tables.motion_columns import motion_columns
 from pipeline.report.tables.scene_tables import scene_tables
 from pipeline.report.tables.time_to_psnr import time_to_psnr
+from pipeline.report.tables.urban_table import urban
 from pipeline.runs.read.collect import Collection
 
 SELECTION_NOTE = (
@@ -35,6 +36,7 @@ def run_tables(collection: Collection, levels: tuple[float, ...] = ()) -> list[T
     found = [
         ablation_verdicts(runs),
         *scene_tables(collection),
+        urban(collection),
         *compared,
         *changed_settings(collection),
         all_runs(runs),

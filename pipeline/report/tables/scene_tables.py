@@ -28,6 +28,7 @@ _FAMILY_TITLE = {
     "dnerf_own": "Own scenes in the D-NeRF layout",
     "plenoptic_own": "Own scenes in the Plenoptic Video layout",
     "video_own": "Own videos",
+    "urban": "Driving logs",
     "other": "Other scenes",
 }
 _ALEX = ("plenoptic", "plenoptic_own", "video_own")  # LPIPS network in the literature for these; VGG for others

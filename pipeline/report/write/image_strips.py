@@ -1,4 +1,4 @@
-"""Image strips, render | truth | difference, from the images in a run's renders/ folder.
+"""Image strips, render | truth | difference, and for driving logs depth, from the images in a run's renders/ folder.
 
 Per scene one schedule: the one with the best mean final PSNR of `full`. Shown are the median and the worst view of
 `full` and, where it is known what moves, the view in which most does, as in moving_picture.py; of the ablation that
@@ -24,6 +24,7 @@ from pipeline.runs.read.run_files import read_view_psnr
 from pipeline.runs.read.run_names import file_name, parts_of
 
 PARTS = ("render", "truth", "difference")
+DEPTH = "rendered_depth"  # a fourth part, of driving logs
 MOTION = "most motion"  # the choice of a view
 _MAX_SIDE = 512  # pixels of a view, to limit the size of the page
 _GAP = 6  # pixels between the parts
@@ -45,6 +46,7 @@ class Strip:
     psnr: float | None  # of this view, dB
     webp: bytes
     viewer: Path | None = None  # the run's viewer.html
+    with_depth: bool = False
 
     @property
     def choice_text(self) -> str:
@@ -55,7 +57,9 @@ class Strip:
     @property
     def parts(self) -> tuple[str, ...]:
         """What is side by side."""
-        return MOVING_PARTS if self.choice == MOTION else ("render", "truth", f"difference × {DIFFERENCE_GAIN}")
+        if self.choice == MOTION:
+            return MOVING_PARTS
+        return ("render", "truth", f"difference × {DIFFERENCE_GAIN}", *(("depth",) if self.with_depth else ()))
 
     @property
     def filename(self) -> str:
@@ -112,14 +116,16 @@ def _first_seed(runs: pd.DataFrame, scene: str, model: str, train: str) -> pd.Se
 def _strip(run: pd.Series, choice: str, view: str, chosen_for: str) -> Strip:
     """Raises whatever PIL raises for missing and damaged images."""
     folder = Path(run["folder"])
+    parts: tuple[str, ...] = PARTS
     if choice == MOTION:
         webp = compose(moving_parts(folder / "renders", view))
     else:
-        webp = compose([opened(folder / "renders" / f"{view}_{part}.png") for part in PARTS])
+        parts = (*PARTS, DEPTH) if (folder / "renders" / f"{view}_{DEPTH}.png").is_file() else PARTS
+        webp = compose([opened(folder / "renders" / f"{view}_{part}.png") for part in parts])
     psnr = read_view_psnr(folder / "per_image.csv").get(view)
     viewer = folder / "viewer.html" if (folder / "viewer.html").is_file() else None
     which = run["scene"], run["ablation"], run["train"], int(run["seed"])
-    return Strip(*which, view, choice, chosen_for, psnr, webp, viewer)
+    return Strip(*which, view, choice, chosen_for, psnr, webp, viewer, choice != MOTION and DEPTH in parts)
 
 
 def webp_name(*parts: str) -> str:

@@ -1,0 +1,249 @@
+"""KITTI: raw drives, odometry sequences and tracking sequences (Geiger et al., IJRR 2013), found by their files.
+
+    raw         DATE/calib_{cam_to_cam,velo_to_cam,imu_to_velo}.txt; path is DATE/DATE_drive_NNNN_sync, with
+                image_00 … 03/data/N.png, velodyne_points/data/N.bin, oxts/data/N.txt, */timestamps.txt
+    odometry    path is sequences/NN, with calib.txt, times.txt, image_0 … 3/N.png, velodyne/N.bin; ../../poses/NN.txt
+    tracking    path is training/image_02/NNNN, beside calib/NNNN.txt, oxts/NNNN.txt, velodyne/NNNN/N.bin, image_03
+
+Images are rectified: no distortion. KITTI's pixel centres lie at integers, the Camera's at integer + ½. Sky masks are
+read from sky_02/…, sky_2/… beside the images where they exist.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from datasets.files.errors import SceneError
+from datasets.scene import make_camera
+from datasets.urban.log import DrivingLog, LogImage, LogSweep, SweepPoints, check_times, image_size, numbered_files
+from datasets.urban.number_files import entry, read_calibration, read_lines, read_rows, rigid
+from datasets.urban.oxts import poses_of_oxts
+from datasets.urban.sweep_files import check_reach, read_points, transformed
+from rasterizer.camera import Camera
+
+IMAGES = (".png", ".jpg", ".jpeg")
+COLUMNS = 4  # of a sweep: x, y, z in the Velodyne's frame, reflectance
+RATE = 10.0  # frames a second
+USUAL = (2, 3)  # the colour cameras
+CAMERAS = range(4)
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Of one drive."""
+
+    projection: dict[int, np.ndarray]  # camera -> P (3, 4): rectified coordinates of camera 0 -> pixels
+    velo_to_rectified: np.ndarray  # (4, 4) Velodyne -> rectified coordinates of camera 0
+
+
+@dataclass(frozen=True)
+class Pinhole:
+    """One camera of a drive."""
+
+    fx: float  # pixels, as are the others
+    fy: float
+    cx: float
+    cy: float
+    rectified_to_camera: np.ndarray  # (4, 4) from rectified coordinates of camera 0
+
+
+def open_kitti(path: Path) -> DrivingLog:
+    """The log of a folder in one of the three layouts. SceneError names what is missing."""
+    if (path / "velodyne_points").is_dir() or (path / "oxts" / "data").is_dir():
+        return _open_raw(path)
+    if (path / "calib.txt").is_file() or (path / "times.txt").is_file():
+        return _open_odometry(path)
+    if path.parent.name.startswith("image_") and (path.parent.parent / "calib").is_dir():
+        return _open_tracking(path)
+    raise SceneError(
+        path,
+        "a KITTI drive: DATE_drive_NNNN_sync (raw), sequences/NN (odometry) or training/image_02/NNNN (tracking)",
+        "none of their files",
+    )
+
+
+def _open_odometry(path: Path) -> DrivingLog:
+    file = path / "calib.txt"
+    values = read_calibration(file)
+    calibration = Calibration(
+        _projections(values, "P{}", file), _velo_to_camera(values, ("Tr", "Tr_velo_to_cam"), file)
+    )
+    poses_file = path / "poses.txt"
+    if not poses_file.is_file():
+        poses_file = path.parent.parent / "poses" / f"{path.name}.txt"
+    poses = read_rows(poses_file, 12).reshape(-1, 3, 4)
+    times = read_rows(path / "times.txt", 1)[:, 0].tolist()
+    images = {n: numbered_files(path / f"image_{n}", IMAGES) for n in calibration.projection}
+    sky = {n: numbered_files(path / f"sky_{n}", IMAGES) for n in calibration.projection}
+    numbers = _frames(images, path)
+    for what, count, where in (("poses", len(poses), poses_file), ("times", len(times), path / "times.txt")):
+        if numbers[-1] >= count:
+            raise SceneError(where, f"{what} of frame {numbers[-1]}", f"{count} {what}")
+    rectified_to_world = [rigid(poses[n][:, :3], poses[n][:, 3], f"{poses_file}: line {n + 1}") for n in numbers]
+    own_times = [times[n] for n in numbers]
+    check_times(own_times, path / "times.txt")
+    sweeps = numbered_files(path / "velodyne", (".bin",))
+    stamps = dict.fromkeys(images, own_times)
+    return _log("KITTI odometry", path, calibration, numbers, stamps, rectified_to_world, images, sky, sweeps)
+
+
+def _open_raw(path: Path) -> DrivingLog:
+    folder = path.parent
+    file = folder / "calib_cam_to_cam.txt"
+    values = read_calibration(file)
+    rectification = rigid(entry(values, ("R_rect_00",), (3, 3), file), np.zeros(3), f"{file}: R_rect_00")
+    velo_to_camera = rectification @ _rigid_file(folder / "calib_velo_to_cam.txt")
+    imu_to_rectified = velo_to_camera @ _rigid_file(folder / "calib_imu_to_velo.txt")
+    calibration = Calibration(_projections(values, "P_rect_{:02d}", file), velo_to_camera)
+    images = {n: numbered_files(path / f"image_{n:02d}" / "data", IMAGES) for n in calibration.projection}
+    sky = {n: numbered_files(path / f"sky_{n:02d}" / "data", IMAGES) for n in calibration.projection}
+    numbers = _frames(images, path)
+    oxts = numbered_files(path / "oxts" / "data", (".txt",))
+    missing = [n for n in numbers if n not in oxts]
+    if missing:
+        raise SceneError(path / "oxts" / "data", f"a file of frame {missing[0]}", "none")
+    rows = np.concatenate([read_rows(oxts[n], 30)[:1] for n in numbers])
+    imu_to_world = poses_of_oxts(rows, path / "oxts")
+    rectified_to_world = [pose @ np.linalg.inv(imu_to_rectified) for pose in imu_to_world]
+    stamps = {n: _timestamps(path / f"image_{n:02d}" / "timestamps.txt", numbers) for n in images if images[n]}
+    start = min(times[0] for times in stamps.values())
+    times = {n: [time - start for time in listed] for n, listed in stamps.items()}
+    sweeps = numbered_files(path / "velodyne_points" / "data", (".bin",))
+    return _log("KITTI raw", path, calibration, numbers, times, rectified_to_world, images, sky, sweeps)
+
+
+def _open_tracking(path: Path) -> DrivingLog:
+    root, sequence = path.parent.parent, path.name
+    file = root / "calib" / f"{sequence}.txt"
+    values = read_calibration(file)
+    rectification = rigid(entry(values, ("R_rect", "R0_rect"), (3, 3), file), np.zeros(3), f"{file}: R_rect")
+    velo_to_camera = rectification @ _velo_to_camera(values, ("Tr_velo_cam", "Tr_velo_to_cam"), file)
+    imu_to_velo = entry(values, ("Tr_imu_velo", "Tr_imu_to_velo"), (3, 4), file)
+    imu_to_rectified = velo_to_camera @ rigid(imu_to_velo[:, :3], imu_to_velo[:, 3], f"{file}: Tr_imu_velo")
+    calibration = Calibration(_projections(values, "P{}", file), velo_to_camera)
+    images = {n: numbered_files(root / f"image_{n:02d}" / sequence, IMAGES) for n in calibration.projection}
+    sky = {n: numbered_files(root / f"sky_{n:02d}" / sequence, IMAGES) for n in calibration.projection}
+    numbers = _frames(images, path)
+    oxts = root / "oxts" / f"{sequence}.txt"
+    rows = read_rows(oxts, 30)
+    if numbers[-1] >= len(rows):
+        raise SceneError(oxts, f"a line of frame {numbers[-1]}", f"{len(rows)} lines")
+    imu_to_world = poses_of_oxts(rows[numbers], oxts)
+    rectified_to_world = [pose @ np.linalg.inv(imu_to_rectified) for pose in imu_to_world]
+    times = dict.fromkeys(images, [n / RATE for n in numbers])
+    sweeps = numbered_files(root / "velodyne" / sequence, (".bin",))
+    return _log("KITTI tracking", path, calibration, numbers, times, rectified_to_world, images, sky, sweeps)
+
+
+def _log(
+    layout: str,
+    source: Path,
+    calibration: Calibration,
+    numbers: list[int],
+    times: dict[int, list[float]],  # of each camera that has images, one a frame
+    rectified_to_world: list[np.ndarray],
+    images: dict[int, dict[int, Path]],
+    sky: dict[int, dict[int, Path]],
+    sweeps: dict[int, Path],
+) -> DrivingLog:
+    found = []
+    for camera_number, listed in images.items():
+        if not listed:
+            continue
+        pinhole = _pinhole(calibration.projection[camera_number], source, camera_number)
+        for frame, number in enumerate(numbers):
+            path = listed.get(number)
+            if path is None:
+                continue  # cameras may miss a frame
+            camera = _camera(path, pinhole, rectified_to_world[frame])
+            mask = sky[camera_number].get(number)
+            found.append(LogImage(frame, camera_number, times[camera_number][frame], camera, path, sky=mask))
+    time_of = next(iter(times.values()))  # cameras and Velodyne are triggered together
+    return DrivingLog(
+        layout,
+        source,
+        tuple(found),
+        tuple(
+            LogSweep(
+                frame,
+                time_of[frame],
+                sweeps[number],
+                partial(_read_sweep, sweeps[number], rectified_to_world[frame] @ calibration.velo_to_rectified),
+            )
+            for frame, number in enumerate(numbers)
+            if number in sweeps
+        ),
+        USUAL,
+        RATE,
+    )
+
+
+def _camera(path: Path, pinhole: Pinhole, rectified_to_world: np.ndarray) -> Camera:
+    width, height = image_size(path)
+    pose = pinhole.rectified_to_camera @ np.linalg.inv(rectified_to_world)
+    return make_camera(path, lambda: Camera(width, height, pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy, pose))
+
+
+def _read_sweep(path: Path, velo_to_world: np.ndarray) -> SweepPoints:
+    points = read_points(path, COLUMNS)[:, :3]
+    check_reach(points, path)
+    return SweepPoints(transformed(points, velo_to_world), velo_to_world[:3, 3])
+
+
+def _pinhole(projection: np.ndarray, source: Path, number: int) -> Pinhole:
+    """Of a projection P = K [R | t] with R the identity, because the images are rectified: t = K⁻¹ P[:, 3]."""
+    matrix = projection[:, :3]
+    if not (matrix[0, 0] > 0 and matrix[1, 1] > 0 and abs(matrix[2, 2] - 1) < 1e-6):
+        raise SceneError(f"{source}: calibration of camera {number}", "focal lengths above 0", f"{matrix.tolist()}")
+    offset = np.eye(4)
+    offset[:3, 3] = np.linalg.solve(matrix, projection[:, 3])
+    fx, fy, cx, cy = matrix[0, 0], matrix[1, 1], matrix[0, 2] + 0.5, matrix[1, 2] + 0.5
+    return Pinhole(float(fx), float(fy), float(cx), float(cy), offset)
+
+
+def _projections(values: dict[str, np.ndarray], name: str, file: Path) -> dict[int, np.ndarray]:
+    """The projections that the file has; cameras without one are not read."""
+    found = {n: entry(values, (name.format(n),), (3, 4), file) for n in CAMERAS if name.format(n) in values}
+    if not found:
+        raise SceneError(file, f"projections {name.format(0)} to {name.format(3)}", "none")
+    return found
+
+
+def _velo_to_camera(values: dict[str, np.ndarray], names: tuple[str, ...], file: Path) -> np.ndarray:
+    matrix = entry(values, names, (3, 4), file)
+    return rigid(matrix[:, :3], matrix[:, 3], f"{file}: {names[0]}")
+
+
+def _rigid_file(file: Path) -> np.ndarray:
+    """A file with the entries R and T."""
+    values = read_calibration(file)
+    return rigid(entry(values, ("R",), (3, 3), file), entry(values, ("T",), (3,), file), str(file))
+
+
+def _frames(images: dict[int, dict[int, Path]], path: Path) -> list[int]:
+    """The file numbers of all frames, ascending."""
+    numbers = sorted({number for listed in images.values() for number in listed})
+    if not numbers:
+        raise SceneError(path, "images of at least one calibrated camera", "none")
+    return numbers
+
+
+def _timestamps(file: Path, numbers: list[int]) -> list[float]:
+    """Seconds of the given lines."""
+    lines, times = read_lines(file), []
+    for number in numbers:
+        if number >= len(lines):
+            raise SceneError(file, f"a line of frame {number}", f"{len(lines)} lines")
+        try:
+            times.append(datetime.fromisoformat(lines[number][:26]).timestamp())
+        except ValueError:
+            raise SceneError(
+                f"{file}: line {number + 1}", "a date as 2011-09-26 13:08:25.060776421", lines[number]
+            ) from None
+    check_times(times, file)
+    return times

@@ -1,0 +1,92 @@
+"""Text files of numbers: matrices, calibrations of `name: numbers`, poses. Every error names the file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from datasets.cameras.transforms import read_pose
+from datasets.files.errors import SceneError
+
+LONGEST_FILE = 64 * 2**20  # bytes: the poses of a log of a million frames
+
+
+def read_lines(path: Path) -> list[str]:
+    """The lines that are not empty."""
+    try:
+        if path.stat().st_size > LONGEST_FILE:
+            raise SceneError(path, f"at most {LONGEST_FILE} bytes of text", f"{path.stat().st_size} bytes")
+        lines = [line.strip() for line in path.read_text(encoding="utf-8").splitlines()]
+    except FileNotFoundError:
+        raise SceneError(path, "a file", "none") from None
+    except (UnicodeDecodeError, OSError) as error:
+        raise SceneError(path, "a text file", str(error)) from None
+    return [line for line in lines if line]
+
+
+def numbers(words: list[str], where: str | Path) -> np.ndarray:
+    """The words as float64; SceneError for what is no number, NaN and Inf."""
+    try:
+        found = np.array([float(word) for word in words])
+    except ValueError as error:
+        raise SceneError(where, "numbers", str(error)) from None
+    if not np.isfinite(found).all():
+        raise SceneError(where, "finite numbers", "NaN or Inf")
+    return found
+
+
+def read_rows(path: Path, columns: int) -> np.ndarray:
+    """(rows, columns) float64, one row a line."""
+    lines = read_lines(path)
+    if not lines:
+        raise SceneError(path, f"rows of {columns} numbers", "none")
+    rows = []
+    for index, line in enumerate(lines):
+        words = line.split()
+        if len(words) != columns:
+            raise SceneError(f"{path}: line {index + 1}", f"{columns} numbers", f"{len(words)}")
+        rows.append(numbers(words, f"{path}: line {index + 1}"))
+    return np.stack(rows)
+
+
+def read_matrix(path: Path) -> np.ndarray:
+    """A rigid 4 × 4 matrix (np.savetxt)."""
+    words = [word for line in read_lines(path) for word in line.split()]
+    found = numbers(words, path)
+    if found.size != 16:
+        raise SceneError(path, "16 numbers, a 4 x 4 matrix", f"{found.size}")
+    return read_pose(found.reshape(4, 4), str(path))
+
+
+def read_calibration(path: Path) -> dict[str, np.ndarray]:
+    """Lines `name: numbers` or `name numbers`, by name. Lines whose values are no numbers (a date) are left out."""
+    found = {}
+    for line in read_lines(path):
+        name, *words = line.replace(":", " ", 1).split()
+        try:
+            found[name] = np.array([float(word) for word in words])
+        except ValueError:
+            continue
+    return found
+
+
+def entry(values: Mapping[str, np.ndarray], names: tuple[str, ...], shape: tuple[int, ...], where: Path) -> np.ndarray:
+    """The entry under one of `names`, of `shape`, finite."""
+    for name in names:
+        if name in values:
+            found = values[name]
+            if found.size != int(np.prod(shape)):
+                raise SceneError(f"{where}: {name}", f"{int(np.prod(shape))} numbers", f"{found.size}")
+            if not np.isfinite(found).all():
+                raise SceneError(f"{where}: {name}", "finite numbers", "NaN or Inf")
+            return found.reshape(shape)
+    raise SceneError(f"{where}: {names[0]}", f"{int(np.prod(shape))} numbers", "no such entry")
+
+
+def rigid(rotation: np.ndarray, translation: np.ndarray, where: str) -> np.ndarray:
+    """(4, 4) from (3, 3) and (3,), checked."""
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation, translation
+    return read_pose(pose, where)

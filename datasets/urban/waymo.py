@@ -1,0 +1,26 @@
+"""Waymo Open Dataset as other programs leave it: "processed" (EmerNeRF, DriveStudio, S3Gaussian) or in KITTI's format
+(Periodic Vibration Gaussian). The layout is recognised by its folders. convert_waymo.py makes the first from the
+original parquet files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from datasets.files.errors import SceneError
+from datasets.urban.log import DrivingLog
+from datasets.urban.waymo_kitti_format import open_kitti_format
+from datasets.urban.waymo_processed import open_processed
+
+
+def open_waymo(path: Path) -> DrivingLog:
+    """The log of a folder in one of the layouts. SceneError names what is missing."""
+    if (path / "ego_pose").is_dir():
+        return open_processed(path)
+    if (path / "calib").is_dir() and (path / "pose").is_dir():
+        return open_kitti_format(path)
+    raise SceneError(
+        path,
+        "a processed Waymo scene (images/, ego_pose/, extrinsics/, intrinsics/) or one in KITTI's format (image_0/, "
+        "calib/, pose/)",
+        "none of their folders",
+    )

@@ -1,0 +1,1 @@
+"""LiDAR sweeps in training: initial points, targets of depth, and what moves."""

@@ -1,0 +1,124 @@
+"""Initial points and depth targets of driving logs, on a wall with a LiDAR in front of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tiny import tiny_config
+
+from datasets.canonical import DISTANCE, canonical_of, canonicalise
+from datasets.scene import Scene, Sweep, View
+from pipeline.data.lidar.depth_targets import DepthTargets
+from pipeline.data.lidar.initial_points import coloured_points, far_points, highest_beam, initial_points, thinned
+from pipeline.model.initialise import initialise
+from pipeline.model.model import kind_of
+from rasterizer.camera import Camera
+
+WIDTH, HEIGHT, FOCAL, WALL = 24, 16, 20.0, 30.0
+RED, BLUE = (200, 30, 20), (20, 30, 200)
+
+
+def drive(frames: int = 4, sky_rows: int = 3) -> Scene:
+    """A car that drives towards a wall at z = WALL, red on its left half, and sees its lower half by LiDAR."""
+    views, sweeps = [], []
+    across, down = np.meshgrid(np.linspace(-8, 8, 60), np.linspace(0.2, 6, 20))
+    wall = np.stack([across.ravel(), down.ravel(), np.full(across.size, WALL)], axis=1)
+    for frame in range(frames):
+        pose = np.eye(4)
+        pose[2, 3] = -2.0 * frame
+        camera = Camera(WIDTH, HEIGHT, FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2, pose)
+        image = np.empty((HEIGHT, WIDTH, 3), np.uint8)
+        image[:, : WIDTH // 2], image[:, WIDTH // 2 :] = RED, BLUE
+        sky = np.zeros((HEIGHT, WIDTH), bool)
+        sky[:sky_rows] = True
+        views.append(View(camera, 0.1 * frame, image, f"train/cam2_{frame:06d}", frame=frame, sky=sky))
+        sweeps.append(Sweep(frame, 0.1 * frame, np.array([0, -1.0, 2.0 * frame]), wall))
+    return Scene(
+        "drive", tuple(views), tuple(views[-1:]), 0.3, 0.0, (0.0, 0.0, 0.0), 5.0, (-30.0, 30.0), Path("drive"),
+        unit=5.0, sweeps=tuple(sweeps), is_drive=True, metre=1.0,
+    )  # fmt: skip
+
+
+def test_points_have_the_colour_and_time_of_the_image_that_sees_them() -> None:
+    found = coloured_points(drive(), np.random.default_rng(0))
+    left = found.points[:, 0] < -0.5
+    assert (found.colors[left] == RED).all() and (found.colors[found.points[:, 0] > 0.5] == BLUE).all()
+    assert set(np.round(found.times, 6)) == {0.0, 0.1, 0.2, 0.3}
+
+
+def test_thinning_keeps_a_point_of_each_voxel_within_the_budget() -> None:
+    """And nearly uses the budget; each kept point is one of the originals, at its own time."""
+    cloud = coloured_points(drive(), np.random.default_rng(0))
+    kept = thinned(cloud, 200, np.random.default_rng(1))
+    assert 150 <= len(kept.points) <= 200
+    originals = {(*point, time) for point, time in zip(cloud.points.tolist(), cloud.times.tolist())}
+    assert all((*point, time) in originals for point, time in zip(kept.points.tolist(), kept.times.tolist()))
+    again = thinned(cloud, 200, np.random.default_rng(1))
+    assert (again.points == kept.points).all()
+    assert len(thinned(cloud, 10**6, np.random.default_rng(1)).points) == len(cloud.points)
+
+
+def test_far_points_lie_above_the_beams_and_below_the_sky() -> None:
+    """At about the depth of the wall below them, in the image's colour."""
+    scene = drive()
+    found = far_points(scene, 300, np.random.default_rng(2))
+    assert len(found.points) == 300
+    for point, time, color in zip(found.points, found.times, found.colors):
+        view = min(scene.train, key=lambda v: abs(v.time - time))
+        x, y, z = view.camera.world_to_cam[:3, :3] @ point + view.camera.world_to_cam[:3, 3]
+        column, row = FOCAL * x / z + WIDTH / 2, FOCAL * y / z + HEIGHT / 2
+        assert 3 <= row < 9 and (color == (RED if column < WIDTH / 2 else BLUE)).all()
+        assert 0.5 < z / (WALL - 20 * time) < 2.0  # 7 standard deviations of a tenth
+
+
+def test_the_highest_beam_of_a_column_without_any_is_the_nearest_columns() -> None:
+    depth = np.zeros((4, 5), np.float32)
+    depth[2:, 1] = 7.0
+    depth[3, 4] = 9.0
+    top, at = highest_beam(depth)
+    assert top.tolist() == [2, 2, 2, 3, 3] and at.tolist() == [7, 7, 7, 9, 9]
+    assert highest_beam(np.zeros((4, 2)))[0].tolist() == [4, 4]
+
+
+def test_a_model_starts_from_the_sweeps_and_has_no_fourier_orders() -> None:
+    """What a log does not need is not there: 16 coefficients, as many points as asked for, no sphere."""
+    scene = drive()
+    cfg = tiny_config()
+    cfg = replace(cfg, init=replace(cfg.init, lidar_points=150), scene=replace(cfg.scene, fourier_order=0))
+    model = initialise(scene, cfg, np.random.default_rng(0))
+    assert 100 <= len(model) <= 150 and model.kind == kind_of(scene, cfg) and model.sphere is None
+    assert model.kind.fourier_order == 0 and model.parameters["sh"].shape[1] == 16
+    expected = initial_points(scene, 150, cfg.init.far_share, np.random.default_rng(0))
+    np.testing.assert_allclose(
+        model.parameters["mean"].numpy(), np.column_stack([expected.points, expected.times]), 1e-6
+    )
+    random = initialise(scene, replace(cfg, init=replace(cfg.init, source="random")), np.random.default_rng(0))
+    assert len(random) == (cfg.train.init_points or cfg.scene.init_points)
+
+
+def test_depth_targets_are_those_of_the_own_sweep_at_any_size() -> None:
+    scene = drive()
+    targets = DepthTargets(scene)
+    for size in ((WIDTH, HEIGHT), (WIDTH // 2, HEIGHT // 2)):
+        camera = scene.train[2].camera.resized(*size)
+        found = targets.at(2, camera)
+        np.testing.assert_allclose(1 / found.inverse.numpy(), WALL - 4.0, rtol=1e-5)
+        rows = found.pixel.numpy() // camera.width
+        assert rows.min() >= camera.height // 2
+    assert DepthTargets(replace(scene, sweeps=())).at(2, scene.train[2].camera) is None
+
+
+def test_a_drive_is_normalised_by_its_way() -> None:
+    """The way's middle becomes the origin; a short way is not enlarged beyond 10 m a unit; sweeps move with cameras."""
+    scene = drive()
+    transform = canonical_of(scene)
+    assert transform.centre == pytest.approx((0, 0, 3.0)) and transform.scale == pytest.approx(DISTANCE / 40)
+    moved = canonicalise(scene, transform)
+    np.testing.assert_allclose(moved.sweeps[1].points, (scene.sweeps[1].points - [0, 0, 3]) / 10)
+    assert moved.metre == pytest.approx(0.1) and moved.sweeps[3].time == pytest.approx(1.0)
+    one, other = (DepthTargets(s).at(1, s.train[1].camera) for s in (scene, moved))
+    assert (one.pixel == other.pixel).all()
+    np.testing.assert_allclose(other.inverse, 10 * one.inverse, rtol=1e-5)
