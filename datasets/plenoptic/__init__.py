@@ -100,7 +100,13 @@ def _unsynchronised(root: Path, files: Sequence[VideoFile], options: FootageOpti
     keep = select_cameras([file.number for file in files], root, options.test_cameras, options.drop_cameras)
     videos = probe(files, keep, options.drop_cameras)
     names = [video.name for video in videos]
-    offsets = _offsets(root, videos, options)
+    alike = len({(video.size, video.rate, video.count) for video in videos}) == 1
+    offsets = _offsets(root, videos, options, by_picture=not alike)
+    if offsets is None:
+        options.log(
+            "videos of one size, rate and length, and no sound: taken as synchronised (scene.sync=given if not)"
+        )
+        return _footage(root, files, options)
     for line in offsets.lines(names):
         options.log(line)
     if is_synchronised(videos, offsets):
@@ -114,7 +120,8 @@ def _unsynchronised(root: Path, files: Sequence[VideoFile], options: FootageOpti
     return Footage(root, streams, streams[0].count, content, replace(options, first_frame=0))
 
 
-def _offsets(root: Path, videos: Sequence[Video], options: FootageOptions) -> Offsets:
+def _offsets(root: Path, videos: Sequence[Video], options: FootageOptions, by_picture: bool) -> Offsets | None:
+    """Given or found; None where sound does not decide and the picture is not asked, SceneError where it is in vain."""
     if options.sync == "given":
         if len(options.offsets) != len(videos):
             raise SceneError(
@@ -124,8 +131,8 @@ def _offsets(root: Path, videos: Sequence[Video], options: FootageOptions) -> Of
             )
         seconds = tuple(float(s) - float(options.offsets[0]) for s in options.offsets)
         return Offsets(seconds, (0.0,) * len(videos), "given", (float("inf"),) * len(videos), 0.0)
-    found = find_offsets([video.path for video in videos])
-    if found is None:
+    found = find_offsets([video.path for video in videos], by_picture)
+    if found is None and by_picture:
         raise SceneError(
             root,
             "sound, or motion that all cameras see, to find out when each camera started",

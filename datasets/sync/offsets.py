@@ -14,7 +14,7 @@ from datasets.sync.correlate import Correlation, confidence, correlation
 from datasets.sync.signals import Signal, picture_signals, sound_energy
 
 APART = {"sound": 0.05, "picture": 0.2}  # seconds: a peak farther off is another lag
-SURE = {"sound": 1.5, "picture": 0.4}  # confidence that a camera needs
+SURE = {"sound": 1.5, "picture": 0.8}  # confidence that a camera needs
 REACH = {"sound": 0.01, "picture": 0.03}  # seconds around the common solution in which a pair's own peak counts
 ROUNDS = 10  # of moving one camera at a time
 DRIFT_PART, DRIFT_LEAST = 20.0, 60.0  # seconds: of the two parts compared, of the recordings
