@@ -101,10 +101,11 @@ def _unsynchronised(root: Path, files: Sequence[VideoFile], options: FootageOpti
     videos = probe(files, keep, options.drop_cameras)
     names = [video.name for video in videos]
     alike = len({(video.size, video.rate, video.count) for video in videos}) == 1
-    offsets = _offsets(root, videos, options, by_picture=not alike)
+    offsets = _offsets(root, videos, options, needed=not alike)
     if offsets is None:
         options.log(
-            "videos of one size, rate and length, and no sound: taken as synchronised (scene.sync=given if not)"
+            "neither sound nor picture says when each camera started; of one size, rate and length they are taken as "
+            "synchronised (scene.sync=given scene.offsets=[0,…] if they are not)"
         )
         return _footage(root, files, options)
     for line in offsets.lines(names):
@@ -120,8 +121,8 @@ def _unsynchronised(root: Path, files: Sequence[VideoFile], options: FootageOpti
     return Footage(root, streams, streams[0].count, content, replace(options, first_frame=0))
 
 
-def _offsets(root: Path, videos: Sequence[Video], options: FootageOptions, by_picture: bool) -> Offsets | None:
-    """Given or found; None where sound does not decide and the picture is not asked, SceneError where it is in vain."""
+def _offsets(root: Path, videos: Sequence[Video], options: FootageOptions, needed: bool) -> Offsets | None:
+    """Given or found; None where they are not found and not needed, SceneError where they are needed."""
     if options.sync == "given":
         if len(options.offsets) != len(videos):
             raise SceneError(
@@ -131,8 +132,8 @@ def _offsets(root: Path, videos: Sequence[Video], options: FootageOptions, by_pi
             )
         seconds = tuple(float(s) - float(options.offsets[0]) for s in options.offsets)
         return Offsets(seconds, (0.0,) * len(videos), "given", (float("inf"),) * len(videos), 0.0)
-    found = find_offsets([video.path for video in videos], by_picture)
-    if found is None and by_picture:
+    found = find_offsets([video.path for video in videos])
+    if found is None and needed:
         raise SceneError(
             root,
             "sound, or motion that all cameras see, to find out when each camera started",

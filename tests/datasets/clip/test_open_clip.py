@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from clip_files import textured_plane, write_clip
+from clips import textured_plane, write_clip
 from imageio_ffmpeg import get_ffmpeg_exe
 
 from datasets.clip import Clip, ClipOptions, is_clip, open_clip

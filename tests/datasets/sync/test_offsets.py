@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from clip_files import SOUND_RATE, write_clip
+from clips import SOUND_RATE, write_clip
 
 from datasets.plenoptic import read_footage
 from datasets.sync import Offsets, find_offsets
