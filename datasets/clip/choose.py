@@ -12,7 +12,7 @@ from datasets.clip.survey import Survey
 CUT_LEAST, CUT_FACTOR, CUT_NEIGHBOURS = 0.4, 3.0, 8
 BLURRED = 0.5  # × the median sharpness of BLUR_NEIGHBOURS frames on either side
 BLUR_NEIGHBOURS = 7
-DUPLICATE_FLOW, DUPLICATE_CHANGE = 2e-4, 0.004  # image widths, contrasts: a frame that a varying rate has repeated
+DUPLICATE_FLOW, DUPLICATE_CHANGE = 2e-4, 0.03  # image widths, contrasts: a frame that a varying rate has repeated
 TIME_SHARE = 0.5  # of evenly spaced frames: half by time, half by movement
 
 
@@ -69,7 +69,8 @@ def _parts(found: Survey) -> list[np.ndarray]:
     usable = np.flatnonzero(found.good & ~found.dark)
     if len(usable) == 0:
         return []
-    cut = _cuts(found.unexplained[usable])
+    blurred = _blurred(found.sharpness[usable])  # a blurred frame continues neither neighbour, and is no cut
+    cut = _cuts(found.unexplained[usable]) & ~blurred & ~np.roll(blurred, 1)
     # A fade: dark frames between two usable ones. A few damaged frames do not divide a take.
     dark = np.cumsum(found.good & found.dark)
     faded = np.diff(dark[usable], prepend=dark[usable[0]]) > 0

@@ -100,7 +100,14 @@ def _unsynchronised(root: Path, files: Sequence[VideoFile], options: FootageOpti
     keep = select_cameras([file.number for file in files], root, options.test_cameras, options.drop_cameras)
     videos = probe(files, keep, options.drop_cameras)
     names = [video.name for video in videos]
-    offsets = _offsets(root, videos, options)
+    alike = len({(video.size, video.rate, video.count) for video in videos}) == 1
+    offsets = _offsets(root, videos, options, needed=not alike)
+    if offsets is None:
+        options.log(
+            "neither sound nor picture says when each camera started; of one size, rate and length they are taken as "
+            "synchronised (scene.sync=given scene.offsets=[0,…] if they are not)"
+        )
+        return _footage(root, files, options)
     for line in offsets.lines(names):
         options.log(line)
     if is_synchronised(videos, offsets):
@@ -114,7 +121,8 @@ def _unsynchronised(root: Path, files: Sequence[VideoFile], options: FootageOpti
     return Footage(root, streams, streams[0].count, content, replace(options, first_frame=0))
 
 
-def _offsets(root: Path, videos: Sequence[Video], options: FootageOptions) -> Offsets:
+def _offsets(root: Path, videos: Sequence[Video], options: FootageOptions, needed: bool) -> Offsets | None:
+    """Given or found; None where they are not found and not needed, SceneError where they are needed."""
     if options.sync == "given":
         if len(options.offsets) != len(videos):
             raise SceneError(
@@ -125,7 +133,7 @@ def _offsets(root: Path, videos: Sequence[Video], options: FootageOptions) -> Of
         seconds = tuple(float(s) - float(options.offsets[0]) for s in options.offsets)
         return Offsets(seconds, (0.0,) * len(videos), "given", (float("inf"),) * len(videos), 0.0)
     found = find_offsets([video.path for video in videos])
-    if found is None:
+    if found is None and needed:
         raise SceneError(
             root,
             "sound, or motion that all cameras see, to find out when each camera started",

@@ -17,6 +17,7 @@ from datasets.plenoptic.decode import Stream
 from datasets.plenoptic.sync import RATE_TOLERANCE
 from datasets.plenoptic.videos import Video
 from datasets.sync.offsets import Offsets
+from datasets.video_files.decode import frame_times
 
 SAME_START = 0.5  # frames: cameras that start nearer to each other than this, at one rate, are synchronised
 FEWEST_TICKS = 4
@@ -66,6 +67,18 @@ def is_synchronised(videos: Sequence[Video], offsets: Offsets) -> bool:
     )
 
 
+def _times(video: Video) -> np.ndarray:
+    """(count,) seconds of the video's frames on its own clock: the file's, or evenly spaced where it has none."""
+    times = frame_times(video.path)[: video.count]
+    return times if len(times) == video.count else np.arange(video.count) / video.rate
+
+
+def _nearest(times: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """The index of the value of `times`, ascending, nearest to each of `wanted`."""
+    after = np.clip(np.searchsorted(times, wanted), 1, len(times) - 1)
+    return np.where(wanted - times[after - 1] <= times[after] - wanted, after - 1, after)
+
+
 def align(videos: Sequence[Video], offsets: Offsets, first_frame: int, frames: int) -> tuple[AlignedStream, ...]:
     """Streams of as many frames each, over the time that all cameras filmed. SceneError if that is too short.
 
@@ -73,7 +86,8 @@ def align(videos: Sequence[Video], offsets: Offsets, first_frame: int, frames: i
     """
     starts = np.array(offsets.seconds)
     speeds = 1.0 / (1.0 + np.array(offsets.drift))  # seconds of a camera's clock per second of the common one
-    ends = starts + np.array([(v.count - 1) / v.rate for v in videos]) / speeds
+    own = [_times(video) for video in videos]
+    ends = starts + np.array([times[-1] for times in own]) / speeds
     low, high = float(starts.max()), float(ends.min())
     rate = min(v.rate for v in videos)
     ticks = low + np.arange(max(0, int((high - low) * rate) + 1)) / rate
@@ -87,10 +101,9 @@ def align(videos: Sequence[Video], offsets: Offsets, first_frame: int, frames: i
         )
     size = min(v.size[0] for v in videos), min(v.size[1] for v in videos)
     found = []
-    for video, start, speed in zip(videos, starts, speeds):
-        index = np.clip(np.rint((ticks - start) * speed * video.rate).astype(int), 0, video.count - 1)
-        times = start + index / (video.rate * speed)
-        found.append((video, tuple(index.tolist()), times))
+    for video, start, speed, times in zip(videos, starts, speeds, own):
+        index = _nearest(times, (ticks - start) * speed)
+        found.append((video, tuple(index.tolist()), start + times[index] / speed))
     origin = min(float(times[0]) for _, _, times in found)
     return tuple(
         AlignedStream(

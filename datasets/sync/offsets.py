@@ -14,7 +14,7 @@ from datasets.sync.correlate import Correlation, confidence, correlation
 from datasets.sync.signals import Signal, picture_signals, sound_energy
 
 APART = {"sound": 0.05, "picture": 0.2}  # seconds: a peak farther off is another lag
-SURE = {"sound": 1.5, "picture": 0.4}  # confidence that a camera needs
+SURE = {"sound": 1.5, "picture": 0.8}  # confidence that a camera needs
 REACH = {"sound": 0.01, "picture": 0.03}  # seconds around the common solution in which a pair's own peak counts
 ROUNDS = 10  # of moving one camera at a time
 DRIFT_PART, DRIFT_LEAST = 20.0, 60.0  # seconds: of the two parts compared, of the recordings
@@ -51,14 +51,14 @@ def _found(paths: tuple[Path, ...], modified: tuple[int, ...]) -> Offsets | None
     sounds = [sound_energy(path) for path in paths]
     heard = [sound for sound in sounds if sound is not None]
     if len(heard) == len(paths):
-        found = _from_signals([[sound] for sound in heard], "sound")
+        found = offsets_of([[sound] for sound in heard], "sound")
         if found is not None:
-            return _with_drift(found, heard)
+            return with_drift(found, heard)
     seen = [picture_signals(path) for path in paths]
-    return _from_signals(seen, "picture") if all(seen) else None
+    return offsets_of(seen, "picture") if all(seen) else None
 
 
-def _from_signals(signals: Sequence[Sequence[Signal]], method: str) -> Offsets | None:
+def offsets_of(signals: Sequence[Sequence[Signal]], method: str) -> Offsets | None:
     """The offsets with the largest sum of correlations over all pairs; None if a camera's place is not sure.
 
     A single pair may agree best at a wrong lag, where something repeats. So the surest pairs give a first solution, and
@@ -143,7 +143,7 @@ def _solve(pairs: Sequence[tuple[int, int, float, float]], count: int) -> np.nda
     return solved - solved[0]
 
 
-def _with_drift(found: Offsets, sounds: Sequence[Signal]) -> Offsets:
+def with_drift(found: Offsets, sounds: Sequence[Signal]) -> Offsets:
     """The offsets with the drift of each clock against the first, where both recordings are long."""
     drifts = [0.0]
     first = sounds[0]

@@ -59,6 +59,20 @@ def video_frames(path: Path, header: Header, keep: set[int] | None = None, every
                 return
 
 
+def frame_times(path: Path) -> np.ndarray:
+    """(frames,) seconds at which the frames of a video are shown, ascending, from the packets alone."""
+    times = []
+    with open_container(path) as container:
+        stream = container.streams.video[0]
+        try:
+            for packet in container.demux(stream):
+                if packet.pts is not None and packet.time_base is not None:
+                    times.append(float(packet.pts * packet.time_base))
+        except av.error.FFmpegError:  # truncated
+            pass
+    return np.sort(np.array(times))
+
+
 def image_paths(folder: Path) -> list[Path]:
     """The images of a folder in the order of their names, numbers by value: 2 before 10."""
     paths = [p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(".")]

@@ -26,7 +26,7 @@ SCENES_OF_THE_RELEASE = sorted(
 register_schema()
 
 
-SCHEDULE = {"video": "fast"}  # of scenes that no paper trained; the others' is `paper`
+SCHEDULE = {"video": "fast", "auto": "fast"}  # of scenes that no paper trained; the others' is `paper`
 
 
 @functools.cache
@@ -189,7 +189,7 @@ def test_the_command_line_wins_over_every_file() -> None:
         ("train.lr.mea=5", "train.lr.mea: no such key; did you mean train.lr.mean?"),
         ("trian=fast", "trian: no such key; did you mean train?"),
         ("train=fats", "train=fats: no such option; there are best, fast, "),
-        ("scene=dnerf/legs", "scene=dnerf/legs: no such option; there are dnerf, "),
+        ("scene=dnerf/legs", "scene=dnerf/legs: no such option; there are auto, dnerf, "),
         ("train.iterations=many", "train.iterations: Value 'many' of type 'str' could not be converted to Integer"),
         ("train.iterations=null", "train.iterations: field 'train.iterations' is not Optional"),
         ("train.iterations=[1", "train.iterations=[1: not a key=value that Hydra can read"),
@@ -225,7 +225,7 @@ def test_mistakes_are_named_in_one_line(override: str, expected: str) -> None:
 
 
 def test_no_scene() -> None:
-    assert complaint().startswith("scene: must be given; there are dnerf, ")
+    assert complaint().startswith("scene: must be given; there are auto, dnerf, ")
 
 
 def test_a_typo_in_a_file_names_file_and_key(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from datasets import load_scene, with_reader
 from datasets.files.errors import SceneError
 from datasets.scene import Scene
 from datasets.settings import SceneConfig
-from datasets.synthetic.camera_path import look_at_origin
+from pipeline.evaluation.pictures.camera_path import look_at
 from rasterizer.camera import Camera
 
 WIDTH, HEIGHT, COUNT = 40, 30, 12
@@ -29,7 +29,8 @@ def cameras() -> list[Camera]:
     found = []
     for angle in np.linspace(-0.6, 0.6, COUNT):
         position = np.array([3 * np.sin(angle), -3 * np.cos(angle), 0.8])
-        found.append(Camera(WIDTH, HEIGHT, 50.0, 50.0, 20.0, 15.0, look_at_origin(position)))
+        pose = look_at(position, np.zeros(3), np.array([0.0, 0.0, -1.0]))
+        found.append(Camera(WIDTH, HEIGHT, 50.0, 50.0, 20.0, 15.0, pose))
     return found
 
 
