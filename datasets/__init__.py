@@ -230,6 +230,8 @@ def _footage_options(cfg: SceneConfig, threads: int, log: Log) -> dict[str, Any]
         "background": background_color(cfg.background) or BLACK,
         "threads": threads,
         "log": log,
+        "sync": cfg.sync,
+        "offsets": tuple(cfg.offsets),
     }
 
 

@@ -8,6 +8,7 @@ from typing import Any, Optional
 BACKGROUND_MODELS = ("none", "sphere", "envmap", "cubemap")
 LAYOUTS = ("colmap", "nerfstudio", "dynamic_gaussians", "nerfies", "llff")  # folders of other tools (datasets/layouts)
 READERS = ("dnerf", "plenoptic", "video", "synthetic", "kitti", "waymo", "auto", *LAYOUTS)
+SYNC = ("none", "auto", "given")
 SKY_MASKS = ("auto", "none", "files", "estimated")
 STREET_LAYOUTS = ("processed", "kitti_format")
 COLOR_NAMES = ("auto", "black", "white")  # of scene.background
@@ -30,6 +31,9 @@ class SceneConfig:
     test_every: int = 8  # one clip, folders without a test split: every so many-th frame is held out
     test_cameras: list[int] = field(default_factory=lambda: [0])  # plenoptic, video: numbers of held-out cameras
     drop_cameras: list[int] = field(default_factory=list)  # plenoptic, video: numbers of cameras to ignore
+    # Videos of several cameras: none: synchronised | auto: starts found by sound, else by the picture | given: offsets
+    sync: str = "none"
+    offsets: list[float] = field(default_factory=list)  # seconds at which each camera started, in the order of names
     first_frame: int = 0  # plenoptic, video, driving logs: the first frame in use, counted from 0
     # plenoptic, video, driving logs: largest number of frames in use; synthetic/counter, synthetic/street: to render
     frames: int = 300
@@ -66,6 +70,7 @@ class SceneConfig:
                 "different camera numbers, 0 or more",
                 list(numbers),
             )
+        require(self.sync in SYNC, "scene.sync", ", ".join(SYNC), self.sync)
         require(self.first_frame >= 0, "scene.first_frame", ">= 0", self.first_frame)
         require(self.frames >= 1, "scene.frames", "at least 1", self.frames)
         require(self.test_every >= 2, "scene.test_every", "at least 2", self.test_every)

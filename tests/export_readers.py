@@ -33,6 +33,21 @@ def static(mean, scale, quat, alpha, sh) -> Model:
     return Model(ModelKind("static", 0, round(tensors["sh"].shape[1] ** 0.5) - 1), tensors)
 
 
+def read_ply(content: bytes) -> Model:
+    rows = PlyData.read(io.BytesIO(content))["vertex"].data
+    rest = sum(name.startswith("f_rest_") for name in rows.dtype.names) // 3
+
+    def columns(*names: str) -> np.ndarray:
+        return np.stack([rows[name] for name in names], axis=1)
+
+    dc = columns("f_dc_0", "f_dc_1", "f_dc_2")[:, None]
+    others = [columns(*(f"f_rest_{c * rest + k}" for c in range(3))) for k in range(rest)]
+    alpha = 1 / (1 + np.exp(-rows["opacity"].astype(np.float64)))
+    scale = np.exp(columns("scale_0", "scale_1", "scale_2").astype(np.float64))
+    sh = np.concatenate([dc, *(coefficient[:, None] for coefficient in others)], axis=1)
+    return static(columns("x", "y", "z"), scale, columns("rot_0", "rot_1", "rot_2", "rot_3"), alpha, sh)
+
+
 def read_splat(content: bytes) -> Model:
     rows = np.frombuffer(content, np.uint8).reshape(-1, 32)
     floats = rows[:, :24].copy().view("<f4")

@@ -1,7 +1,5 @@
 """Reader of one clip by a camera that moves, without poses: a video file, or a folder of images in order.
 
-probe.py      the header: size, rotation, rate, colours; what is refused before a frame is decoded
-decode.py     frames with their times, upright, in 8-bit colour (hdr.py maps high dynamic range to it)
 survey.py     one pass in small: sharpness, motion, brightness, cuts, bars
 choose.py     the part of the clip and the frames that are used
 footage.py    open_clip(): all of these; Clip.to_scene() once structure from motion has found the cameras

@@ -13,8 +13,6 @@ import numpy as np
 from datasets.cameras.lens import Undistortion, undistort
 from datasets.canonical import canonical_space
 from datasets.clip.choose import Choice, choose
-from datasets.clip.decode import IMAGE_RATE, Frame, image_frames, image_paths, video_frames
-from datasets.clip.probe import Header, probe
 from datasets.clip.survey import MOST_SURVEYED, survey
 from datasets.composition import BLACK, chosen_downscale, reduced_camera
 from datasets.files.errors import SceneError
@@ -22,6 +20,8 @@ from datasets.layouts.photographs import ordinal
 from datasets.plenoptic.decode import reduce_image
 from datasets.plenoptic.videos import FOOTAGE_SUFFIXES
 from datasets.scene import Scene, View, camera_extent, make_camera, validate_scene
+from datasets.video_files.decode import IMAGE_RATE, Frame, image_frames, image_paths, video_frames
+from datasets.video_files.probe import Header, probe
 from rasterizer.camera import Camera
 
 FEWEST_FRAMES = 12  # with fewer neither motion nor a held-out frame can be told

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from datasets.clip.decode import Frame
+from datasets.video_files.decode import Frame
 
 WIDTH = 192  # pixels of the small images
 MOST_SURVEYED = 2000

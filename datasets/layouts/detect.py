@@ -79,7 +79,7 @@ def _llff(path: Path) -> str | None:
 
 
 def _video(path: Path) -> str | None:
-    from datasets.clip.decode import image_paths
+    from datasets.video_files.decode import image_paths
 
     if any(p.suffix.lower() in FOOTAGE_SUFFIXES and not p.name.startswith(".") for p in path.iterdir()):
         return None

@@ -25,8 +25,10 @@ from datasets.plenoptic.footage import Footage, FootageOptions
 from datasets.plenoptic.images import camera_number, image_sequences, read_camera, read_cameras
 from datasets.plenoptic.poses import read_poses
 from datasets.plenoptic.sync import common_frames, select_cameras
-from datasets.plenoptic.videos import VideoFile, find_cameras, find_footage, probe
+from datasets.plenoptic.unsynchronised import align, is_synchronised
+from datasets.plenoptic.videos import Video, VideoFile, find_cameras, find_footage, probe
 from datasets.scene import Box, Scene
+from datasets.sync import Offsets, find_offsets
 from rasterizer.camera import Camera
 
 __all__ = [
@@ -88,8 +90,49 @@ def open_plenoptic(path: str | Path, **options: Any) -> PosedFootage:
 
 def read_footage(path: str | Path, **options: Any) -> Footage:
     """The videos in folder `path`, of any names, without poses. options: the fields of FootageOptions."""
-    root = Path(path)
-    return _footage(root, find_footage(root), FootageOptions(**options))
+    root, checked = Path(path), FootageOptions(**options)
+    files = find_footage(root)
+    return _footage(root, files, checked) if checked.sync == "none" else _unsynchronised(root, files, checked)
+
+
+def _unsynchronised(root: Path, files: Sequence[VideoFile], options: FootageOptions) -> Footage:
+    """Footage of cameras that started at different times; as filmed where they turn out to be synchronised."""
+    keep = select_cameras([file.number for file in files], root, options.test_cameras, options.drop_cameras)
+    videos = probe(files, keep, options.drop_cameras)
+    names = [video.name for video in videos]
+    offsets = _offsets(root, videos, options)
+    for line in offsets.lines(names):
+        options.log(line)
+    if is_synchronised(videos, offsets):
+        options.log("less than half a frame apart: taken as synchronised")
+        return _footage(root, files, options)
+    streams = align(videos, offsets, options.first_frame, options.frames)
+    if not options.downscale:
+        options = replace(options, downscale=chosen_downscale(streams[0].size))
+    chosen = repr([(stream.size, stream.indices) for stream in streams])
+    content = f"{fingerprint([file.path for file in files], VIDEO_PART)} {chosen}"
+    return Footage(root, streams, streams[0].count, content, replace(options, first_frame=0))
+
+
+def _offsets(root: Path, videos: Sequence[Video], options: FootageOptions) -> Offsets:
+    if options.sync == "given":
+        if len(options.offsets) != len(videos):
+            raise SceneError(
+                f"{root}: scene.offsets",
+                f"{len(videos)} numbers, the seconds at which {', '.join(video.name for video in videos)} started",
+                f"{len(options.offsets)}",
+            )
+        seconds = tuple(float(s) - float(options.offsets[0]) for s in options.offsets)
+        return Offsets(seconds, (0.0,) * len(videos), "given", (float("inf"),) * len(videos), 0.0)
+    found = find_offsets([video.path for video in videos])
+    if found is None:
+        raise SceneError(
+            root,
+            "sound, or motion that all cameras see, to find out when each camera started",
+            "neither decides; scene.sync=given scene.offsets=[0,…] states the seconds at which each started, "
+            "scene.sync=none takes them as synchronised; a clap before and after makes it certain",
+        )
+    return found
 
 
 def _footage(root: Path, files: Sequence[VideoFile], options: FootageOptions) -> Footage:

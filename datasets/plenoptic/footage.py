@@ -18,6 +18,7 @@ from datasets.ground_truth import StoredTruth, film_truth_file
 from datasets.plenoptic.decode import DecodeOptions, Stream, decode, store_folder
 from datasets.plenoptic.display import Log
 from datasets.plenoptic.sync import drop_advice
+from datasets.plenoptic.unsynchronised import AlignedStream
 from datasets.scene import Box, Image, Scene, View, bounding_cube, camera_extent, make_camera, validate_scene
 from rasterizer.camera import Camera
 from rasterizer.cores import thread_count
@@ -40,6 +41,8 @@ class FootageOptions:
     background: Color = BLACK  # RGB in [0, 1], under transparent pixels
     threads: int = 0  # 0: all cores
     log: Log = print
+    sync: str = "none"  # none: as filmed | auto: by sound, else by the picture | given: by `offsets`
+    offsets: Sequence[float] = ()  # seconds at which each camera started, in the order of the names
 
     def __post_init__(self) -> None:
         for name, value in (
@@ -136,6 +139,15 @@ class Footage:
         images = decode(self.streams, folder, decoding, undistortion, options.cores, options.log)
         return validate_scene(self._scene(small, images, unit, init_box))
 
+    def _time(self, stream: Stream, index: int) -> float:
+        """Of a frame in use: its own where cameras were not synchronised."""
+        return stream.times[index] if isinstance(stream, AlignedStream) else index / self.rate
+
+    @property
+    def mixed_lenses(self) -> bool:
+        """Whether cameras differ in size, so that they cannot share a lens."""
+        return len({s.video.size for s in self.streams if isinstance(s, AlignedStream)}) > 1
+
     def _check_cameras(self, cameras: Mapping[str, Camera]) -> None:
         for stream in self.streams:
             camera = cameras.get(stream.name)
@@ -166,7 +178,7 @@ class Footage:
             views[split] += [
                 View(
                     cameras[stream.name],
-                    index / self.rate,
+                    self._time(stream, index),
                     image,
                     f"{split}/{stream.name}_{self.options.first_frame + index:04d}",
                     truth=None
@@ -180,7 +192,7 @@ class Footage:
             name=self.options.name,
             train=train,
             test=test,
-            duration=self.count / self.rate,
+            duration=max(self.count / self.rate, *(self._time(stream, self.count - 1) for stream in self.streams)),
             time_start=0.0,
             background=self.options.background,
             extent=camera_extent([view.camera for view in train]),

@@ -148,6 +148,8 @@ def _from_videos(cfg: Config, footage: Footage, log: Callable[[str], None]) -> P
     photographs = [
         Photograph(name, image, held_out=name in footage.held_out) for name, image in footage.first_images().items()
     ]
+    if footage.mixed_lenses:
+        cfg = replace(cfg, init=replace(cfg.init, shared_intrinsics=False))
     cloud, folder = _reconstruct(cfg, photographs, 1.0, footage.source, log)
     cameras = {name: found.camera for name, found in cloud.cameras.items()}
     train_cameras = [camera for name, camera in cameras.items() if name not in footage.held_out]

@@ -59,8 +59,8 @@ FORMATS: dict[str, FrameFormat | FilmFormat | CheckpointFormat] = {
     ),
     "spz": FrameFormat(
         "Niantic's viewers, SuperSplat, Babylon.js",
-        "nothing but bits: colours, opacities and scales have 8, rotations 10, SH 5 and 4; positions are "
-        "multiples of 1/4096",
+        "nothing but bits: colours, opacities and scales have 8, rotations 10; SH are multiples of 1/128, "
+        "positions of 1/4096",
         spz_bytes,
     ),
     "glb": FrameFormat("Babylon.js, Cesium, PlayCanvas (KHR_gaussian_splatting)", "nothing of the frame", glb_bytes),

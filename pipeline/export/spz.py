@@ -20,7 +20,7 @@ MAGIC, VERSION = 0x5053474E, 3  # "NGSP"; the last version that is gzip, which t
 FRACTION_BITS = 12
 LARGEST_POSITION = 2.0 ** (23 - FRACTION_BITS)
 COLOUR_SCALE = 0.15  # of f_dc in a byte
-SH_BITS = (5, 4, 4)  # of degrees 1, 2, 3: the format's default, kept in bytes
+SH_STEP = 1 / 128  # the format's finest: trained coefficients are small, its default steps of 1/16 and 1/8 drop them
 OPACITY_BYTES = (1, 254)  # readers take logits, infinite at 0 and 255; the kernel ends at 0.99 too
 QUAT_BITS = 9  # magnitude of a component; its sign is a tenth bit
 
@@ -65,8 +65,5 @@ def _smallest_three(quat: np.ndarray) -> np.ndarray:
 
 
 def _sh_bytes(rest: np.ndarray) -> np.ndarray:
-    """(N, K - 1, 3) uint8: 128 + 128 k, rounded to the middle of one of 2^bits intervals."""
-    degree = np.concatenate([np.full(2 * d + 1, d) for d in (1, 2, 3)])[: rest.shape[1]]
-    step = 2 ** (8 - np.array(SH_BITS)[degree - 1])[None, :, None].astype(int)
-    value = (np.round(128 * rest) + 128).astype(int)
-    return np.clip((value + step // 2) // step * step, 0, 255).astype(np.uint8)
+    """(N, K - 1, 3) uint8: 128 + k / SH_STEP."""
+    return np.clip(np.round(rest / SH_STEP) + 128, 0, 255).astype(np.uint8)

@@ -23,13 +23,13 @@ def flow_figure(renderer: Renderer, view: MovingView) -> Figure:
         longest = longest_flow(found.flow, np.ones(found.flow.shape[1:], bool))
         drawn = panels([render, (f"rendered flow, full colour {longest:.1f} px", flow_picture(found.flow, longest))])
         seen = (
-            f"Between two frames the model moves what is coloured, by up to {longest:.1f} px; the camera moves in the "
-            "data, so that no flow measured in its images is comparable."
+            f"Between two frames the model moves what is coloured, by up to {longest:.1f} px; no camera stands still "
+            "in the test views, so that no flow measured in them is comparable."
         )
         return Figure("flow", "Optical flow", seen, png_of(drawn))
     counted = known.flow_valid if view.moving is None else known.flow_valid & view.moving
     longest = longest_flow(known.flow, known.flow_valid)
-    whose = "true flow" if view.source == TRUE else "OpenCV's flow"
+    whose = "true flow" if view.source == TRUE else "flow by OpenCV"
     rendered, true, error = flow_parts(found, known)
     drawn = panels(
         [

@@ -100,7 +100,7 @@ def estimate_if_large(cfg: Config) -> Estimate | None:
     """`estimate` for a scene with more than LARGE_SCENE_BYTES of decoded frames; None for others."""
     if not is_filmed(cfg.scene):
         return None
-    footage = load_footage(cfg.scene, threads=cfg.threads)
+    footage = load_footage(cfg.scene, threads=cfg.threads, log=lambda line: None)
     decoded_bytes = 3 * footage.size[0] * footage.size[1] * len(footage.names) * footage.count
     return estimate(cfg) if decoded_bytes / footage.options.downscale**2 > LARGE_SCENE_BYTES else None
 
@@ -146,7 +146,7 @@ def _estimate(cfg: Config, size: Size, threads: int) -> Estimate:
 def measure_size(cfg: Config, threads: int) -> Size:
     """From the headers of videos and the timing of a few frames; other scenes are read."""
     if reads_clip(cfg.scene):
-        clip = load_clip(cfg.scene)
+        clip = load_clip(cfg.scene, log=lambda line: None)
         width, height = (side // clip.downscale for side in clip.size)
         tests = len(clip.frames) // cfg.scene.test_every
         return Size(len(clip.frames) - tests, tests, width, height, 0, 0.0)

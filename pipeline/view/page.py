@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
+from pipeline.evaluation.pictures.view_pictures import DIFFERENCE_GAIN
 from rasterizer.reference.blend import MAX_ALPHA, MIN_ALPHA
 from rasterizer.reference.render import FRUSTUM_MARGIN
 
@@ -25,7 +26,6 @@ SHADERS = {
     "splat": "splat.frag",
     "compose": "compose.frag",
 }
-DIFFERENCE_GAIN = 4  # as evaluation/pictures/view_pictures.py
 CONSTANTS = {
     "MIN_ALPHA": MIN_ALPHA,
     "MAX_ALPHA": MAX_ALPHA,

@@ -17,11 +17,10 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from pipeline.model.model import Model
-from rasterizer.covariance import scaled_axes
 from rasterizer.gaussians import SH_LAYOUTS
+from rasterizer.reference.blend import MIN_ALPHA, MIN_MARGINAL
+from rasterizer.reference.render import slice_in_time
 
-MIN_MARGINAL = 0.05  # the kernel's cut-off of p(t), and its cut-off of alpha
-MIN_ALPHA = 1 / 255
 LIFETIME = math.sqrt(-2 * math.log(MIN_MARGINAL))  # half of it, in standard deviations: 2.45
 
 
@@ -42,20 +41,18 @@ class Trajectories:
 def trajectories(model: Model) -> Trajectories:
     """The Gaussians of `model` that reach an alpha of 1/255 at some time; nothing else is ever drawn."""
     gaussians = model.gaussians()
-    drawn = gaussians.opacity_logit > math.log(MIN_ALPHA / (1 - MIN_ALPHA))
-    gaussians = gaussians.rows(drawn)
+    gaussians = gaussians.rows(gaussians.opacity_logit > math.log(MIN_ALPHA / (1 - MIN_ALPHA)))
     coefficients, orders = SH_LAYOUTS[gaussians.sh.shape[1]]
     sh = gaussians.sh.reshape(-1, orders, coefficients, 3).numpy()
-    axes = scaled_axes(gaussians.to(torch.float64)).numpy()
-    mean, logit = gaussians.mean.numpy().astype(np.float64), gaussians.opacity_logit.numpy().astype(np.float64)
-    if gaussians.motion == "static":
-        return Trajectories(mean, *_axes(axes), logit, sh, None, None, None)
-    space, time_row = axes[:, :3], axes[:, 3]
-    sigma_t = np.maximum(np.linalg.norm(time_row, axis=1), np.finfo(np.float32).tiny)
-    v = time_row / sigma_t[:, None]
-    along_v = np.einsum("nij,nj->ni", space, v)
-    factor = space - along_v[:, :, None] * v[:, None, :]
-    return Trajectories(mean[:, :3], *_axes(factor), logit, sh, along_v / sigma_t[:, None], mean[:, 3], sigma_t)
+    gaussians = gaussians.to(torch.float64)
+    sliced = slice_in_time(gaussians, 0.0)
+    mean, logit = gaussians.mean.numpy(), gaussians.opacity_logit.numpy()
+    axes = _axes(sliced.factor.numpy())
+    if sliced.variance_t is None:
+        return Trajectories(mean, *axes, logit, sh, None, None, None)
+    return Trajectories(
+        mean[:, :3], *axes, logit, sh, sliced.velocity.numpy(), mean[:, 3], sliced.variance_t.sqrt().numpy()
+    )
 
 
 def _axes(factor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

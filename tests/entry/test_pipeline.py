@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import csv
 import json
+import threading
 import time
 from pathlib import Path
+from urllib.request import urlopen
 
 import pytest
 import yaml
 from shell import TINY, Shell, result
+
+from pipeline.view.live.address import Address
+from pipeline.view.live.followed_run import serve_run
 
 
 @pytest.fixture(scope="module")
@@ -229,7 +234,46 @@ def test_overfitting_of_a_finished_run(shell: Shell, run_argument: str) -> None:
     }
 
 
-@pytest.mark.parametrize("module", ["pipeline.studies.compression", "pipeline.studies.overfitting"])
+def test_viewer_of_finished_runs(shell: Shell, run_argument: str) -> None:
+    out, err = shell(run_argument, run_argument, "--out", "two.html", module="pipeline.view")
+    assert err == "" and out.endswith("MB; open it in a browser\n")
+    text = (shell.folder / "two.html").read_text()
+    assert 'id="model-0"' in text and 'id="model-1"' in text
+    (shell.folder / run_argument / "viewer.html").unlink()
+    out, _ = shell(*TINY)  # deleted, so it is not done
+    assert "evaluate: already done" in out and "view: already done" not in out
+    assert 'id="model-1"' not in (shell.folder / run_argument / "viewer.html").read_text()
+
+
+def test_live_view_of_a_command(shell: Shell, finished: Path) -> None:
+    command = shell.start(*TINY, "out=live", "view=true", "view_at=127.0.0.1:0")
+    while "live view: " not in command.said():
+        assert command.is_running(), command.wait()
+        time.sleep(0.01)
+    url = command.said().split("live view: ")[1].split()[0]
+    with urlopen(f"{url}model?after=-1") as answer:
+        assert len(answer.read()) > 1000
+    status, _, err = command.wait()
+    assert (status, err) == (0, "") and result(shell.folder / "live") == result(finished)
+
+
+def test_live_view_of_another_process(shell: Shell, finished: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(shell.folder)
+    said: list[str] = []
+    stop = threading.Event()
+    serving = threading.Thread(target=serve_run, args=(finished, Address("127.0.0.1", 0), said.append, stop))
+    serving.start()
+    while not any(line.startswith("live view: ") for line in said):
+        assert serving.is_alive()
+        time.sleep(0.01)
+    with urlopen(f"{said[-1].split()[2]}model?after=-1") as answer:
+        message = answer.read()
+    stop.set()
+    serving.join()
+    assert json.loads(message[4 : 4 + int.from_bytes(message[:4], "little")])["iteration"] == 60
+
+
+@pytest.mark.parametrize("module", ["pipeline.studies.compression", "pipeline.studies.overfitting", "pipeline.view"])
 def test_a_folder_without_a_run_is_refused_in_one_line(shell: Shell, module: str) -> None:
     out, err = shell("nowhere", module=module, status=1)
     assert out == "" and err.startswith("error: nowhere: expected a ") and err.count("\n") == 1

@@ -50,7 +50,7 @@ def test_flow_beside_opencvs_where_a_camera_stands_still() -> None:
     renderer = of_film()
     view = most_moving(renderer)
     assert view.source == MEASURED and view.known is not None and view.known.flow_dt == pytest.approx(0.1)
-    assert "OpenCV's flow is " in flow_figure(renderer, view).seen
+    assert "the flow by OpenCV is " in flow_figure(renderer, view).seen
     # The disc moves by 3 pixels a frame; its edge is all that OpenCV has to follow.
     flow = view.known.flow[0][view.known.flow_valid]
     assert flow.max() == pytest.approx(3.0, abs=1.0)
@@ -60,7 +60,7 @@ def test_a_moving_camera_has_no_flow_to_compare_with() -> None:
     renderer = renderer_of(moving_gaussian(VELOCITY), tiny_scene())
     view = most_moving(renderer)
     assert view.source is None and view.index == 1, "the middle one of three"
-    assert "the camera moves in the data" in flow_figure(renderer, view).seen
+    assert "no camera stands still in the test views" in flow_figure(renderer, view).seen
 
 
 def test_growth_is_counted_as_by_a_loop() -> None:

@@ -38,6 +38,19 @@ def test_page_is_self_contained(tmp_path, capsys):
     assert "no_4drot on synthetic/wheel: worse, full − ablation = 5.00 dB" in capsys.readouterr().out
 
 
+def test_strips_link_to_the_runs_viewer(tmp_path):
+    folder = write_run(tmp_path / "runs", "synthetic/wheel", images=3)
+    (folder / "viewer.html").touch()
+    write_run(tmp_path / "runs", "synthetic/lamp", images=3)  # from before there was one
+    assert main([str(tmp_path / "runs"), "--out", str(tmp_path / "else where")]) == 0
+    page = (tmp_path / "else where/report.html").read_text()
+    links = re.findall(r'<a href="([^"#]+)#([^"]+)">in the viewer</a>', page)
+    assert len(links) == 2  # of one run's median and worst view
+    for path, view in links:
+        assert (tmp_path / "else where" / path).samefile(folder / "viewer.html")
+        assert re.fullmatch(r"view=test_r_\d&amp;compare=wipe", view)
+
+
 def test_median_and_worst_view_are_chosen_by_psnr(tmp_path):
     folder = write_run(tmp_path, "synthetic/wheel", images=3)
     assert choose_views(folder / "renders", {"test_r_0": 30.0, "test_r_1": 20.0, "test_r_2": 25.0}) == [

@@ -71,11 +71,16 @@ async function start() {
 
 function run({ stage, transport, navigation, comparison, panel }) {
     let before = performance.now();
+    let behind = 0; // seconds of play that no picture has shown yet
     let measured = { at: before, frames: stage.frames };
     const tick = (now) => {
         const seconds = Math.min(0.1, (now - before) / 1000);
         before = now;
-        if (!stage.drawing) transport.advance(Math.max(seconds, 0));
+        behind = Math.min(0.5, behind + Math.max(seconds, 0));
+        if (!stage.drawing) {
+            transport.advance(behind);
+            behind = 0;
+        }
         navigation.fly(seconds);
         stage.update();
         if (stage.shown) comparison.follow(stage.shown.view);
@@ -99,6 +104,9 @@ function makePanes(header) {
         element.innerHTML = "<canvas></canvas><figcaption></figcaption>";
         element.lastChild.textContent = header.labels.length > 1 ? label : "";
         $("stage").append(element);
+        element.firstChild.addEventListener("webglcontextlost", () =>
+            say("The graphics driver dropped the scene: reload the page.", true),
+        );
         const pane = new Pane(element.firstChild, label, shaders, workerUrl);
         pane.element = element;
         return pane;

@@ -12,11 +12,11 @@ import av.error
 import cv2
 import numpy as np
 
-from datasets.clip.hdr import tone_mapped
-from datasets.clip.probe import Header, open_container
 from datasets.composition import BLACK, compose
 from datasets.files.errors import SceneError
 from datasets.files.image_files import read_rgba
+from datasets.video_files.hdr import tone_mapped
+from datasets.video_files.probe import Header, open_container
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
 IMAGE_RATE = 30.0  # frames a second that images without times are taken to have

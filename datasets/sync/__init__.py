@@ -1,0 +1,10 @@
+"""When cameras that were not synchronised started: offsets and drifts of their clocks, from sound or from the picture.
+
+signals.py     what is compared: log energy of the sound, brightness and motion energy of the picture
+correlate.py   the lag of two signals, and how sure it is
+offsets.py     all pairs → one offset (and drift) for each camera, by least squares
+"""
+
+from datasets.sync.offsets import Offsets, find_offsets
+
+__all__ = ["Offsets", "find_offsets"]

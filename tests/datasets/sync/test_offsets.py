@@ -1,0 +1,112 @@
+"""Starts of cameras that were not synchronised: films of a synthetic scene at four rates, with and without sound."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from clip_files import SOUND_RATE, write_clip
+
+from datasets.plenoptic import read_footage
+from datasets.sync import Offsets, find_offsets
+from datasets.sync.signals import Signal
+from datasets.synthetic.film import film
+from datasets.synthetic.rig import rig
+from datasets.synthetic.scenes import counter
+
+RATES = (24.0, 25.0, 30000 / 1001, 60.0)
+SECONDS = 4.0
+
+
+def films(root: Path, starts: np.ndarray, sound: bool) -> list[Path]:
+    """A film a rate, of 48 x 36 pixels; all hear one track, each at its own level and with noise of its own."""
+    rng = np.random.default_rng(7)
+    world = counter.build(np.random.default_rng(0))
+    cameras = rig(len(RATES), 48, 36, np.random.default_rng(1))
+    track = 0.02 * rng.standard_normal(8 * SOUND_RATE)
+    for at in rng.integers(0, len(track) - 4800, 20):
+        track[at : at + 4800] += rng.uniform(0.1, 0.5) * rng.standard_normal(4800) * np.exp(-np.arange(4800) / 600)
+    paths = []
+    for number, (camera, rate, start) in enumerate(zip(cameras, RATES, starts)):
+        times = np.arange(int(SECONDS * rate)) / rate
+        heard = None
+        if sound:
+            part = track[round(start * SOUND_RATE) : round((start + SECONDS) * SOUND_RATE)]
+            heard = np.clip(rng.uniform(0.3, 1) * part + 0.005 * rng.standard_normal(len(part)), -1, 1)
+        frames = film(world, camera, times + start, samples=1)
+        paths.append(write_clip(root / f"cam{number}.mp4", frames, times.tolist(), heard))
+    return paths
+
+
+@pytest.fixture(scope="module")
+def starts() -> np.ndarray:
+    return np.random.default_rng(3).uniform(0, 1.2, len(RATES))
+
+
+@pytest.fixture(scope="module")
+def with_sound(tmp_path_factory: pytest.TempPathFactory, starts: np.ndarray) -> list[Path]:
+    return films(tmp_path_factory.mktemp("sound"), starts, sound=True)
+
+
+def test_by_sound_within_two_milliseconds(with_sound: list[Path], starts: np.ndarray) -> None:
+    found = find_offsets(with_sound)
+    assert found is not None and found.method == "sound" and found.drift == (0.0,) * len(RATES)
+    np.testing.assert_allclose(found.seconds, starts - starts[0], atol=2e-3)
+
+
+def test_by_the_picture_within_half_a_frame(tmp_path: Path, starts: np.ndarray) -> None:
+    found = find_offsets(films(tmp_path, starts, sound=False))
+    assert found is not None and found.method == "picture"
+    np.testing.assert_allclose(found.seconds, starts - starts[0], atol=0.5 / max(RATES[:3]))
+
+
+def test_frames_keep_their_own_times(with_sound: list[Path], starts: np.ndarray, tmp_path: Path) -> None:
+    """Real times, between the ticks of the common clock; nothing is rounded to a frame."""
+    footage = read_footage(with_sound[0].parent, name="x", sync="auto", cache=tmp_path, log=lambda line: None)
+    assert {stream.count for stream in footage.streams} == {footage.count} and footage.rate == pytest.approx(24)
+    world_time = [start + np.array(s.indices) / s.video.rate for start, s in zip(starts, footage.streams)]
+    origin = min(times[0] for times in world_time)
+    for stream, times in zip(footage.streams, world_time):
+        np.testing.assert_allclose(stream.times, times - origin, atol=3e-3)  # the offsets' 2 ms, and the header's rate
+        assert np.abs(stream.times - np.arange(footage.count) / 24 - stream.times[0]).max() <= 1 / 24
+
+
+def test_given_offsets_are_used(with_sound: list[Path], tmp_path: Path) -> None:
+    lines: list[str] = []
+    options = {"name": "x", "cache": tmp_path, "sync": "given", "log": lines.append}
+    footage = read_footage(with_sound[0].parent, offsets=(1.0, 1.5, 1.0, 1.0), **options)
+    assert "cam1 +500.0 ms" in lines[0]
+    assert footage.streams[0].indices[0] == 12 and footage.streams[1].indices[0] == 0  # half a second of 24 a second
+    with pytest.raises(ValueError, match="scene.offsets: expected 4 numbers"):
+        read_footage(with_sound[0].parent, offsets=(1.0,), **options)
+
+
+def test_a_drifting_clock_is_found() -> None:
+    """The second clock runs fast by 50 ppm and starts 0.5 s late; pulses of 1 ms steps over two minutes."""
+    from datasets.sync.offsets import _with_drift
+
+    rng = np.random.default_rng(0)
+    events = rng.uniform(1, 119, 600)
+    drift, start = 5e-5, 0.5
+
+    def heard(times: np.ndarray) -> Signal:
+        values = np.zeros(120_000)
+        np.add.at(values, np.clip((1e3 * times).astype(int), 0, len(values) - 1), 1.0)
+        return Signal(0.0, 1e-3, np.convolve(values, np.hanning(9), "same"))
+
+    late = events[events > start]
+    signals = heard(events), heard((late - start) * (1 + drift))
+    first = Offsets((0.0, start - 60 * drift), (0.0, 0.0), "sound", (9.0, 9.0), 0.0)
+    found = _with_drift(first, signals)
+    assert found.drift[1] == pytest.approx(-drift, abs=1e-5)  # a millisecond's step over two minutes: 8 ppm
+    assert found.seconds[1] == pytest.approx(start, abs=2e-3)
+
+
+@pytest.mark.parametrize("cameras", [2, 4])
+def test_noise_alone_is_not_trusted(cameras: int) -> None:
+    from datasets.sync.offsets import _from_signals
+
+    rng = np.random.default_rng(0)
+    signals = [[Signal(0.0, 1e-3, rng.standard_normal(4000))] for _ in range(cameras)]
+    assert _from_signals(signals, "sound") is None
