@@ -190,6 +190,7 @@ def canonicalise(scene: Scene, transform: Canonical) -> Scene:
         extent=scene.extent * transform.scale,
         init_box=transform.box(scene.init_box),
         unit=scene.unit * transform.scale,
+        seconds_per_unit=scene.seconds_per_unit / transform.time_scale,
         metre=None if scene.metre is None else scene.metre * transform.scale,
         frame_rate=None if scene.frame_rate is None else scene.frame_rate / transform.time_scale,
     )

@@ -96,6 +96,7 @@ class Scene:
     test_sweeps: tuple[Sweep, ...] = ()  # of the held-out frames; no model is trained on them
     is_drive: bool = False  # a car drives through it; images of different cameras may differ in size
     metre: float | None = None  # world units per metre; None: unknown
+    seconds_per_unit: float = 1.0  # of a driving log: seconds per unit of its times
     moving_by: str | None = None  # where the views' masks of what moves come from
     points: ScenePoints | None = None  # initial points; None: random, or from structure from motion
     test_split: str | None = None  # how the held-out views were chosen, for tables; None: as scene.test_split says

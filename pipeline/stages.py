@@ -67,7 +67,9 @@ def run(cfg: Config, overrides: Sequence[str], log: Log) -> dict:
     path = Path(cfg.out)
     refuse_foreign(path)  # before anything is written: a refused run leaves no folder behind
     if cfg.resume:
-        refuse_other_run(path, asdict(cfg), ignored=("train", "scene.background"))  # resolved below, by the scene
+        refuse_other_run(
+            path, asdict(cfg), _with_defaults, ignored=("train", "scene.background")
+        )  # resolved below, by the scene
     if not (cfg.resume and "train" in read_stages(path)) and (needs := estimate_if_large(cfg)):
         for line in needs.lines(cfg):
             log(line)
@@ -116,6 +118,14 @@ def kept_progress(cfg: Config) -> str:
     except (ValueError, OSError):
         pass
     return NOTHING_KEPT
+
+
+def _with_defaults(stored: dict) -> dict:
+    """A run's config.yaml, with the defaults of keys that were added since; unchanged where the schema refuses it."""
+    try:
+        return asdict(config_of_tree(stored))
+    except (ValueError, OmegaConfBaseException):
+        return stored
 
 
 def _resolved_tree(stored: dict, scene: Scene) -> dict:

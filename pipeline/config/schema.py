@@ -31,6 +31,7 @@ class InitConfig:
     min_points: int = 100  # fewer points end the run with advice
     shared_intrinsics: bool = True  # poses unknown: one lens for all cameras
     lidar_points: Optional[int] = None  # driving logs: initial points; None: half of train.densify.max_gaussians
+    lidar_velocities: bool = True  # driving logs: what moves starts with the velocity that sweeps show
     far_share: float = 0.25  # driving logs: share of them for what no LiDAR reaches, above its highest beam
     sphere_points: int = 100_000  # points on the sphere of background_model=sphere
     sphere_radius: float = 10.0  # of that sphere; × the farthest camera or point from the scene's centre

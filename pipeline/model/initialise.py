@@ -37,8 +37,10 @@ def initialise(scene: Scene, cfg: Config, rng: np.random.Generator, cloud: Recon
     """
     if cloud is None and scene.sweeps and cfg.init.source in ("auto", "lidar"):
         budget = cfg.init.lidar_points or max(1, cfg.train.densify.max_gaussians // 2)
-        start = initial_points(scene, budget, cfg.init.far_share, rng)
-        return from_points(start.points, start.times, _sh_dc(start.colors), scene, cfg)
+        start = initial_points(scene, budget, cfg.init.far_share, rng, cfg.init.lidar_velocities)
+        model = from_points(start.points, start.times, _sh_dc(start.colors), scene, cfg)
+        set_velocities(model, start.velocities)
+        return model
     points, sh_dc = _random_points(scene, cfg, rng) if cloud is None else (cloud.points, _sh_dc(cloud.colors))
     n_sphere = 0
     if cfg.effective_background_model == "sphere":
@@ -123,6 +125,25 @@ def from_points(
     parameters["opacity_logit"].fill_(float(np.log(opacity / (1.0 - opacity))))
     parameters["sh"][:, 0] = torch.from_numpy(sh_dc)
     return Model(kind, parameters)
+
+
+def set_velocities(model: Model, velocities: np.ndarray) -> None:
+    """Tilt the time axes of spatially isotropic, unrotated Gaussians so that they move; in place. velocities: (N, 3),
+    world units per unit of time. A model without 4D rotation is unchanged.
+
+    The axis becomes u = (v, 1) / √(|v|² + 1). As ql k qr is the rotated time axis (docs/method.md 1), ql = -u k and
+    qr = 1 tilt it; what they do to the spatial axes does not show. The extent along u that keeps st is st √(|v|² + 1).
+    """
+    moving = np.flatnonzero(np.abs(velocities).max(axis=1, initial=0.0) > 0)
+    if model.kind.motion != "full" or not len(moving):
+        return
+    v = torch.from_numpy(velocities[moving]).float()
+    length = torch.sqrt((v * v).sum(dim=1) + 1)
+    x, y, z, t = (*(v / length[:, None]).unbind(1), 1 / length)
+    rows = torch.from_numpy(moving)
+    # -(x + y i + z j + t k) k = t - z i + y j - x k
+    model.parameters["quat_left"][rows] = torch.stack([t, -z, y, -x], dim=1)
+    model.parameters["log_scale"][rows, 3] += torch.log(length)
 
 
 def nearest_distance(points: np.ndarray) -> np.ndarray:

@@ -7,15 +7,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from tiny import tiny_config
 
 from datasets.canonical import DISTANCE, canonical_of, canonicalise
 from datasets.scene import Scene, Sweep, View
 from pipeline.data.lidar.depth_targets import DepthTargets
 from pipeline.data.lidar.initial_points import coloured_points, far_points, highest_beam, initial_points, thinned
-from pipeline.model.initialise import initialise
-from pipeline.model.model import kind_of
+from pipeline.data.lidar.velocities import agreed, sweep_velocities
+from pipeline.model.initialise import initialise, set_velocities
+from pipeline.model.model import Model, ModelKind, kind_of
 from rasterizer.camera import Camera
+from rasterizer.reference.render import slice_in_time
 
 WIDTH, HEIGHT, FOCAL, WALL = 24, 16, 20.0, 30.0
 RED, BLUE = (200, 30, 20), (20, 30, 200)
@@ -122,3 +125,55 @@ def test_a_drive_is_normalised_by_its_way() -> None:
     one, other = (DepthTargets(s).at(1, s.train[1].camera) for s in (scene, moved))
     assert (one.pixel == other.pixel).all()
     np.testing.assert_allclose(other.inverse, 10 * one.inverse, rtol=1e-5)
+
+
+def passing(frames: int = 9, speed: float = 12.0) -> Scene:
+    """A box 15 m ahead that drives to the right before a wall, as LiDAR sees them, ten times a second."""
+    across, down = np.meshgrid(np.arange(-12, 12, 0.1), np.arange(-2, 2, 0.1))
+    wall = np.stack([across.ravel(), down.ravel(), np.full(across.size, 25.0)], axis=1)
+    side, up = np.meshgrid(np.arange(-1, 1, 0.1), np.arange(-1, 1, 0.3))
+    sweeps, views = [], []
+    for frame in range(frames):
+        middle = 0.1 * speed * (frame - 4)
+        box = np.stack([middle + side.ravel(), up.ravel(), np.full(side.size, 15.0)], axis=1)
+        hidden = (np.abs(wall[:, 0] - 25 / 15 * middle) < 1.75) & (np.abs(wall[:, 1]) < 1.75)
+        sweeps.append(Sweep(frame, 0.1 * frame, np.zeros(3), np.concatenate([box, wall[~hidden]])))
+        camera = Camera(60, 20, 40.0, 40.0, 30.0, 10.0, np.eye(4))
+        image = np.full((20, 60, 3), 90, np.uint8)
+        views.append(View(camera, 0.1 * frame, image, f"train/cam2_{frame:06d}", frame=frame))
+    return replace(drive(), train=tuple(views), sweeps=tuple(sweeps), duration=0.8)
+
+
+def test_velocities_are_those_of_the_box_and_of_nothing_else() -> None:
+    """12 m/s to the right; of the wall none. In other units they scale. 5 %: the beams of a sweep are 0.1 m apart."""
+    scene = passing()
+    found = sweep_velocities(scene)
+    box = scene.sweeps[4].points[:, 2] == 15.0
+    np.testing.assert_allclose(np.median(found[4][box], axis=0), [12.0, 0.0, 0.0], atol=0.6)
+    assert (found[4][~box] == 0).mean() > 0.98
+    transform = canonical_of(scene)
+    moved = sweep_velocities(canonicalise(scene, transform))
+    np.testing.assert_allclose(moved[4], found[4] * transform.scale / transform.time_scale, atol=1e-9)
+
+
+def test_velocities_that_disagree_are_not_taken() -> None:
+    fast, slow = np.array([9.0, 0, 0]), np.array([5.0, 0, 0])
+    assert (agreed([fast, fast + 0.5], 2.5) == fast + 0.25).all()
+    for listed in ([fast, slow], [fast, None], [None, None], []):
+        assert (agreed(listed, 2.5) == 0).all()
+    assert (agreed([fast], 2.5) == fast).all()  # the first and the last sweep have one neighbour
+
+
+def test_gaussians_start_with_the_velocities() -> None:
+    """Velocity and temporal extent of the kernel's reference: Σ_xt / Σ_tt = v and Σ_tt = st²; up to (s/st)², the
+    spatial extent's share."""
+    model = Model(ModelKind("full", 0, 0), {
+        name: torch.zeros(3, *row) for name, row in ModelKind("full", 0, 0).shapes().items()
+    })  # fmt: skip
+    model.parameters["quat_left"][:, 0] = model.parameters["quat_right"][:, 0] = 1
+    model.parameters["log_scale"][:, :3], model.parameters["log_scale"][:, 3] = np.log(1e-3), np.log(0.25)
+    velocities = np.array([[3.0, -2.0, 0.5], [0.0, 0.0, 0.0], [0.0, 0.0, -7.0]])
+    set_velocities(model, velocities)
+    sliced = slice_in_time(model.gaussians(), 0.0)
+    np.testing.assert_allclose(sliced.velocity.numpy(), velocities, atol=1e-3)
+    np.testing.assert_allclose(sliced.variance_t.numpy(), 0.25**2, rtol=1e-3)

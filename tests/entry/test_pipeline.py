@@ -169,6 +169,20 @@ def test_another_run_in_the_same_folder_is_refused(finished: Path, shell: Shell)
     assert "holds another run, with train.batch=2 but this command has 1" in err and "resume=false" in err
 
 
+def test_a_run_of_before_a_key_was_added_is_continued(finished: Path, shell: Shell) -> None:
+    """Its config.yaml lacks the key: the default is what it was run with."""
+    config = finished / "config.yaml"
+    before = config.read_text()
+    tree = yaml.safe_load(before)
+    del tree["init"]["far_share"], tree["scene"]["sky_masks"]
+    config.write_text(yaml.safe_dump(tree))
+    try:
+        out, _ = shell(*TINY)
+    finally:
+        config.write_text(before)
+    assert "train: already done" in out
+
+
 def test_other_data_in_the_same_folder_is_refused(finished: Path, shell: Shell) -> None:
     cached = next((shell.folder / "results/cache").rglob("train/*.png"))
     before = cached.read_bytes()

@@ -10,6 +10,7 @@ import numpy as np
 
 from datasets.scene import Scene, Sweep, View
 from datasets.urban.projection import depth_image, seen
+from pipeline.data.lidar.velocities import sweep_velocities
 
 MOST_POINTS = 1_000_000  # before thinning: more change no voxel's choice noticeably
 VOXEL_STEPS = 24  # of the bisection: the voxel is found within 1e-5 of its size
@@ -24,25 +25,32 @@ class TimedPoints:
     points: np.ndarray  # (N, 3) world units
     times: np.ndarray  # (N,) the scene's unit
     colors: np.ndarray  # (N, 3) uint8
+    velocities: np.ndarray  # (N, 3) world units per unit of time
+
+    def rows(self, index: np.ndarray) -> TimedPoints:
+        return TimedPoints(self.points[index], self.times[index], self.colors[index], self.velocities[index])
 
 
-def initial_points(scene: Scene, budget: int, far_share: float, rng: np.random.Generator) -> TimedPoints:
+def initial_points(
+    scene: Scene, budget: int, far_share: float, rng: np.random.Generator, velocities: bool = True
+) -> TimedPoints:
     """`budget` points at most: (1 - far_share) of them from LiDAR, the rest far points.
 
+    velocities: measured between sweeps (velocities.py); else all zero.
     Deterministic in `rng`. Raises ValueError if no camera sees a LiDAR point.
     """
     far_count = round(budget * far_share)
-    lidar = thinned(coloured_points(scene, rng), budget - far_count, rng)
-    far = far_points(scene, far_count, rng)
-    return TimedPoints(*(np.concatenate(pair) for pair in zip(_fields(lidar), _fields(far))))
+    lidar = thinned(coloured_points(scene, rng, velocities), budget - far_count, rng)
+    return joined([lidar, far_points(scene, far_count, rng)])
 
 
-def coloured_points(scene: Scene, rng: np.random.Generator) -> TimedPoints:
+def coloured_points(scene: Scene, rng: np.random.Generator, velocities: bool = True) -> TimedPoints:
     """The LiDAR points of the training frames that a camera of their frame sees, in its colour. Of points that several
     see the colour is the first camera's."""
     views = views_by_frame(scene)
-    found: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
-    for sweep in scene.sweeps:
+    found: list[TimedPoints] = []
+    moving = sweep_velocities(scene) if velocities else [np.zeros_like(sweep.points) for sweep in scene.sweeps]
+    for sweep, velocity in zip(scene.sweeps, moving):
         left = np.ones(len(sweep.points), dtype=bool)
         for view in views[sweep.frame]:
             index, column, row, _ = seen(sweep.points, view.camera)
@@ -50,14 +58,13 @@ def coloured_points(scene: Scene, rng: np.random.Generator) -> TimedPoints:
             index, column, row = index[new], column[new].astype(int), row[new].astype(int)
             left[index] = False
             colors = np.asarray(view.image)[row, column]
-            found.append((sweep.points[index], np.full(len(index), sweep.time), colors))
-    if not sum(len(points) for points, _, _ in found):
+            found.append(TimedPoints(sweep.points[index], np.full(len(index), sweep.time), colors, velocity[index]))
+    if not sum(len(part.points) for part in found):
         raise ValueError(f"{scene.source}: expected LiDAR points in the images of their frame, found none")
-    points, times, colors = (np.concatenate(parts) for parts in zip(*found))
-    if len(points) > MOST_POINTS:
-        kept = np.sort(rng.choice(len(points), MOST_POINTS, replace=False))
-        points, times, colors = points[kept], times[kept], colors[kept]
-    return TimedPoints(points, times, colors)
+    cloud = joined(found)
+    if len(cloud.points) > MOST_POINTS:
+        cloud = cloud.rows(np.sort(rng.choice(len(cloud.points), MOST_POINTS, replace=False)))
+    return cloud
 
 
 def thinned(cloud: TimedPoints, budget: int, rng: np.random.Generator) -> TimedPoints:
@@ -79,8 +86,7 @@ def thinned(cloud: TimedPoints, budget: int, rng: np.random.Generator) -> TimedP
             high, chosen = side, first
         else:
             low = side
-    kept = np.sort(order[chosen])
-    return TimedPoints(cloud.points[kept], cloud.times[kept], cloud.colors[kept])
+    return cloud.rows(np.sort(order[chosen]))
 
 
 def first_in_voxels(points: np.ndarray, side: float) -> np.ndarray:
@@ -104,9 +110,7 @@ def far_points(scene: Scene, count: int, rng: np.random.Generator) -> TimedPoint
         for view, wanted in zip(views, per_view)
         if wanted
     ]
-    if not parts:
-        return TimedPoints(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3), np.uint8))
-    return TimedPoints(*(np.concatenate(fields) for fields in zip(*map(_fields, parts))))
+    return joined([nothing(), *parts])
 
 
 def _far_points_of(view: View, sweep: Sweep | None, count: int, metre: float, rng: np.random.Generator) -> TimedPoints:
@@ -119,7 +123,7 @@ def _far_points_of(view: View, sweep: Sweep | None, count: int, metre: float, rn
         free &= ~view.sky
     candidates = np.flatnonzero(free)
     if not len(candidates):
-        return TimedPoints(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3), np.uint8))
+        return nothing()
     row, column = np.divmod(rng.choice(candidates, count), width)
     low, high = np.log(FAR_RANGE)
     metres = np.exp(rng.uniform(low, high, count)) * metre
@@ -129,7 +133,8 @@ def _far_points_of(view: View, sweep: Sweep | None, count: int, metre: float, rn
         [(column + 0.5 - camera.cx) / camera.fx, (row + 0.5 - camera.cy) / camera.fy, np.ones(count)], axis=1
     )
     points = camera.position + (z[:, None] * rays) @ camera.world_to_cam[:3, :3]
-    return TimedPoints(points, np.full(count, view.time), np.asarray(view.image)[row, column])
+    colors = np.asarray(view.image)[row, column]
+    return TimedPoints(points, np.full(count, view.time), colors, np.zeros_like(points))
 
 
 def highest_beam(depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -154,5 +159,15 @@ def views_by_frame(scene: Scene) -> dict[int, list[View]]:
     return found
 
 
-def _fields(cloud: TimedPoints) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    return cloud.points, cloud.times, cloud.colors
+def joined(parts: list[TimedPoints]) -> TimedPoints:
+    """One after the other."""
+    return TimedPoints(
+        np.concatenate([part.points for part in parts]),
+        np.concatenate([part.times for part in parts]),
+        np.concatenate([part.colors for part in parts]),
+        np.concatenate([part.velocities for part in parts]),
+    )
+
+
+def nothing() -> TimedPoints:
+    return TimedPoints(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3), np.uint8), np.zeros((0, 3)))
