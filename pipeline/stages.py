@@ -70,7 +70,7 @@ def run(cfg: Config, overrides: Sequence[str], log: Log) -> dict:
         refuse_other_run(
             path, asdict(cfg), _with_defaults, ignored=("train", "scene.background")
         )  # resolved below, by the scene
-    if not (cfg.resume and "train" in read_stages(path)) and (needs := estimate_if_large(cfg)):
+    if not (cfg.resume and "train" in read_stages(path)) and (needs := estimate_if_large(cfg, log)):
         for line in needs.lines(cfg):
             log(line)
     data = prepare(cfg, log)

@@ -1,4 +1,4 @@
-"""Writes a driving log in the layouts of waymo_processed.py and waymo_kitti_format.py: synthetic drives, converted
+"""Writes a driving log in the layouts of waymo/processed.py and waymo/kitti_format.py: synthetic drives, converted
 logs, and those that tests read back."""
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from datasets.urban.waymo_processed import OPENCV_TO_WAYMO
+from datasets.urban.waymo.processed import OPENCV_TO_WAYMO
 from rasterizer.camera import Camera
 
 

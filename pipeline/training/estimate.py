@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import shutil
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -96,11 +97,17 @@ def training_minutes(cfg: Config, scene: Scene) -> str:
     )
 
 
-def estimate_if_large(cfg: Config) -> Estimate | None:
-    """`estimate` for a scene with more than LARGE_SCENE_BYTES of decoded frames; None for others."""
+def estimate_if_large(cfg: Config, log: Callable[[str], None]) -> Estimate | None:
+    """`estimate` for a scene with more than LARGE_SCENE_BYTES of decoded frames; None for others.
+
+    log: takes lines of text while a synthetic scene is rendered. What there is to say of other videos, reading them for
+    the run says.
+    """
     if not is_filmed(cfg.scene):
         return None
-    footage = load_footage(cfg.scene, threads=cfg.threads, log=lambda line: None)
+    footage = load_footage(
+        cfg.scene, threads=cfg.threads, log=log if cfg.scene.reader == "synthetic" else lambda line: None
+    )
     decoded_bytes = 3 * footage.size[0] * footage.size[1] * len(footage.names) * footage.count
     return estimate(cfg) if decoded_bytes / footage.options.downscale**2 > LARGE_SCENE_BYTES else None
 

@@ -49,6 +49,7 @@ def test_todays_configuration_stays_as_it_is_and_first_names_come_back() -> None
     for key in ADDED:
         *groups, name = key.split(".")
         del reduce(getitem, groups, tree)[name]
+    assert tree["train"].pop("depth") == {}, "a group of added keys only"
     assert "leave_out" in old["train"]["densify"] and with_renamed_keys(old) == tree
 
 

@@ -66,10 +66,10 @@ def test_killed_again_and_again_it_ends_the_same(finished: Path, shell: Shell) -
     """Killed while making the videos, in structure from motion, decoding, in training and in the evaluation."""
     again = Shell(shell.folder / "killed")
     again.folder.mkdir()
-    for moment in ("2 of 5 cameras rendered", "sfm: 4 cameras", "decoded cam01", "iteration 20:", "evaluate:"):
+    for moment in ("2 of 5 cameras rendered", "sfm: 4 images", "decoded cam01", "iteration 20:", "evaluate:"):
         command = again.start(*COUNTER)
         while moment not in command.said():
-            assert command.is_running(), command.wait()
+            assert command.is_running(), (moment, command.wait())
             time.sleep(0.01)
         command.kill()
     again(*COUNTER)

@@ -41,7 +41,7 @@ def test_the_page_names_every_choice_and_fits_a_terminal() -> None:
         "release",
         "variant",
     }, "those are composed by other files"
-    assert len(EXAMPLES) == 10
+    assert len(EXAMPLES) == 14
 
 
 @pytest.mark.parametrize("arguments", [arguments for arguments, _ in EXAMPLES])

@@ -12,9 +12,9 @@ from kitti_folder import frames_of
 from datasets.settings import SceneConfig
 from datasets.urban import open_log
 from datasets.urban.assemble import scene_of_log
-from datasets.urban.convert_waymo import Components, vehicle_poses
 from datasets.urban.log import DrivingLog
 from datasets.urban.projection import depth_image
+from datasets.urban.waymo.convert import Components, vehicle_poses
 from datasets.urban.write import write_kitti_format, write_processed
 
 pytestmark = pytest.mark.data

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from datasets.synthetic.world import turn
-from datasets.urban.waymo_processed import OPENCV_TO_WAYMO
+from datasets.urban.waymo.processed import OPENCV_TO_WAYMO
 from rasterizer.camera import Camera
 
 RATE = 10.0  # frames a second

@@ -157,7 +157,7 @@ def test_load_scene_by_config(tmp_path: Path) -> None:
     [
         (
             {"name": "synthetic/wheal"},
-            "expected synthetic/ and one of wheel, lamp, burst, still, counter, found 'wheal'",
+            "expected synthetic/ and one of wheel, lamp, burst, still, counter, street, found 'wheal'",
         ),
         ({"train_views": 1}, "expected at least 2 and 1, found 1 and 2"),
         ({"reader": "dnerf"}, r"scene.path: expected the folder of the data \(scene.path=DIR\), found none"),

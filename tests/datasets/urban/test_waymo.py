@@ -14,7 +14,7 @@ from datasets.settings import SceneConfig
 from datasets.urban import open_log
 from datasets.urban.assemble import scene_of_log
 from datasets.urban.log import DrivingLog
-from datasets.urban.waymo_processed import columns_of
+from datasets.urban.waymo.processed import columns_of
 from datasets.urban.write import Frame, FrameCamera, write_kitti_format, write_processed
 from rasterizer.camera import Camera
 

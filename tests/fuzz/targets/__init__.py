@@ -7,9 +7,14 @@ import pkgutil
 
 from fuzz.target import Target
 
-NAMES = tuple(sorted(module.name for module in pkgutil.iter_modules(__path__)))
+_MODULES = {
+    module.name.rpartition(".")[2]: module.name
+    for module in pkgutil.walk_packages(__path__, f"{__name__}.")
+    if not module.ispkg
+}
+NAMES = tuple(sorted(_MODULES))
 
 
 def load_target(name: str) -> Target:
     """The target of a name; imports only its module, because each needs its own packages."""
-    return importlib.import_module(f"fuzz.targets.{name}").TARGET
+    return importlib.import_module(_MODULES[name]).TARGET

@@ -11,7 +11,7 @@ from hypothesis.strategies import SearchStrategy
 from fuzz.edits.bytes import changed_files, edit_text
 from fuzz.edits.json import edit_json
 from fuzz.target import REFUSED, VALID, Changes, Files, Target, check_message, require, valid_or_refused
-from fuzz.targets.dnerf import png
+from fuzz.targets.data.dnerf import png
 from pipeline.report.compare.curve_figures import curve_figures
 from pipeline.report.compare.curve_statistics import end_of_coarse
 from pipeline.report.tables.paper_tables import paper_tables

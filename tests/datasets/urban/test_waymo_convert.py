@@ -14,9 +14,9 @@ from scipy.spatial.transform import Rotation
 
 from datasets.files.errors import SceneError
 from datasets.urban import open_log
-from datasets.urban.convert_waymo import TIME, convert, main
-from datasets.urban.range_image import inclinations, points_of
-from datasets.urban.waymo_processed import OPENCV_TO_WAYMO
+from datasets.urban.waymo.convert import TIME, convert, main
+from datasets.urban.waymo.processed import OPENCV_TO_WAYMO
+from datasets.urban.waymo.range_image import inclinations, points_of
 
 ROWS, COLUMNS = 5, 12
 EXTRINSIC = np.eye(4)

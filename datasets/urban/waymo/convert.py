@@ -1,6 +1,6 @@
-"""python -m datasets.urban.convert_waymo SPLIT_DIR --out DIR [--segment NAME] [--cameras 0 1 2] [--frames N]
+"""python -m datasets.urban.waymo.convert SPLIT_DIR --out DIR [--segment NAME] [--cameras 0 1 2] [--frames N]
 
-Converts a segment of the Waymo Open Dataset 2 (parquet) to the processed layout (waymo_processed.py): JPEGs as they
+Converts a segment of the Waymo Open Dataset 2 (parquet) to the processed layout (processed.py): JPEGs as they
 are, poses relative to the first frame, calibrations, the first return of all lasers, and masks of what moves from the
 labelled boxes. SPLIT_DIR holds a folder a component: camera_image/SEGMENT.parquet, …. Needs pyarrow.
 """
@@ -19,8 +19,8 @@ import numpy as np
 from datasets.cameras.transforms import read_pose
 from datasets.files.atomic_write import atomic_folder, write_json
 from datasets.files.errors import SceneError
-from datasets.urban.range_image import inclinations, points_of
-from datasets.urban.waymo_processed import OPENCV_TO_WAYMO
+from datasets.urban.waymo.processed import OPENCV_TO_WAYMO
+from datasets.urban.waymo.range_image import inclinations, points_of
 from datasets.urban.write import Frame, FrameCamera, write_processed
 from rasterizer.camera import Camera
 
@@ -252,7 +252,7 @@ def _image(values: object, shape: object, channels: int, where: Path) -> np.ndar
 
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
-        prog="python -m datasets.urban.convert_waymo",
+        prog="python -m datasets.urban.waymo.convert",
         description="Converts a segment of the Waymo Open Dataset 2 to the folder that scene=waymo reads.",
     )
     parser.add_argument("split", type=Path, help="folder of the components: camera_image/, lidar/, …")

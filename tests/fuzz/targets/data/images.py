@@ -13,7 +13,7 @@ from fuzz.edits.bytes import changed_files
 from fuzz.edits.json import edit_json
 from fuzz.scene_checks import check_scene
 from fuzz.target import Changes, Files, Target, valid_or_refused
-from fuzz.targets.dnerf import png
+from fuzz.targets.data.dnerf import png
 
 WIDTH, HEIGHT, FRAMES = 8, 6, 2
 INTRINSICS = {"w": 8.0, "h": 6.0, "fl_x": 7.0, "fl_y": 7.5, "cx": 4, "cy": 3, "k1": 0.01, "camera_model": "OPENCV"}

@@ -9,7 +9,7 @@ from hypothesis.strategies import SearchStrategy
 
 from fuzz.edits.bytes import changed_files
 from fuzz.target import Changes, Files, Target, require, valid_or_refused
-from fuzz.targets.dnerf import png
+from fuzz.targets.data.dnerf import png
 from pipeline.data.sfm.__main__ import read_photographs
 
 

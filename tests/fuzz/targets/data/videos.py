@@ -14,7 +14,7 @@ from fuzz.edits.arrays import edit_npy
 from fuzz.edits.bytes import changed_files
 from fuzz.scene_checks import check_scene
 from fuzz.target import Changes, Files, Target, valid_or_refused
-from fuzz.targets.poses import NAMES, SIZE, poses_file
+from fuzz.targets.data.poses import NAMES, SIZE, poses_file
 
 FRAMES = 3
 

@@ -1,5 +1,5 @@
 """Waymo Open Dataset as other programs leave it: "processed" (EmerNeRF, DriveStudio, S3Gaussian) or in KITTI's format
-(Periodic Vibration Gaussian). The layout is recognised by its folders. convert_waymo.py makes the first from the
+(Periodic Vibration Gaussian). The layout is recognised by its folders. convert.py makes the first from the
 original parquet files."""
 
 from __future__ import annotations
@@ -8,8 +8,8 @@ from pathlib import Path
 
 from datasets.files.errors import SceneError
 from datasets.urban.log import DrivingLog
-from datasets.urban.waymo_kitti_format import open_kitti_format
-from datasets.urban.waymo_processed import open_processed
+from datasets.urban.waymo.kitti_format import open_kitti_format
+from datasets.urban.waymo.processed import open_processed
 
 
 def open_waymo(path: Path) -> DrivingLog:
