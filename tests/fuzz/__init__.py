@@ -4,7 +4,8 @@ The rule for a reader: any bytes give a valid result, or a ValueError of one lin
 and what was found; never another exception, a crash, a hang or a warning.
 
 A target (target.py) is a valid example, a Hypothesis strategy of changes to it, and a check of the rule. To add one:
-    1. write targets/<name>.py (targets/data/ for scenes) with example(), changes(), check() and TARGET; targets/data/frame_store.py is a short one;
+    1. write targets/<name>.py (of a scene: targets/data/) with example(), changes(), check() and TARGET;
+       targets/data/frame_store.py is a short one;
     2. run `PYTHONPATH=tests python -m fuzz <name> --seconds 600`;
     3. fix what it finds, and move the saved input to regressions/<name>/<what it is>/, which test_fuzz.py replays.
 
