@@ -9,7 +9,7 @@ A target (target.py) is a valid example, a Hypothesis strategy of changes to it,
     2. run `PYTHONPATH=tests python -m fuzz <name> --seconds 600`;
     3. fix what it finds, and move the saved input to regressions/<name>/<what it is>/, which test_fuzz.py replays.
 
-    target.py              Target, the rule, saved inputs           targets/        the targets; data/, layouts/: of scenes
+    target.py              Target, the rule, saved inputs           targets/        targets; data/, layouts/: of scenes
     edits/                 changes to bytes, text, JSON, arrays     regressions/    inputs that once violated the rule
     search.py              runs a target with Hypothesis            scene_checks.py, model_checks.py
     subprocess_search.py   the search in a process that may crash   failing_targets.py, for the tests of the search
