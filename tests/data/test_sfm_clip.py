@@ -12,7 +12,7 @@ from datasets.synthetic.rig import rig
 from datasets.synthetic.scenes import counter
 from datasets.synthetic.trace import trace
 from pipeline.config.schema import InitConfig
-from pipeline.data.sfm.clip import reconstruct_clip
+from pipeline.data.sfm.clip import reconstruct_clip, second_pass
 from pipeline.data.sfm.moving_masks import fundamental_matrix
 from pipeline.data.sfm.photograph import Photograph
 from pipeline.evaluation.pictures.camera_path import look_at
@@ -82,6 +82,11 @@ def test_fewer_than_four_fifths_of_the_frames_are_refused() -> None:
         photographs[index] = replace(photographs[index], image=noise)
     with pytest.raises(ValueError, match="^clip: expected to find the camera of 80% of 10 frames, found that of 7: "):
         reconstruct_clip(photographs, InitConfig(min_points=10), Path("clip"), lambda line: None)
+
+
+def test_a_second_pass_that_fails_is_none(tmp_path: Path) -> None:
+    """So that the first pass's cameras are kept; here COLMAP gets a folder without a request."""
+    assert second_pass(tmp_path, Path("clip")) is None
 
 
 def test_points_lie_on_their_epipolar_lines() -> None:
