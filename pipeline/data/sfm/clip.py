@@ -16,7 +16,7 @@ import numpy as np
 from PIL import Image
 
 from pipeline.config.schema import InitConfig
-from pipeline.data.sfm.job import ColmapResult, write_request
+from pipeline.data.sfm.job import TURNS, ColmapResult, write_request
 from pipeline.data.sfm.moving_masks import moving_masks
 from pipeline.data.sfm.photograph import CalibratedCamera, Photograph, Reconstruction
 from pipeline.data.sfm.run import calibrated, request_for, run_colmap
@@ -41,6 +41,7 @@ def reconstruct_clip(
     names = [photograph.name for photograph in photographs]
     pairs = [[a, b] for d in DISTANCES for a, b in zip(names, names[d:])]
     sizes = {p.name: p.image.shape for p in photographs}
+    refused: ValueError | None = None
     with tempfile.TemporaryDirectory(prefix="sfm-") as temporary:
         folder = Path(temporary)
         (folder / "images").mkdir()
@@ -58,7 +59,13 @@ def reconstruct_clip(
             lens = next(iter(first.cameras.values()))
             focal, _, cx, cy = lens["intrinsics"]
             write_request(folder, replace(request, masked=True, intrinsics=[focal, cx, cy, lens["radial"]]))
-            second = second_pass(folder, source)
+            second = None
+            try:
+                second = run_colmap(folder, source)
+            except ValueError as error:  # the masks took what the first pass stood on
+                refused = error
+                if TURNS in str(error):
+                    raise
             share = float(np.mean([mask.mean() for mask in masks.values()]))
             registered = 0 if second is None else len(second.cameras)
             log(
@@ -70,6 +77,8 @@ def reconstruct_clip(
             else:
                 log("sfm: the first pass is used, which found more")
     if len(found.cameras) < LEAST_REGISTERED * len(names):
+        if refused is not None:
+            raise refused
         raise ValueError(
             f"{source}: expected to find the camera of {LEAST_REGISTERED:.0%} of {len(names)} frames, found that of "
             f"{len(found.cameras)}: too little overlap; film slowly, with texture in view all the time, and so that "
@@ -90,14 +99,6 @@ def reconstruct_clip(
         len(names),
         time.perf_counter() - started,
     )
-
-
-def second_pass(folder: Path, source: Path) -> ColmapResult | None:
-    """None where it finds too few cameras: the masks took what the first pass stood on."""
-    try:
-        return run_colmap(folder, source)
-    except ValueError:
-        return None
 
 
 def _cameras(found: ColmapResult, sizes: dict[str, tuple[int, ...]]) -> dict[str, CalibratedCamera]:

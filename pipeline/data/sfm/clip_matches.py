@@ -8,7 +8,7 @@ import numpy as np
 import pycolmap
 
 from pipeline.data.sfm.features import set_shared_intrinsics, verification_options
-from pipeline.data.sfm.job import Request, SfmError
+from pipeline.data.sfm.job import TURNS, Request, SfmError
 
 STILL = 0.01  # image widths: matches between no two frames are farther apart than this if the camera stands still
 TURNED = 0.05  # image widths: frames whose matches are farther apart tell whether the camera turns or moves
@@ -73,7 +73,7 @@ def because_it_turns(database: Path) -> str:
     turned = [config in _ROTATIONS for config, shift in _verified_pairs(database) if shift > TURNED]
     if not turned or np.mean(turned) < TURNING_SHARE:
         return ""
-    return f" (the camera turns without moving, which shows no depth: {WHAT_TO_FILM})"
+    return f" ({TURNS}, which shows no depth: {WHAT_TO_FILM})"
 
 
 def _verified_pairs(database: Path) -> list[tuple[pycolmap.TwoViewGeometryConfiguration, float]]:

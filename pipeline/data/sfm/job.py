@@ -15,6 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
+# Of a message: such a camera is refused, whatever a pass makes of its frames.
+TURNS = "the camera turns without moving"
+
 
 class SfmError(ValueError):
     """The photographs do not suffice for the reconstruction."""
