@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import torch
 from test_lidar_points import BLUE, FOCAL, HEIGHT, RED, WALL, WIDTH, drive
+from tiny import tiny_config, tiny_scene, train_tiny
 
 from datasets.scene import ScenePoints
+from pipeline.config.train_schema import DensifyConfig, DepthConfig
 from pipeline.data.sfm.depth_targets import PointDepths
+from pipeline.training.objective.depth_loss import inverse_depth
+from rasterizer import Rasterizer, Request
 
 COLUMN, ROW = 4, 11  # of a pixel on the red half
 
@@ -46,3 +53,25 @@ def test_the_nearest_point_of_a_pixel_counts_at_any_size_and_from_any_camera() -
             found = depths.at(index, camera, red.expand(3, camera.height, camera.width))
             assert found is not None and found.inverse.max().item() == np.float32(1 / (20.0 - 2 * index))
             assert index > 0 or len(found.pixel) == 1  # the farther one is hidden
+
+
+def test_the_loss_moves_the_rendered_depth_to_the_points(tmp_path: Path) -> None:
+    """Points on the disc of the first view, nearer than its Gaussians: with the loss their inverse depth is nearer to
+    the points'; half the error is the margin."""
+    scene = tiny_scene(static=True)
+    view = scene.train[0]
+    row, column = np.nonzero(np.asarray(view.image).any(axis=2))
+    rays = np.stack([(column + 0.5 - 16) / 40, (row + 0.5 - 16) / 40, np.ones(len(row))], axis=1)
+    rotation, shift = view.camera.world_to_cam[:3, :3], view.camera.world_to_cam[:3, 3]
+    positions = (3.2 * rays - shift) @ rotation
+    points = ScenePoints(positions, np.asarray(view.image)[row, column])
+    scene = replace(scene, train=scene.train[:1], points=points)
+    errors = []
+    for weight in (0.0, 5.0):
+        cfg = tiny_config(batch=1, densify=DensifyConfig(start=100), depth=DepthConfig(sfm=weight, lidar_decay=0.0))
+        model = train_tiny(tmp_path / str(weight), cfg, scene).model
+        request = Request(view.camera, 0.0, 1.0, scene.background, outputs=("color", "alpha", "depth"))
+        image = Rasterizer(threads=1).render(model.gaussians(), request, differentiable=False)
+        rho = inverse_depth(image.depth, image.alpha)[0][0].numpy()[row, column]
+        errors.append(float(np.abs(rho - 1 / 3.2).mean()))
+    assert errors[1] < 0.5 * errors[0]
