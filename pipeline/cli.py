@@ -1,4 +1,4 @@
-"""The command line: Hydra composes a configuration, stages.py runs it, and whatever goes wrong ends in one line.
+"""The command line: Hydra composes a configuration, stages/ runs it, and whatever goes wrong ends in one line.
 
 Exit status 0 only if every run ended well. HYDRA_FULL_ERROR=1 shows tracebacks instead of lines.
 """

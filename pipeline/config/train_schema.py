@@ -152,8 +152,8 @@ class TrainConfig:
     sh_degree_every: int = 1000  # iterations between increases of the SH degree, up to 3; 0: 3 from the start
     # Iterations from which Fourier order 1 and 2 are trained; empty: from the start
     fourier_at: list[int] = field(default_factory=lambda: [4000, 5000])
-    # Selection of time-varying colour by validation (pipeline/training/select_time_colour.py): two trainings, each this
-    # fraction of the schedule. 0: none, time-varying colour is kept. Without effect under a time budget
+    # Selection of time-varying colour by validation (pipeline/training/selection/): two trainings, each this fraction
+    # of the schedule. 0: none, time-varying colour is kept. Without effect under a time budget
     select_time_colour: float = 0.0
     # Static or dynamic by validation, for one moving camera (pipeline/training/selection/motion.py): two trainings,
     # each this fraction of the schedule. 0: none, dynamic where the views have times

@@ -19,15 +19,14 @@ from pipeline.config.schema import Config
 from pipeline.data.sfm.photograph import Reconstruction
 from pipeline.model.model import kind_of
 from pipeline.model.scene_settings import resolved
-from pipeline.training import schedule
-from pipeline.training.select_time_colour import (
+from pipeline.training.selection.short_training import (
     MIN_STANDARD_ERRORS,
-    RESOLUTION,
     VALIDATION_EVERY,
     mean_and_error,
+    short_schedule,
     trained_psnr,
-    without_time_colour,
 )
+from pipeline.training.selection.time_colour import without_time_colour
 
 FEWEST_VIEWS = 3  # of validation
 
@@ -82,14 +81,7 @@ def select_motion(
     started, part = time.perf_counter(), hold_out_poses(scene, VALIDATION_EVERY)
     psnr = []
     for variant, label in ((without_time(cfg, scene), "without"), (without_time_colour(cfg), "with")):
-        short = schedule.shortened(variant.train, cfg.train.select_motion)
-        short = replace(
-            short,
-            resolution_scale=RESOLUTION * short.resolution_scale,
-            eval_every=short.iterations,
-            checkpoint_every=short.iterations,
-            regularization=replace(short.regularization, flow=0.0),  # of still cameras only
-        )
+        short = short_schedule(variant.train, cfg.train.select_motion)
         log(
             f"select_motion: {label} time, {short.iterations} iterations; {len(part.train)} training frames, "
             f"{len(part.test)} validation frames"

@@ -14,7 +14,7 @@ from datasets.scene import Scene, View
 from pipeline.config.compose import CONFIG_DIR, one_line, register_schema, to_config
 from pipeline.config.schema import Config
 from pipeline.config.train_schema import LearningRates
-from pipeline.training.select_time_colour import Selection, due, mean_and_error, select, without_time_colour
+from pipeline.training.selection.time_colour import Selection, due, mean_and_error, select, without_time_colour
 
 SHARE = 0.5
 
