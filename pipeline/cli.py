@@ -195,6 +195,8 @@ def _report(cfg: Config, metrics: dict) -> None:
         table.add_row("flicker, of 255", *(_cell(255 * model["flicker"]) if model else "–" for model in (final, best)))
     table.add_row("iteration", str(metrics["iterations"]), str(best.get("iteration", "–")))
     console.print(table)
+    if metrics.get("test_split"):
+        console.print(f"held out: {metrics['test_split']}")
     console.print(
         f"{metrics['n_gaussians']} Gaussians, {metrics['n_alive_mean']:.0f} alive a frame; "
         f"{metrics['train_seconds']:.0f} s of training; {metrics['model_mb']:.1f} MB; "

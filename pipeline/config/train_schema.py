@@ -114,10 +114,11 @@ class RegularizationConfig:
 
 @dataclass
 class DepthConfig:
-    """Weights of the losses on depth and sky of driving logs (pipeline/training/objective/depth_loss.py). 0: none."""
+    """Weights of the losses on depth and sky (pipeline/training/objective/depth_loss.py). 0: none."""
 
     lidar: float = 1.0  # of the inverse depth at LiDAR pixels, scene units; 0.1 in the authors' code (docs/urban.md)
-    lidar_decay: float = 0.267  # of that weight: × exp(-fraction of the schedule / this), as there; 0: constant
+    sfm: float = 0.0  # the same at the points of structure from motion, of scenes that start from them
+    lidar_decay: float = 0.267  # of both weights: × exp(-fraction of the schedule / this), as there; 0: constant
     sky_inverse: float = 0.1  # of the inverse depth in the sky, as there
     sky_opacity: float = 0.05  # of -log(1 - alpha) in the sky, as Periodic Vibration Gaussian has it
 

@@ -31,6 +31,7 @@ from datasets import (
     with_reader,
 )
 from datasets.canonical import Canonical, canonical_of, canonical_space, canonicalise
+from datasets.scene import ScenePoints
 from pipeline.config.schema import Config
 from pipeline.data.sfm.photograph import Photograph, Reconstruction
 from pipeline.data.training_views import evenly_spaced
@@ -66,11 +67,13 @@ def prepare(cfg: Config, log: Callable[[str], None]) -> Prepared:
     cfg = replace(cfg, scene=with_reader(cfg.scene, log))
     data = _in_file_units(cfg, log)
     transform = canonical_of(data.scene)
-    if transform.is_identity:
+    if not transform.is_identity:
+        log(f"normalised: {transform}")
+        cloud = None if data.cloud is None else _transformed(data.cloud, transform)
+        data = replace(data, scene=canonicalise(data.scene, transform), cloud=cloud, canonical=transform)
+    if data.cloud is None:
         return data
-    log(f"normalised: {transform}")
-    cloud = None if data.cloud is None else _transformed(data.cloud, transform)
-    return replace(data, scene=canonicalise(data.scene, transform), cloud=cloud, canonical=transform)
+    return replace(data, scene=replace(data.scene, points=ScenePoints(data.cloud.points, data.cloud.colors)))
 
 
 def _in_file_units(cfg: Config, log: Callable[[str], None]) -> Prepared:

@@ -12,6 +12,7 @@ from torch import Tensor
 from datasets.scene import View
 from pipeline.data.lidar.depth_targets import DepthTargets, SparseDepth
 from pipeline.data.optical_flow import FlowTargets, MeasuredFlow
+from pipeline.data.sfm.depth_targets import PointDepths
 from rasterizer import Camera
 
 # Above this size float images are not cached but converted from uint8 at each use.
@@ -28,7 +29,7 @@ class Target:
     image: Tensor  # (3, H, W) float32 in [0, 1]
     alpha: Tensor | None = None  # (1, H, W) float32 in [0, 1]; None: 1 everywhere
     motion: MeasuredFlow | None = None  # None: not measured
-    lidar: SparseDepth | None = None  # None: no LiDAR
+    depth: SparseDepth | None = None  # of LiDAR or structure from motion; None: unknown
     sky: Tensor | None = None  # (1, H, W) float32, share of each pixel that is sky; None: unknown
     mask: Tensor | None = None  # (H, W) bool: pixels that count; None: all
 
@@ -96,10 +97,10 @@ class TrainingViews:
         self,
         views: Sequence[View],
         flows: FlowTargets | None = None,
-        depths: DepthTargets | None = None,
+        depths: DepthTargets | PointDepths | None = None,
         cache_limit_bytes: int = CACHE_LIMIT_BYTES,
     ) -> None:
-        """flows, depths: of the same views; None: targets have no motion, no LiDAR."""
+        """flows, depths: of the same views; None: targets have no motion, no depth."""
         self._views, self._flows, self._depths = views, flows, depths
         self._pixels = sum(view.image.shape[0] * view.image.shape[1] for view in views)
         self._limit = cache_limit_bytes
@@ -117,5 +118,5 @@ class TrainingViews:
         if self._flows is not None:
             target = replace(target, motion=self._flows.at(index, target.camera))
         if self._depths is not None:
-            target = replace(target, lidar=self._depths.at(index, target.camera))
+            target = replace(target, depth=self._depths.at(index, target.camera, target.image))
         return target

@@ -14,6 +14,7 @@ from datasets.scene import Scene
 from pipeline.config.schema import Config
 from pipeline.data.lidar.depth_targets import DepthTargets
 from pipeline.data.optical_flow import FlowTargets
+from pipeline.data.sfm.depth_targets import PointDepths
 from pipeline.data.training_views import TrainingViews
 from pipeline.model.model import Model
 from pipeline.training.density.refinement import RefinementViews, refine
@@ -78,7 +79,7 @@ def train(
     """
     state = start(model, scene, cfg, run, start_iteration, start_seconds)
     flows = FlowTargets(scene) if cfg.train.regularization.flow > 0 and state.model.kind.motion == "full" else None
-    depths = DepthTargets(scene) if scene.sweeps and cfg.train.depth.lidar > 0 else None
+    depths = _depths(scene, cfg)
     views, refinement_views = TrainingViews(scene.train, flows, depths), RefinementViews.of(scene)
 
     with TrainingProgress(state.iteration, cfg.train.iterations, cfg.train.time_budget_s) as progress:
@@ -103,6 +104,13 @@ def train(
     return TrainResult(
         state.model, state.iteration, state.stopwatch.seconds, state.best, state.best_model, state.optimiser.bytes
     )
+
+
+def _depths(scene: Scene, cfg: Config) -> DepthTargets | PointDepths | None:
+    """What the depth loss compares with: the LiDAR, without one the points that the scene started from."""
+    if scene.sweeps:
+        return DepthTargets(scene) if cfg.train.depth.lidar > 0 else None
+    return PointDepths(scene, scene.points) if scene.points is not None and cfg.train.depth.sfm > 0 else None
 
 
 def _report_progress(state: TrainState, batch: Batch, phase: Phase, progress: TrainingProgress, run: RunLog) -> None:

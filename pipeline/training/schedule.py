@@ -26,7 +26,7 @@ class Phase:
     densification: bool  # whether its statistics are collected
     sphere: bool  # whether the sphere around the scene is trained (pipeline/model/sphere.py)
     environment_map: bool  # whether the environment map or cube map is trained (pipeline/model/environment_map.py)
-    lidar_weight: float = 0.0  # of the depth loss, after its decay
+    depth_decay: float = 0.0  # factor of the weights of the depth loss
 
 
 def clock_at(iteration: int, train_seconds: float, cfg: TrainConfig) -> float:
@@ -78,13 +78,13 @@ def phase(clock: float, cfg: TrainConfig, extent: float, max_sh_degree: int, max
         densification=clock < cfg.densify.stop,
         sphere=clock <= cfg.sphere_freeze_after,
         environment_map=clock <= cfg.envmap_until,
-        lidar_weight=lidar_weight(fraction, cfg.depth),
+        depth_decay=depth_decay(fraction, cfg.depth),
     )
 
 
-def lidar_weight(fraction: float, cfg: DepthConfig) -> float:
-    """Weight of the depth loss after `fraction` of the schedule: exponential decay."""
-    return cfg.lidar * (math.exp(-fraction / cfg.lidar_decay) if cfg.lidar_decay > 0 else 1.0)
+def depth_decay(fraction: float, cfg: DepthConfig) -> float:
+    """Factor of the weights of the depth loss after `fraction` of the schedule: exponential decay."""
+    return math.exp(-fraction / cfg.lidar_decay) if cfg.lidar_decay > 0 else 1.0
 
 
 def learning_rates(clock: float, fraction: float, cfg: LearningRates, extent: float) -> dict[str, LearningRate]:

@@ -18,7 +18,7 @@ from pipeline.model.render import Rendered, backward, render
 from pipeline.model.sphere import trainable_rows
 from pipeline.training import finite_checks
 from pipeline.training.kernels import Kernels
-from pipeline.training.objective.depth_loss import DepthGradient, lidar_loss, sky_loss
+from pipeline.training.objective.depth_loss import DepthGradient, sky_loss, sparse_depth_loss
 from pipeline.training.objective.dropout import draw_dropped, without
 from pipeline.training.objective.flow_loss import flow_loss
 from pipeline.training.objective.losses import view_loss
@@ -111,11 +111,13 @@ class Batch:
 
     def _also(self, target: Target) -> tuple[str, ...]:
         """The outputs that the losses of a view need besides its colour."""
-        needs_depth = self._needs_lidar(target) or self._needs_sky(target)
+        needs_depth = self._depth_weight(target) > 0 or self._needs_sky(target)
         return (("alpha", "depth") if needs_depth else ()) + (("flow",) if target.motion is not None else ())
 
-    def _needs_lidar(self, target: Target) -> bool:
-        return target.lidar is not None and self._phase.lidar_weight > 0
+    def _depth_weight(self, target: Target) -> float:
+        weights = self._cfg.train.depth
+        of_source = weights.lidar if self._scene.sweeps else weights.sfm
+        return 0.0 if target.depth is None else of_source * self._phase.depth_decay
 
     def _needs_sky(self, target: Target) -> bool:
         return target.sky is not None and max(self._cfg.train.depth.sky_inverse, self._cfg.train.depth.sky_opacity) > 0
@@ -125,8 +127,8 @@ class Batch:
         if rendered.depth is None or rendered.alpha is None:
             return None
         weights, found = self._cfg.train.depth, None
-        if self._needs_lidar(target) and target.lidar is not None:
-            found = lidar_loss(rendered.depth, rendered.alpha, target.lidar, self._phase.lidar_weight)
+        if (weight := self._depth_weight(target)) > 0 and target.depth is not None:
+            found = sparse_depth_loss(rendered.depth, rendered.alpha, target.depth, weight)
         if self._needs_sky(target) and target.sky is not None:
             depth, alpha = rendered.depth, rendered.alpha
             of_sky = sky_loss(depth, alpha, target.sky, weights.sky_inverse, weights.sky_opacity)

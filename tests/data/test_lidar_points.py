@@ -17,6 +17,7 @@ from pipeline.data.lidar.initial_points import coloured_points, far_points, high
 from pipeline.data.lidar.velocities import agreed, sweep_velocities
 from pipeline.model.initialise import initialise, set_velocities
 from pipeline.model.model import Model, ModelKind, kind_of
+from rasterizer import Gradients, Rasterizer, Request
 from rasterizer.camera import Camera
 from rasterizer.reference.render import slice_in_time
 
@@ -86,6 +87,17 @@ def test_the_highest_beam_of_a_column_without_any_is_the_nearest_columns() -> No
     assert highest_beam(np.zeros((4, 2)))[0].tolist() == [4, 4]
 
 
+def rendered_with(model: Model, scene: Scene) -> tuple[int, int]:
+    """SH degree and Fourier order that the kernel renders a training view with, backward too."""
+    view, rasterizer, gaussians = scene.train[0], Rasterizer(threads=1), model.gaussians()
+    rendered = rasterizer.render(gaussians, Request(view.camera, view.time, scene.duration, scene.background))
+    gradients = Gradients.zeros_like(gaussians)
+    rasterizer.backward(gradients, d_color=torch.ones_like(rendered.color))
+    (colors,) = gradients.views
+    assert len(colors.visible) > 0
+    return colors.sh_degree, colors.fourier_order
+
+
 def test_a_model_starts_from_the_sweeps_and_has_no_fourier_orders() -> None:
     """What a log does not need is not there: 16 coefficients, as many points as asked for, no sphere."""
     scene = drive()
@@ -98,6 +110,8 @@ def test_a_model_starts_from_the_sweeps_and_has_no_fourier_orders() -> None:
     np.testing.assert_allclose(
         model.parameters["mean"].numpy(), np.column_stack([expected.points, expected.times]), 1e-6
     )
+    # 65 float32 a Gaussian: mean 4, scale 4, rotations 8, opacity 1, colour 16 · 3.
+    assert model.bytes == len(model) * 65 * 4 and rendered_with(model, scene) == (3, 0)
     random = initialise(scene, replace(cfg, init=replace(cfg.init, source="random")), np.random.default_rng(0))
     assert len(random) == (cfg.train.init_points or cfg.scene.init_points)
 

@@ -16,6 +16,7 @@ def rows(train: str, scene: str, psnrs: list[float], seconds: float = 10.0) -> l
     return [
         {
             "scene": scene,
+            "test_split": "",
             "ablation": "full",
             "train": train,
             "seed": seed,

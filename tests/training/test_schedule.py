@@ -90,8 +90,8 @@ def test_a_shortened_schedule_is_the_whole_one_scaled(now: int) -> None:
     assert (short.iterations, short.time_budget_s) == (3000, None)
     whole, scaled = phase(now, cfg, EXTENT, 3, 2), phase(0.1 * now, short, EXTENT, 3, 2)
     assert whole.lr["mean"] == pytest.approx(scaled.lr["mean"], rel=1e-12)  # a few float64 operations
-    assert whole.lidar_weight == pytest.approx(scaled.lidar_weight, rel=1e-12)  # likewise
-    same = {"lr": {}, "clock": 0.0, "lidar_weight": 0.0}
+    assert whole.depth_decay == pytest.approx(scaled.depth_decay, rel=1e-12)  # likewise
+    same = {"lr": {}, "clock": 0.0, "depth_decay": 0.0}
     assert replace(whole, **same) == replace(scaled, **same)
     assert (short.densify.start, short.densify.stop, short.densify.every) == (50, 1500, cfg.densify.every)
 

@@ -29,8 +29,8 @@ class DepthTargets:
         self._sweeps = {sweep.frame: sweep for sweep in scene.sweeps}
         self._cache: dict[int, tuple[tuple[int, int], SparseDepth]] = {}
 
-    def at(self, index: int, camera: Camera) -> SparseDepth | None:
-        """Of view `index`; None: its frame has no sweep, or the view sees no point of it."""
+    def at(self, index: int, camera: Camera, image: Tensor | None = None) -> SparseDepth | None:
+        """Of view `index`; None: its frame has no sweep, or the view sees no point of it. image: not needed."""
         frame = self._views[index].frame
         if frame is None or frame not in self._sweeps:
             return None

@@ -16,6 +16,7 @@ import pandas as pd
 from pipeline.presentation.seed_statistics import compare, estimate
 from pipeline.presentation.table import NO_RUN, Cell, Column, Row, Table, text
 from pipeline.report.read import scenes
+from pipeline.report.tables.footnotes import held_out_notes
 from pipeline.runs.read.collect import Collection
 from pipeline.runs.read.model_labels import is_left_out, requested
 from pipeline.runs.read.run_names import file_name, parts_of, with_parts
@@ -45,7 +46,15 @@ def changed_settings(collection: Collection) -> list[Table]:
             if (row := _row(change, variant, unchanged, names)) is not None
         ]
         if len(rows) >= MIN_VARIANTS:
-            tables.append(_table(schedule, ablation, names, rows, _selected_notes(group)))
+            tables.append(
+                _table(
+                    schedule,
+                    ablation,
+                    names,
+                    rows,
+                    [*_selected_notes(group), *held_out_notes(collection.runs.loc[group.index])],
+                )
+            )
     return tables
 
 

@@ -31,3 +31,9 @@ def missing_metric_notes(runs: pd.DataFrame, metrics: tuple[str, ...] = ("LPIPS"
         for note in sorted(set(runs[columns[name]]))
         if note
     ]
+
+
+def held_out_notes(runs: pd.DataFrame) -> list[tuple[str, str]]:
+    """The rule of the held-out views of each scene, as the runs record it."""
+    rules = runs[["scene", "test_split"]].drop_duplicates().to_dict("records")
+    return [("", f"{rule['scene']}: held out {rule['test_split']}.") for rule in rules if rule["test_split"]]

@@ -12,11 +12,12 @@ from pipeline.report.tables.ablation_verdicts import ablation_verdicts
 from pipeline.report.tables.batch_sampling import batch_sampling
 from pipeline.report.tables.changed_settings import changed_settings
 from pipeline.report.tables.equal_time import equal_time
-from pipeline.report.tables.footnotes import left_out_notes, missing_metric_notes
+from pipeline.report.tables.footnotes import held_out_notes, left_out_notes, missing_metric_notes
 from pipeline.report.tables.motion_columns import NOTE as MOTION_NOTE
 from pipeline.report.tables.motion_columns import motion_columns
 from pipeline.report.tables.scene_tables import scene_tables
 from pipeline.report.tables.time_to_psnr import time_to_psnr
+from pipeline.report.tables.urban_parts import urban_parts
 from pipeline.report.tables.urban_table import urban
 from pipeline.runs.read.collect import Collection
 
@@ -39,6 +40,7 @@ def run_tables(collection: Collection, levels: tuple[float, ...] = ()) -> list[T
         urban(collection),
         *compared,
         *changed_settings(collection),
+        *urban_parts(collection),
         all_runs(runs),
         provenance(runs),
     ]
@@ -118,6 +120,7 @@ def all_runs(runs: pd.DataFrame) -> Table:
             *([MOTION_NOTE] if motion else []),
             *([("", SELECTION_NOTE)] if with_selection else []),
             *left_out_notes(runs["ablation"]),
+            *held_out_notes(runs),
         ),
         over_seeds=False,
     )

@@ -14,6 +14,7 @@ from pipeline.report.tables.footnotes import (
     FLICKER_HEADER,
     FLICKER_NOTE,
     PROTOCOL_NOTE,
+    held_out_notes,
     left_out_notes,
     missing_metric_notes,
 )
@@ -66,8 +67,7 @@ def scene_table(runs: pd.DataFrame, family: str, split_notes: Sequence[tuple[str
         notes.append(FLICKER_NOTE)
     if motion:
         notes.append(MOTION_NOTE)
-    splits = present[["scene", "test_split"]].drop_duplicates() if "test_split" in present else present[:0]
-    notes += [("", f"{s['scene']}: held out {s['test_split']}.") for s in splits.to_dict("records") if s["test_split"]]
+    notes += held_out_notes(present)
     notes += [("", note) for scene, note in split_notes if scene in set(present["scene"])]
     return Table(
         f"scenes_{family}", _FAMILY_TITLE[family], _columns(net, with_flicker, motion), tuple(rows), notes=tuple(notes)

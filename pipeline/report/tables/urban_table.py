@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import pandas as pd
 
 from pipeline.presentation.seed_statistics import over_seeds, select
@@ -12,7 +9,6 @@ from pipeline.presentation.table import Cell, Column, Row, Table, measured, prin
 from pipeline.report.read import paper, scenes
 from pipeline.report.tables.footnotes import PROTOCOL_NOTE, left_out_notes, missing_metric_notes
 from pipeline.runs.read.collect import Collection
-from pipeline.runs.read.variants import evaluated_on_validation
 
 READERS = ("kitti", "waymo")
 SYNTHETIC = ("synthetic/street",)
@@ -73,22 +69,13 @@ def urban(collection: Collection) -> Table | None:
         of_scene = runs[runs["scene"] == scene]
         for train in sorted(of_scene["train"].unique()):
             for name in scenes.ablations_in_order(of_scene[of_scene["train"] == train]["ablation"]):
-                rows.append(Row(_cells(collection, of_scene, scene, name, train)))
+                rows.append(Row(_cells(of_scene, scene, name, train)))
     notes = (*NOTES, PROTOCOL_NOTE, *missing_metric_notes(runs, ("LPIPS",)), *left_out_notes(runs["ablation"]))
     return Table("urban", "Urban scenes · driving logs", columns, tuple(rows), notes=notes)
 
 
-def held_out(settings: Mapping[str, Any]) -> str:
-    """The rule of a run's held-out frames, from its configuration."""
-    if evaluated_on_validation(settings):
-        return f"every {settings['scene.validation_every']}th training frame (validation)"
-    every = settings.get("scene.test_every")
-    return "unknown" if every is None else f"every {every}th frame"
-
-
-def _cells(collection: Collection, runs: pd.DataFrame, scene: str, ablation: str, train: str) -> dict[str, Cell]:
-    of_runs = select(runs, scene, ablation, train)["run"]
-    rules = sorted({held_out(collection.settings.get(run, {})) for run in of_runs})
+def _cells(runs: pd.DataFrame, scene: str, ablation: str, train: str) -> dict[str, Cell]:
+    rules = sorted({rule or "unknown" for rule in select(runs, scene, ablation, train)["test_split"]})
     numbers = {
         key: measured(over_seeds(runs, scene, ablation, train, metric), decimals)
         for key, (metric, _, decimals) in METRICS.items()

@@ -16,6 +16,7 @@ from pipeline.report.write.sfm_section import SfmSection
 
 Picture = TypeVar("Picture", Strip, RunFigure)
 
+URBAN = "urban"  # prefix of the slugs of driving logs
 _RUN_TABLES = ("all_runs", "provenance")  # slugs
 TITLES = {
     "summary": "Summary",
@@ -127,7 +128,9 @@ def report_markdown(content: Content) -> str:
 
 def terminal_text(content: Content) -> str:
     """The summary and the tables that compare models, scenes and settings."""
-    compared = [table for table in content.comparisons if table.slug == "batches" or table.slug.startswith(STUDY)]
+    compared = [
+        table for table in content.comparisons if table.slug == "batches" or table.slug.startswith((STUDY, URBAN))
+    ]
     tables = [*content.ablations, *content.paper, *content.scenes, *compared, *content.sfm_tables]
     return "\n".join([summary_markdown(content.summary), *_markdown(tables)])
 

@@ -1,4 +1,4 @@
-"""The losses of driving logs on the rendered depth: LiDAR depth, and the sky, which has none (docs/urban.md).
+"""The losses on the rendered depth: known depths of some pixels, and the sky, which has none (docs/urban.md).
 
 All of them are of the inverse depth of a pixel, ρ = α² / D with D = Σ w z and α = Σ w: opacity times the inverse of the
 mean depth D / α. What is behind the Gaussians, the cube map, is at infinite distance and adds nothing. ρ and its
@@ -37,8 +37,8 @@ def inverse_depth(depth: Tensor, alpha: Tensor) -> tuple[Tensor, Tensor, Tensor]
     return alpha * share, -share * share, 2 * share
 
 
-def lidar_loss(depth: Tensor, alpha: Tensor, target: SparseDepth, weight: float) -> DepthGradient:
-    """weight × the mean of |ρ - 1 / z| over the pixels with a LiDAR depth z. depth, alpha: (1, H, W), rendered."""
+def sparse_depth_loss(depth: Tensor, alpha: Tensor, target: SparseDepth, weight: float) -> DepthGradient:
+    """weight × the mean of |ρ - 1 / z| over the pixels with a known depth z. depth, alpha: (1, H, W), rendered."""
     at = target.pixel
     rho, by_depth, by_alpha = inverse_depth(depth.reshape(-1)[at], alpha.reshape(-1)[at])
     error = rho - target.inverse

@@ -9,7 +9,7 @@ import torch
 from builders import camera_looking_at, generator, random_gaussians
 
 from pipeline.data.lidar.depth_targets import SparseDepth, sparse
-from pipeline.training.objective.depth_loss import inverse_depth, lidar_loss, sky_loss
+from pipeline.training.objective.depth_loss import inverse_depth, sky_loss, sparse_depth_loss
 from rasterizer import Gradients, Rasterizer, Request
 from rasterizer.reference import rasterize as reference
 
@@ -42,10 +42,10 @@ def written_out(depth: torch.Tensor, alpha: torch.Tensor, target: SparseDepth) -
     return WEIGHT * (rho - target.inverse.double()).abs().mean()
 
 
-def test_lidar_loss_and_gradient() -> None:
+def test_sparse_depth_loss_and_gradient() -> None:
     depth, alpha = random_images(0)
     target = targets(1)
-    found = lidar_loss(depth, alpha, target, WEIGHT)
+    found = sparse_depth_loss(depth, alpha, target, WEIGHT)
     leaves = [depth.clone().requires_grad_(), alpha.clone().requires_grad_()]
     expected = written_out(*leaves, target)
     assert found.loss == pytest.approx(expected.item(), rel=1e-6)
@@ -72,7 +72,7 @@ def test_full_and_empty_pixels_are_finite() -> None:
     depth, alpha = torch.tensor([[[0.0, 3.0, 1e-9]]]), torch.tensor([[[0.0, 1.0, 1e-9]]])
     for found in (
         sky_loss(depth, alpha, torch.ones(1, 1, 3), 1.0, 1.0),
-        lidar_loss(depth, alpha, SparseDepth(torch.arange(3), torch.full((3,), 0.5)), 1.0),
+        sparse_depth_loss(depth, alpha, SparseDepth(torch.arange(3), torch.full((3,), 0.5)), 1.0),
     ):
         assert np.isfinite(found.loss)
         assert torch.isfinite(found.d_depth).all() and torch.isfinite(found.d_alpha).all()
@@ -95,7 +95,7 @@ def test_gradient_through_the_kernel_is_that_of_the_reference() -> None:
 
     rasterizer, request = Rasterizer(threads=1), Request(camera, 0.4, outputs=("alpha", "depth"))
     out = rasterizer.render(gaussians, request)
-    of_loss = lidar_loss(out.depth, out.alpha, target, 1.0) + sky_loss(out.depth, out.alpha, sky, 0.3, 0.2)
+    of_loss = sparse_depth_loss(out.depth, out.alpha, target, 1.0) + sky_loss(out.depth, out.alpha, sky, 0.3, 0.2)
     found = Gradients.zeros_like(gaussians)
     rasterizer.backward(found, d_alpha=of_loss.d_alpha, d_depth=of_loss.d_depth)
 

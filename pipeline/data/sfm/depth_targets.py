@@ -1,0 +1,65 @@
+"""Targets of the depth loss where there is no LiDAR: the points of structure from motion, at any time of a scene.
+
+A point is where it was when structure from motion saw it, and something may move or stand before it. A view's pixel
+counts while it has the point's colour.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from datasets.scene import Scene, ScenePoints
+from datasets.urban.projection import in_image, project
+from pipeline.data.lidar.depth_targets import SparseDepth
+from rasterizer import Camera
+
+MOST_DIFFERENT = 0.1  # in each channel, of a pixel and its point; in [0, 1]
+
+
+@dataclass(frozen=True)
+class _Projected:
+    """The points in an image, the nearest of each pixel."""
+
+    size: tuple[int, int]
+    pixel: Tensor  # (n,) int64, row × width + column
+    inverse: Tensor  # (n,) float32, one over the depth z in scene units
+    color: Tensor  # (3, n) float32 in [0, 1]
+
+
+class PointDepths:
+    """The points' depths in each training view; those of each camera are kept at its last size."""
+
+    def __init__(self, scene: Scene, points: ScenePoints) -> None:
+        """points: in the scene's coordinates."""
+        self._views, self._points = scene.train, points
+        self._cache: dict[bytes, _Projected] = {}
+
+    def at(self, index: int, camera: Camera, image: Tensor) -> SparseDepth | None:
+        """Of view `index` at the size of `camera`, whose image (3, H, W) in [0, 1] is given; None without a point."""
+        key, size = self._views[index].camera.world_to_cam.tobytes(), (camera.width, camera.height)
+        if key not in self._cache or self._cache[key].size != size:
+            self._cache[key] = _projected(self._points, camera)
+        found = self._cache[key]
+        shown = image.reshape(3, -1)[:, found.pixel]
+        same = (shown - found.color).abs().amax(dim=0) <= MOST_DIFFERENT
+        return SparseDepth(found.pixel[same], found.inverse[same]) if same.any() else None
+
+
+def _projected(points: ScenePoints, camera: Camera) -> _Projected:
+    column, row, depth = project(points.positions, camera)
+    index = np.flatnonzero(in_image(column, row, depth, camera))
+    index = index[np.argsort(depth[index], kind="stable")]
+    pixels = row[index].astype(int) * camera.width + column[index].astype(int)
+    pixel, first = np.unique(pixels, return_index=True)  # the first of a pixel is the nearest
+    nearest = index[first]
+    color = points.colors[nearest].T.astype(np.float32) / 255
+    return _Projected(
+        (camera.width, camera.height),
+        torch.from_numpy(pixel),
+        torch.from_numpy((1 / depth[nearest]).astype(np.float32)),
+        torch.from_numpy(np.ascontiguousarray(color)),
+    )
