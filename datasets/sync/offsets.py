@@ -16,9 +16,10 @@ from datasets.sync.signals import Signal, picture_signals, sound_energy
 APART = {"sound": 0.05, "picture": 0.2}  # seconds: a peak farther off is another lag
 SURE = {"sound": 1.5, "picture": 0.8}  # confidence that a camera needs
 # Confidence × seconds that it overlaps with the others on average. What repeats, a step or a swing, looks the same a
-# period later, and a short overlap does not tell. Of 1760 random parts of films, 2 to 8 s long, wrong answers had up to
-# 11.4 (sound) and 3.7 (picture).
-SURE_SECONDS = {"sound": 12.0, "picture": 4.5}
+# period later, and a short overlap does not tell. Of 1760 random parts of films, 2 to 8 s long, wrong answers with
+# SHORTEST_OVERLAP had up to 8.6 (sound) and 3.6 (picture).
+SURE_SECONDS = {"sound": 10.0, "picture": 4.5}
+SHORTEST_OVERLAP = 2.0  # seconds, on average
 REACH = {"sound": 0.01, "picture": 0.03}  # seconds around the common solution in which a pair's own peak counts
 ROUNDS = 10  # of moving one camera at a time
 DRIFT_PART, DRIFT_LEAST = 20.0, 60.0  # seconds: of the two parts compared, of the recordings
@@ -84,7 +85,10 @@ def offsets_of(signals: Sequence[Sequence[Signal]], method: str) -> Offsets | No
             placed[camera], sure[camera] = _best_place(pairs, placed, camera, APART[method])
         if np.abs((placed - placed[0]) - (before - before[0])).max() < REACH[method]:
             break
-    if sure.min() < SURE[method] or (sure * _overlaps(signals, placed)).min() < SURE_SECONDS[method]:
+    overlaps = _overlaps(signals, placed)
+    if sure.min() < SURE[method] or overlaps.min() < SHORTEST_OVERLAP:
+        return None
+    if (sure * overlaps).min() < SURE_SECONDS[method]:
         return None
     used = []
     for (a, b), found in pairs.items():

@@ -67,12 +67,12 @@ def reconstruct_clip(
                 if TURNS in str(error):
                     raise
             share = float(np.mean([mask.mean() for mask in masks.values()]))
-            registered = 0 if second is None else len(second.cameras)
+            registered = "too few" if second is None else len(second.cameras)
             log(
                 f"sfm: second pass, without the {share:.0%} of the pictures that moves, {registered} of "
                 f"{len(names)} frames registered"
             )
-            if second is not None and registered >= KEPT_BY_SECOND * len(first.cameras):
+            if second is not None and len(second.cameras) >= KEPT_BY_SECOND * len(first.cameras):
                 found = second
             else:
                 log("sfm: the first pass is used, which found more")
