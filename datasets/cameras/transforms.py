@@ -11,6 +11,7 @@ import numpy as np
 
 from datasets.cameras.intrinsics import merge_intrinsics
 from datasets.files.errors import SceneError, read_json
+from datasets.files.image_files import is_file
 from datasets.files.json_values import get_key, read_number
 from rasterizer.camera import MAX_DISTANCE
 
@@ -77,17 +78,10 @@ def _find_image(entry: Any, where: str, root: Path) -> tuple[str, Path]:
     if named.suffix in SUFFIXES:
         candidates = candidates[:1]
     for image_path in candidates:
-        if _is_file(image_path):
+        if is_file(image_path):
             return file_path, image_path
     without = "" if len(candidates) == 1 else f", nor with {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]} after it"
     raise SceneError(named, f"an image, named by {where}", f"no such file{without}")
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except OSError:  # a name that is too long, a folder without permission
-        return False
 
 
 def read_pose(value: Any, where: str) -> np.ndarray:

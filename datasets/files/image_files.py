@@ -11,6 +11,14 @@ from PIL import Image
 from datasets.files.errors import SceneError
 
 
+def is_file(path: Path) -> bool:
+    """Path.is_file, of any name that a file may state."""
+    try:
+        return path.is_file()
+    except OSError:  # a name that is too long, a folder without permission
+        return False
+
+
 def common_size(paths: Sequence[Path]) -> tuple[int, int]:
     """(width, height) of all images, from their headers. SceneError if they differ or a file is no image."""
     sizes = []

@@ -1,6 +1,6 @@
 """Readers of folders that other tools write. scene=auto says which layout a folder has (detect.py).
 
-colmap.py             COLMAP: images/, sparse/0 (binary or text)
+colmap.py             COLMAP: images/, sparse/0 (binary or text); colmap_files.py reads the files of sparse/0
 nerfstudio.py         nerfstudio: transforms.json
 dynamic_gaussians.py  Dynamic 3D Gaussians: train_meta.json, ims/
 nerfies.py            Nerfies, HyperNeRF, DyCheck: dataset.json, camera/*.json, rgb/2x

@@ -17,8 +17,9 @@ import numpy as np
 
 from datasets.cameras.transforms import read_pose
 from datasets.files.errors import SceneError, read_json
+from datasets.files.image_files import is_file
 from datasets.files.json_values import get_key, read_number
-from datasets.layouts.photographs import LayoutOptions, Photograph, to_scene
+from datasets.layouts.photographs import LayoutOptions, Photograph, scene_points, to_scene
 from datasets.scene import Scene, ScenePoints, make_camera
 from rasterizer.camera import Camera
 
@@ -63,7 +64,7 @@ def _read_meta(root: Path, file: Path, test: bool | None) -> list[Photograph]:
             where = f"{file}: frame {t}, camera {c}"
             name = str(row["fn"][c])
             path = root / "ims" / name
-            if not path.is_file():
+            if not is_file(path):
                 missing = missing or path
                 continue
             camera = _camera(row["k"][c], row["w2c"][c], (width, height), mirrored, where)
@@ -88,26 +89,29 @@ def _is_mirrored(rows: list[Any]) -> bool:
     """Whether every pose is a reflection. Some calibrations are of a mirrored world; mirrored back, images stay."""
     try:
         matrices = np.array([pose for row in rows for pose in row], dtype=np.float64)
-        return bool(len(matrices)) and bool((np.linalg.det(matrices[:, :3, :3]) < 0).all())
-    except (TypeError, ValueError, IndexError):
+        with np.errstate(all="ignore"):
+            return bool(len(matrices)) and bool((np.linalg.det(matrices[:, :3, :3]) < 0).all())
+    except (TypeError, ValueError, OverflowError, IndexError):
         return False  # refused one by one
 
 
 def _camera(k: Any, w2c: Any, size: tuple[int, int], mirrored: bool, where: str) -> Camera:
-    try:
-        matrix = np.array(k, dtype=np.float64)
-    except (TypeError, ValueError):
-        matrix = np.zeros(())
+    matrix = _matrix(k)
     if matrix.shape != (3, 3) or not np.isfinite(matrix).all() or abs(matrix[0, 1]) > 1e-3 * abs(matrix[0, 0]):
         raise SceneError(f"{where}: k", "3 x 3 numbers without skew", _kind(k))
-    try:
-        world_to_cam = np.array(w2c, dtype=np.float64)
-    except (TypeError, ValueError):
-        world_to_cam = np.zeros(())
+    world_to_cam = _matrix(w2c)
     if world_to_cam.shape == (4, 4) and mirrored:
         world_to_cam = world_to_cam @ MIRROR
     pose = read_pose(world_to_cam.tolist(), f"{where}: w2c")
     return make_camera(where, lambda: Camera(*size, matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], pose))
+
+
+def _matrix(value: Any) -> np.ndarray:
+    """The numbers of nested lists; () of what is none."""
+    try:
+        return np.array(value, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError, RecursionError):
+        return np.zeros(())
 
 
 def _read_points(path: Path) -> ScenePoints | None:
@@ -120,9 +124,8 @@ def _read_points(path: Path) -> ScenePoints | None:
         raise SceneError(path, "points (data, N x 7)", str(error)) from None
     if table.ndim != 2 or table.shape[1] < 6:
         raise SceneError(path, "points (data, N x 7)", f"{table.shape}")
-    good = np.isfinite(table).all(axis=1)
-    colors = np.clip(255 * table[good, 3:6], 0, 255).round().astype(np.uint8)
-    return ScenePoints(table[good, :3], colors) if good.any() else None
+    with np.errstate(over="ignore"):
+        return scene_points(table[:, :3], 255 * table[:, 3:6])
 
 
 def _kind(value: Any) -> str:

@@ -14,23 +14,26 @@ Camera axes are OpenCV's. Evaluated over covisible pixels where there are masks 
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from datasets.cameras.intrinsics import LARGEST_COEFFICIENT
 from datasets.cameras.lens import Undistortion
 from datasets.cameras.transforms import read_pose
 from datasets.composition import chosen_downscale
 from datasets.files.errors import SceneError, read_json
 from datasets.files.image_files import common_size
 from datasets.files.json_values import get_key, read_number
-from datasets.layouts.photographs import LayoutOptions, Photograph, to_scene
+from datasets.layouts.photographs import LayoutOptions, Photograph, scene_points, to_scene
 from datasets.scene import Scene, ScenePoints, make_camera
 from rasterizer.camera import Camera
 
 TIME_KEYS = ("time_id", "warp_id", "appearance_id")
+LATEST = 1e9  # frames
 
 
 def read_nerfies(root: Path, options: LayoutOptions) -> Scene:
@@ -54,21 +57,29 @@ def read_nerfies(root: Path, options: LayoutOptions) -> Scene:
 def _split(root: Path) -> tuple[list[str], set[str]]:
     """(ids in use, those held out)."""
     content = _object(root / "dataset.json")
-    train = [str(name) for name in content.get("train_ids") or content.get("ids") or []]
-    test = [str(name) for name in content.get("val_ids") or []]
+    file, key = root / "dataset.json", "train_ids" if content.get("train_ids") else "ids"
+    train, test = _ids(content, key, file), _ids(content, "val_ids", file)
     if (root / "splits" / "train.json").is_file() and (root / "splits" / "val.json").is_file():  # DyCheck
         train, test = (
-            [str(name) for name in get_key(_object(root / "splits" / f"{split}.json"), "frame_names", root)]
+            _ids(_object(root / "splits" / f"{split}.json"), "frame_names", root / "splits" / f"{split}.json")
             for split in ("train", "val")
         )
     if not train:
-        raise SceneError(root / "dataset.json", "train_ids or ids", "none")
+        raise SceneError(file, "train_ids or ids", "none")
     return list(dict.fromkeys(train + test)), set(test) - set(train)
+
+
+def _ids(content: dict[str, Any], key: str, file: Path) -> list[str]:
+    """Names of frames; none where the key is missing."""
+    names = content.get(key) or []
+    if not isinstance(names, list):
+        raise SceneError(f"{file}: {key}", "a list of names", type(names).__name__)
+    return [str(name) for name in names]
 
 
 def _scale_folder(root: Path, downscale: int, ids: list[str]) -> int:
     """The reduction of the folder rgb/<factor>x in use: the largest that is not above scene.downscale."""
-    folders = sorted(int(p.name[:-1]) for p in root.glob("rgb/*x") if p.name[:-1].isdigit() and p.is_dir())
+    folders = sorted(int(p.name[:-1]) for p in root.glob("rgb/*x") if re.fullmatch(r"[1-9]\d?x", p.name) and p.is_dir())
     if not folders:
         raise SceneError(root / "rgb", "a folder 1x, 2x, 4x, …", "none")
     wanted = downscale
@@ -85,7 +96,7 @@ def _photograph(
     record = metadata.get(name) if isinstance(metadata.get(name), dict) else {}
     assert isinstance(record, dict)
     where = f"{root / 'metadata.json'}: {name}"
-    time = next((read_number(record[key], f"{where}: {key}") for key in TIME_KEYS if key in record), None)
+    time = next((read_number(record[key], f"{where}: {key}", LATEST) for key in TIME_KEYS if key in record), None)
     group = int(read_number(record.get("camera_id", 0), f"{where}: camera_id", 1e6))
     mask = root / "covisible" / f"{factor}x" / "val" / f"{name}.png"
     path = root / "rgb" / f"{factor}x" / f"{name}.png"
@@ -97,7 +108,7 @@ def _camera(file: Path, size: tuple[int, int]) -> tuple[Camera, Undistortion | N
     content, where = _object(file), str(file)
     rotation = np.eye(4)
     rotation[:3, :3] = _numbers(content, "orientation", (3, 3), file)
-    pose = read_pose(np.linalg.inv(rotation).tolist(), f"{where}: orientation")
+    pose = np.linalg.inv(read_pose(rotation.tolist(), f"{where}: orientation"))
     pose[:3, 3] = _numbers(content, "position", (3,), file)
     width, height = (int(side) for side in _numbers(content, "image_size", (2,), file))
     focal = read_number(get_key(content, "focal_length", file), f"{where}: focal_length")
@@ -110,14 +121,16 @@ def _camera(file: Path, size: tuple[int, int]) -> tuple[Camera, Undistortion | N
     radial = _numbers(content, "radial_distortion", (3,), file) if "radial_distortion" in content else np.zeros(3)
     key = "tangential_distortion" if "tangential_distortion" in content else "tangential"
     tangential = _numbers(content, key, (2,), file) if key in content else np.zeros(2)
-    bent = (radial[0], radial[1], tangential[0], tangential[1], radial[2])
-    return camera, Undistortion.of(camera, *(float(x) for x in bent)) if any(bent) else None
+    bent = tuple(float(x) for x in (radial[0], radial[1], *tangential, radial[2]))
+    if max(map(abs, bent)) > LARGEST_COEFFICIENT:
+        raise SceneError(f"{where}: radial_distortion, {key}", f"numbers within ±{LARGEST_COEFFICIENT:g}", f"{bent}")
+    return camera, Undistortion.of(camera, *bent) if any(bent) else None
 
 
 def _numbers(content: dict[str, Any], key: str, shape: tuple[int, ...], file: Path) -> np.ndarray:
     try:
         values = np.array(get_key(content, key, file), dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         values = np.zeros(())
     if values.shape != shape or not np.isfinite(values).all():
         raise SceneError(f"{file}: {key}", f"finite numbers of shape {shape}", f"{content.get(key)!r}")
@@ -143,5 +156,4 @@ def _read_points(path: Path) -> ScenePoints | None:
         raise SceneError(path, "points (N, 3)", str(error)) from None
     if points.ndim != 2 or points.shape[1] != 3:
         raise SceneError(path, "points (N, 3)", f"{points.shape}")
-    points = points[np.isfinite(points).all(axis=1)]
-    return ScenePoints(points, np.full(points.shape, 128, np.uint8)) if len(points) else None
+    return scene_points(points)

@@ -20,13 +20,14 @@ from datasets.cameras.intrinsics import read_distortion, read_pinhole
 from datasets.cameras.lens import FisheyeLens, Lens, Undistortion
 from datasets.cameras.transforms import TransformsEntry, read_transforms
 from datasets.files.errors import SceneError, read_json
-from datasets.files.image_files import common_size
+from datasets.files.image_files import common_size, is_file
 from datasets.files.json_values import read_number
-from datasets.layouts.photographs import LayoutOptions, Photograph, to_scene
+from datasets.layouts.photographs import LayoutOptions, Photograph, scene_points, to_scene
 from datasets.scene import Scene, ScenePoints
 from rasterizer.camera import Camera
 
 FISHEYE = ("OPENCV_FISHEYE", "FISHEYE")
+COLORS = ("red", "green", "blue")
 
 
 def read_nerfstudio(root: Path, options: LayoutOptions) -> Scene:
@@ -34,7 +35,7 @@ def read_nerfstudio(root: Path, options: LayoutOptions) -> Scene:
     file = root / "transforms.json"
     entries = read_transforms(file, root)
     content = read_json(file, SceneError)
-    test = {Path(str(name)).as_posix() for key in ("val_filenames", "test_filenames") for name in content.get(key, [])}
+    test = {name for key in ("val_filenames", "test_filenames") for name in _names(content, key, file)}
     size = common_size([entry.image_path for entry in entries])
     photographs = [_photograph(root, entry, size, test) for entry in entries]
     repeated = {p.name for p in photographs}
@@ -43,6 +44,13 @@ def read_nerfstudio(root: Path, options: LayoutOptions) -> Scene:
     points = _points(root, content)
     options.log(f"nerfstudio: {len(photographs)} images, {len(points.positions) if points else 0} points")
     return to_scene(root, photographs, options, points)
+
+
+def _names(content: dict[str, Any], key: str, file: Path) -> list[str]:
+    names = content.get(key, [])
+    if not isinstance(names, list):
+        raise SceneError(f"{file}: {key}", "a list of file names", type(names).__name__)
+    return [Path(str(name)).as_posix() for name in names]
 
 
 def _photograph(root: Path, entry: TransformsEntry, size: tuple[int, int], test: set[str]) -> Photograph:
@@ -75,22 +83,20 @@ def _points(root: Path, content: dict[str, Any]) -> ScenePoints | None:
     name = content.get("ply_file_path")
     if not isinstance(name, str):
         return None
-    if not (root / name).is_file():
+    if not is_file(root / name):
         raise SceneError(root / name, "the points that transforms.json names (ply_file_path)", "no such file")
     return read_ply_points(root / name)
 
 
 def read_ply_points(path: Path) -> ScenePoints | None:
     """x, y, z and red, green, blue of a .ply; grey without colours, None without points."""
-    from plyfile import PlyData, PlyParseError
+    from plyfile import PlyData
 
     try:
         vertices = PlyData.read(str(path))["vertex"]
         positions = np.stack([np.asarray(vertices[axis], np.float64) for axis in "xyz"], axis=1)
-        names = {p.name for p in vertices.properties}
-        grey = np.full(len(positions), 128)
-        colors = np.stack([vertices[c] if c in names else grey for c in ("red", "green", "blue")], axis=1)
-    except (PlyParseError, KeyError, ValueError, OSError, EOFError) as error:
+        coloured = set(COLORS) <= {p.name for p in vertices.properties}
+        colors = np.stack([np.asarray(vertices[c], np.float64) for c in COLORS], axis=1) if coloured else None
+    except Exception as error:  # plyfile and numpy raise many types for broken files
         raise SceneError(path, "a .ply with the vertices x, y, z", str(error)) from None
-    good = np.isfinite(positions).all(axis=1)
-    return ScenePoints(positions[good], colors[good].astype(np.uint8)) if good.any() else None
+    return scene_points(positions, colors)

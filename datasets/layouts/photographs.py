@@ -7,6 +7,7 @@ are read here.
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -18,13 +19,14 @@ from datasets.cameras.lens import Lens, undistort, undistort_rgba
 from datasets.canonical import canonical_space
 from datasets.composition import BLACK, Color, chosen_downscale, compose, reduced_camera
 from datasets.files.errors import SceneError
-from datasets.files.image_files import common_size, read_rgba
+from datasets.files.image_files import common_size, is_file, read_rgba
 from datasets.scene import Scene, ScenePoints, View, camera_extent, make_camera, validate_scene
-from rasterizer.camera import Camera
+from rasterizer.camera import MAX_DISTANCE, Camera
 
 KEPT_BYTES = 1 << 30  # of decoded images, which are then kept; more are read again at each use
 PLAYBACK_RATE = 30.0  # frames a second of rendered videos of one moving camera
 FEWEST = 3  # photographs
+GREY = 128  # of 255
 
 Log = Callable[[str], None]
 
@@ -96,6 +98,9 @@ def to_scene(
     photographs = _limited(photographs, options)
     if len(photographs) < FEWEST:
         raise SceneError(root, f"at least {FEWEST} photographs with a camera", f"{len(photographs)}")
+    (name, count), *_ = Counter(photograph.name for photograph in photographs).most_common(1)
+    if count > 1:
+        raise SceneError(root, "each photograph once", f"{name} {count} times")
     size = common_size([photograph.path for photograph in photographs])
     for photograph in photographs:
         if (photograph.camera.width, photograph.camera.height) != size:
@@ -147,6 +152,19 @@ def to_scene(
             test_split=how,
         )
     )
+
+
+def scene_points(positions: np.ndarray, colors: np.ndarray | None = None) -> ScenePoints | None:
+    """(N, 3) positions and colours of 0 to 255, grey without; what is no place in a scene is left out. None if all are.
+
+    Any type of numbers.
+    """
+    with np.errstate(all="ignore"):
+        good = (np.abs(positions) <= MAX_DISTANCE).all(axis=1)  # NaN is no place
+        if colors is None:
+            colors = np.full(positions.shape, GREY)
+        colors = np.nan_to_num(np.clip(colors[good], 0, 255), nan=GREY).round().astype(np.uint8)
+    return ScenePoints(positions[good].astype(np.float64), colors) if good.any() else None
 
 
 def _timed(photographs: Sequence[Photograph], options: LayoutOptions) -> list[Photograph]:
@@ -208,7 +226,7 @@ def _mask(photograph: Photograph, downscale: int) -> np.ndarray | None:
     """(H, W) bool of the reduced image: pixels all of whose parts count."""
     if photograph.mask is None:
         return None
-    if not photograph.mask.is_file():
+    if not is_file(photograph.mask):
         raise SceneError(photograph.mask, f"the mask of {photograph.name}", "no such file")
     rgba = read_rgba(photograph.mask)
     width, height = photograph.camera.width, photograph.camera.height
@@ -223,7 +241,7 @@ def _mask(photograph: Photograph, downscale: int) -> np.ndarray | None:
 
 def _natural_order(photographs: Sequence[Photograph]) -> list[Photograph]:
     def key(photograph: Photograph) -> list[tuple[int, int | str]]:
-        return [(0, int(p)) if p.isdigit() else (1, p) for p in re.split(r"(\d+)", photograph.name) if p]
+        return [(0, int(p)) if p.isdecimal() else (1, p) for p in re.split(r"(\d+)", photograph.name) if p]
 
     return sorted(photographs, key=key)
 

@@ -138,7 +138,7 @@ def _offsets(root: Path, videos: Sequence[Video], options: FootageOptions, neede
             root,
             "sound, or motion that all cameras see, to find out when each camera started",
             "neither decides; scene.sync=given scene.offsets=[0,…] states the seconds at which each started, "
-            "scene.sync=none takes them as synchronised; a clap before and after makes it certain",
+            "scene.sync=none takes them as synchronised; film 6 seconds and more, a clap makes it certain",
         )
     return found
 

@@ -88,7 +88,7 @@ def find_footage(root: Path) -> list[VideoFile]:
         path for path in root.iterdir() if path.suffix.lower() in FOOTAGE_SUFFIXES and not path.name.startswith(".")
     )
     if not paths:
-        raise SceneError(root, f"videos ({', '.join(FOOTAGE_SUFFIXES)})", "none")
+        raise SceneError(root, f"videos ({', '.join(FOOTAGE_SUFFIXES)}) or images in order", "none")
     stems = [path.stem for path in paths]
     for path in paths:
         if stems.count(path.stem) > 1:

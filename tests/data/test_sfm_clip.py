@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from datasets.synthetic.rig import rig
 from datasets.synthetic.scenes import counter
 from datasets.synthetic.trace import trace
 from pipeline.config.schema import InitConfig
-from pipeline.data.sfm.clip import reconstruct_clip
+from pipeline.data.sfm.clip import reconstruct_clip, second_pass
 from pipeline.data.sfm.moving_masks import fundamental_matrix
 from pipeline.data.sfm.photograph import Photograph
 from pipeline.evaluation.pictures.camera_path import look_at
@@ -20,15 +21,20 @@ from rasterizer.camera import Camera
 COUNT = 14
 
 
-def filmed(count: int = COUNT, still: bool = False) -> tuple[list[Photograph], list[Camera]]:
-    """The kitchen counter, on an arc in front of it or from one place, `count` frames in half a second."""
+def filmed(count: int = COUNT, arc: float = 0.5, turn: float = 0.0) -> tuple[list[Photograph], list[Camera]]:
+    """The kitchen counter, `count` frames in half a second, on an arc of `arc` radians, and turning by `turn` radians.
+
+    The arc is in front of the counter; 0 is one place.
+    """
     world = counter.build(np.random.default_rng(0))
     intrinsics = rig(3, 240, 180, np.random.default_rng(0))[0]
     photographs, cameras = [], []
     for index in range(count):
-        angle = 0.0 if still else 0.5 * (index / (count - 1) - 0.5)
+        along = index / (count - 1) - 0.5
+        angle = arc * along
         position = np.array([3.2 * np.sin(angle), -3.2 * np.cos(angle), 0.6 + 0.3 * angle])
-        pose = look_at(position, np.array([0.0, 0.3, 0.0]), np.array([0.0, 0.0, -1.0]))
+        aim = position + [3.5 * np.sin(turn * along - angle), 3.5 * np.cos(turn * along - angle), -0.6]
+        pose = look_at(position, np.array([0.0, 0.3, 0.0]) if turn == 0 else aim, np.array([0.0, 0.0, -1.0]))
         camera = Camera(240, 180, intrinsics.fx, intrinsics.fy, 120, 90, pose)
         image = trace(world, camera, 0.5 * index / count, samples=1).color
         photographs.append(Photograph(f"frame_{index:05d}", np.rint(255 * image.transpose(1, 2, 0)).astype(np.uint8)))
@@ -54,11 +60,33 @@ def test_poses_of_a_rendered_clip() -> None:
 
 
 def test_a_camera_that_stands_still_is_refused() -> None:
-    photographs, _ = filmed(8, still=True)
+    photographs, _ = filmed(8, arc=0.0)
     with pytest.raises(
         ValueError, match="^clip: expected a camera that moves, found one that stands still .*walk side"
     ):
         reconstruct_clip(photographs, InitConfig(), Path("clip"), lambda line: None)
+
+
+def test_a_camera_that_only_turns_is_refused() -> None:
+    photographs, _ = filmed(10, arc=0.0, turn=0.6)
+    with pytest.raises(ValueError, match="^clip: expected .*the camera turns without moving, .*walk sideways"):
+        reconstruct_clip(photographs, InitConfig(), Path("clip"), lambda line: None)
+
+
+def test_fewer_than_four_fifths_of_the_frames_are_refused() -> None:
+    """Noise in the place of three frames of ten."""
+    photographs, _ = filmed(10)
+    rng = np.random.default_rng(0)
+    for index in (2, 5, 8):
+        noise = rng.integers(0, 256, photographs[index].image.shape, np.uint8)
+        photographs[index] = replace(photographs[index], image=noise)
+    with pytest.raises(ValueError, match="^clip: expected to find the camera of 80% of 10 frames, found that of 7: "):
+        reconstruct_clip(photographs, InitConfig(min_points=10), Path("clip"), lambda line: None)
+
+
+def test_a_second_pass_that_fails_is_none(tmp_path: Path) -> None:
+    """So that the first pass's cameras are kept; here COLMAP gets a folder without a request."""
+    assert second_pass(tmp_path, Path("clip")) is None
 
 
 def test_points_lie_on_their_epipolar_lines() -> None:

@@ -5,11 +5,11 @@ and what was found; never another exception, a crash, a hang or a warning.
 
 A target (target.py) is a valid example, a Hypothesis strategy of changes to it, and a check of the rule. To add one:
     1. write targets/<name>.py (of a scene: targets/data/) with example(), changes(), check() and TARGET;
-       targets/data/frame_store.py is a short one;
+       targets/data/frame_store.py is a short one, and targets/layouts/ are folders of other tools;
     2. run `PYTHONPATH=tests python -m fuzz <name> --seconds 600`;
     3. fix what it finds, and move the saved input to regressions/<name>/<what it is>/, which test_fuzz.py replays.
 
-    target.py              Target, the rule, saved inputs           targets/        the targets; data/: of scenes
+    target.py              Target, the rule, saved inputs           targets/        targets; data/, layouts/: of scenes
     edits/                 changes to bytes, text, JSON, arrays     regressions/    inputs that once violated the rule
     search.py              runs a target with Hypothesis            scene_checks.py, model_checks.py
     subprocess_search.py   the search in a process that may crash   failing_targets.py, for the tests of the search

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
+from datasets.layouts import LayoutOptions, read_layout
+from datasets.layouts.detect import detect
 from datasets.scene import Scene
 from fuzz.target import require
 
@@ -48,3 +52,9 @@ def check_scene(scene: Scene) -> None:
             ),
             f"{view.name} stands at {pose.tolist()}",
         )
+
+
+def check_layout(layout: str, folder: Path) -> None:
+    """What scene=auto does with a folder of this layout: it is recognised, or refused, and read."""
+    detect(folder)
+    check_scene(read_layout(layout, folder, LayoutOptions("fuzz", test_every=3, log=lambda line: None)))

@@ -16,7 +16,7 @@ from fuzz.targets import NAMES, load_target
 REGRESSIONS = Path(__file__).parent / "regressions"
 SAVED = sorted(path for target in REGRESSIONS.iterdir() for path in target.iterdir())
 # Fewer cases for slow targets.
-CASES = {"videos": 5, "report": 5, "images": 15, "rasterize": 20}
+CASES = {"videos": 5, "colmap": 20, "report": 5, "images": 15, "rasterize": 20}
 
 
 @pytest.mark.parametrize("name", NAMES)

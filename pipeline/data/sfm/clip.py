@@ -58,14 +58,17 @@ def reconstruct_clip(
             lens = next(iter(first.cameras.values()))
             focal, _, cx, cy = lens["intrinsics"]
             write_request(folder, replace(request, masked=True, intrinsics=[focal, cx, cy, lens["radial"]]))
-            second = run_colmap(folder, source)
+            second = second_pass(folder, source)
             share = float(np.mean([mask.mean() for mask in masks.values()]))
+            registered = 0 if second is None else len(second.cameras)
             log(
-                f"sfm: second pass, without the {share:.0%} of the pictures that moves, {len(second.cameras)} of "
+                f"sfm: second pass, without the {share:.0%} of the pictures that moves, {registered} of "
                 f"{len(names)} frames registered"
             )
-            if len(second.cameras) >= KEPT_BY_SECOND * len(first.cameras):
+            if second is not None and registered >= KEPT_BY_SECOND * len(first.cameras):
                 found = second
+            else:
+                log("sfm: the first pass is used, which found more")
     if len(found.cameras) < LEAST_REGISTERED * len(names):
         raise ValueError(
             f"{source}: expected to find the camera of {LEAST_REGISTERED:.0%} of {len(names)} frames, found that of "
@@ -87,6 +90,14 @@ def reconstruct_clip(
         len(names),
         time.perf_counter() - started,
     )
+
+
+def second_pass(folder: Path, source: Path) -> ColmapResult | None:
+    """None where it finds too few cameras: the masks took what the first pass stood on."""
+    try:
+        return run_colmap(folder, source)
+    except ValueError:
+        return None
 
 
 def _cameras(found: ColmapResult, sizes: dict[str, tuple[int, ...]]) -> dict[str, CalibratedCamera]:

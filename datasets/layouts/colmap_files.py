@@ -1,0 +1,172 @@
+"""The files of a model of COLMAP: cameras, images and points3D, each binary or text.
+
+https://colmap.github.io/format.html
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO, TypeVar
+
+import numpy as np
+
+from datasets.files.errors import SceneError
+
+# COLMAP's id → (name, number of parameters).
+MODELS = {
+    0: ("SIMPLE_PINHOLE", 3), 1: ("PINHOLE", 4), 2: ("SIMPLE_RADIAL", 4), 3: ("RADIAL", 5), 4: ("OPENCV", 8),
+    5: ("OPENCV_FISHEYE", 8), 6: ("FULL_OPENCV", 12), 7: ("FOV", 5), 8: ("SIMPLE_RADIAL_FISHEYE", 4),
+    9: ("RADIAL_FISHEYE", 5), 10: ("THIN_PRISM_FISHEYE", 12), 11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+}  # fmt: skip
+PARAMETERS = dict(MODELS.values())
+MOST = 50_000_000  # images or points that a file may claim
+POINT_COLUMNS = 7  # x, y, z, red, green, blue, reprojection error in pixels
+
+Parsed = TypeVar("Parsed")
+
+
+@dataclass(frozen=True)
+class LensRecord:
+    """A camera of COLMAP: its lens, shared by images."""
+
+    model: str
+    width: int
+    height: int
+    parameters: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class ImageRecord:
+    """An image of COLMAP."""
+
+    name: str
+    camera: int
+    quaternion: np.ndarray  # (4,) w, x, y, z of world-to-camera
+    translation: np.ndarray  # (3,)
+
+
+def read_cameras(path: Path) -> dict[int, LensRecord]:
+    """Lenses by their number, of a .bin or .txt file."""
+    return dict(_entries(path, _binary_camera, _text_camera, 1))
+
+
+def read_images(path: Path) -> list[ImageRecord]:
+    """The images that have a pose, one at least."""
+    found = _entries(path, _binary_image, _text_image, 2)  # the second line, its points, may be empty
+    if not found:
+        raise SceneError(path, "at least one image with a pose", "none")
+    return found
+
+
+def read_points(folder: Path) -> np.ndarray:
+    """(N, POINT_COLUMNS) float64; N = 0 without a file of points."""
+    files = [folder / f"points3D.{suffix}" for suffix in ("bin", "txt")]
+    path = next((file for file in files if file.is_file()), None)
+    rows = _entries(path, _binary_point, _text_point, 1) if path else []
+    return np.array(rows, dtype=np.float64).reshape(-1, POINT_COLUMNS)
+
+
+def _entries(
+    path: Path, binary: Callable[[_Binary], Parsed], text: Callable[[str], Parsed], lines: int
+) -> list[Parsed]:
+    """The entries of a file; lines: of each entry in a text file, of which the first is parsed."""
+    try:
+        if path.suffix == ".bin":
+            with open(path, "rb") as opened:
+                file = _Binary(path, opened)
+                return [binary(file) for _ in range(file.count())]
+        content = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise SceneError(path, "a file of COLMAP", str(error)) from None
+    found = []
+    rows = [line for line in content.splitlines() if not line.startswith("#") and (lines > 1 or line.strip())]
+    for line in rows[::lines]:
+        if not line.strip():
+            continue
+        try:
+            found.append(text(line))
+        except (ValueError, IndexError):
+            raise SceneError(f"{path}: {line!r}", "a line as COLMAP writes it", "something else") from None
+    return found
+
+
+@dataclass(frozen=True)
+class _Binary:
+    """A binary file. Every read refuses one that ends early."""
+
+    path: Path
+    file: BinaryIO
+
+    def unpack(self, layout: str) -> tuple:
+        content = self.file.read(struct.calcsize(layout))
+        if len(content) < struct.calcsize(layout):
+            raise self._early()
+        return struct.unpack(layout, content)
+
+    def count(self) -> int:
+        (count,) = self.unpack("<Q")
+        if count > MOST:
+            raise SceneError(self.path, f"at most {MOST} entries", f"{count}: damaged?")
+        return int(count)
+
+    def skip(self, size: int) -> None:
+        if size > os.fstat(self.file.fileno()).st_size - self.file.tell():
+            raise self._early()
+        self.file.seek(size, 1)
+
+    def text(self) -> str:
+        content = bytearray()
+        while (char := self.file.read(1)) != b"\0":
+            if not char:
+                raise self._early()
+            content += char
+        return content.decode(errors="replace")
+
+    def _early(self) -> SceneError:
+        return SceneError(self.path, "a whole file of COLMAP", "one that ends early")
+
+
+def _binary_camera(file: _Binary) -> tuple[int, LensRecord]:
+    number, model, width, height = file.unpack("<iiQQ")
+    if model not in MODELS:
+        raise SceneError(file.path, f"lens models 0 to {max(MODELS)}", f"{model}")
+    name, count = MODELS[model]
+    return number, LensRecord(name, width, height, file.unpack(f"<{count}d"))
+
+
+def _text_camera(line: str) -> tuple[int, LensRecord]:
+    number, name, width, height, *parameters = line.split()
+    if PARAMETERS.get(name) != len(parameters):
+        raise ValueError
+    return int(number), LensRecord(name, int(width), int(height), tuple(map(float, parameters)))
+
+
+def _binary_image(file: _Binary) -> ImageRecord:
+    values = file.unpack("<i7di")
+    name = file.text()
+    (points,) = file.unpack("<Q")
+    file.skip(24 * points)
+    return ImageRecord(name, values[8], np.array(values[1:5]), np.array(values[5:8]))
+
+
+def _text_image(line: str) -> ImageRecord:
+    parts = line.split(maxsplit=9)
+    numbers = np.array([float(part) for part in parts[1:8]])
+    return ImageRecord(parts[9], int(parts[8]), numbers[:4], numbers[4:])
+
+
+def _binary_point(file: _Binary) -> tuple[float, ...]:
+    values = file.unpack("<QdddBBBdQ")
+    file.skip(8 * values[8])
+    return values[1:8]
+
+
+def _text_point(line: str) -> tuple[float, ...]:
+    values = tuple(float(part) for part in line.split()[1 : 1 + POINT_COLUMNS])
+    if len(values) != POINT_COLUMNS:
+        raise ValueError
+    return values

@@ -1,0 +1,1 @@
+"""Targets that read folders of other tools, as scene=auto does."""
