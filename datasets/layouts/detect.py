@@ -33,7 +33,9 @@ def detect(path: Path) -> Detected:
             instead = f"; not {', '.join(refused)}" if refused else ""
             return Detected(reader, f"{path}: taken for {name} (scene.reader={reader}){instead}")
         refused.append(f"{name} ({reason})")
-    raise SceneError(path, "a layout that is known", f"none: not {', '.join(refused)}")
+    raise SceneError(
+        path, "a layout that is known", f"none: not {', '.join(refused)}; driving logs: scene=kitti or scene=waymo"
+    )
 
 
 def _dynamic_gaussians(path: Path) -> str | None:
