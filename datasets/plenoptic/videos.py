@@ -82,7 +82,8 @@ def find_cameras(root: Path) -> list[VideoFile]:
 def find_footage(root: Path) -> list[VideoFile]:
     """All videos of a folder, sorted by name; a camera's number is its index in that order."""
     if not root.is_dir():
-        raise SceneError(root, "a video, or a folder of videos or images in order", "a file" if root.exists() else "nothing there")
+        found = "a file" if root.exists() else "nothing there"
+        raise SceneError(root, "a video, or a folder of videos or images in order", found)
     # Hidden files are not the user's: file managers write them.
     paths = sorted(
         path for path in root.iterdir() if path.suffix.lower() in FOOTAGE_SUFFIXES and not path.name.startswith(".")

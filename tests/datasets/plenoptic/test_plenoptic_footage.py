@@ -114,8 +114,8 @@ def test_invalid_cameras_are_refused_before_decoding(filmed: Path, tmp_path: Pat
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (lambda f: shutil.rmtree(f), "expected a video, or a folder of videos or images in order, found nothing there"),
-        (lambda f: (shutil.rmtree(f), f.write_text("")), "expected a video, or a folder of videos or images in order, found a file"),
+        (lambda f: shutil.rmtree(f), "folder of videos or images in order, found nothing there"),
+        (lambda f: (shutil.rmtree(f), f.write_text("")), "folder of videos or images in order, found a file"),
         (
             lambda f: [path.unlink() for path in f.iterdir()],
             r"expected videos \(\.mp4, \.mov, \.mkv, \.avi\) or images in order, found none",
