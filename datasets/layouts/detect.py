@@ -33,9 +33,8 @@ def detect(path: Path) -> Detected:
             instead = f"; not {', '.join(refused)}" if refused else ""
             return Detected(reader, f"{path}: taken for {name} (scene.reader={reader}){instead}")
         refused.append(f"{name} ({reason})")
-    raise SceneError(
-        path, "a layout that is known", f"none: not {', '.join(refused)}; driving logs: scene=kitti or scene=waymo"
-    )
+    known = "a layout that is known (driving logs: scene=kitti or scene=waymo)"
+    raise SceneError(path, known, f"none: not {', '.join(refused)}")
 
 
 def _dynamic_gaussians(path: Path) -> str | None:
