@@ -28,11 +28,12 @@ MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
 
 def read_dynamic_gaussians(root: Path, options: LayoutOptions) -> Scene:
     """The scene; without test_meta.json, scene.test_cameras are held out, by their number in cam_id."""
-    photographs = _read_meta(root, root / "train_meta.json", None)
     if (root / "test_meta.json").is_file():
-        photographs = _read_meta(root, root / "train_meta.json", False) + _read_meta(
-            root, root / "test_meta.json", True
+        photographs = _read_meta(root, "train_meta.json", False, options) + _read_meta(
+            root, "test_meta.json", True, options
         )
+    else:
+        photographs = _read_meta(root, "train_meta.json", None, options)
     points = _read_points(root / "init_pt_cld.npz")
     if points is not None and _is_mirrored(_object(root / "train_meta.json")["w2c"]):
         points = replace(points, positions=points.positions @ MIRROR[:3, :3])
@@ -44,7 +45,9 @@ def read_dynamic_gaussians(root: Path, options: LayoutOptions) -> Scene:
     return to_scene(root, photographs, options, points)
 
 
-def _read_meta(root: Path, file: Path, test: bool | None) -> list[Photograph]:
+def _read_meta(root: Path, name: str, test: bool | None, options: LayoutOptions) -> list[Photograph]:
+    """The images that the file names. One that is not there is left out, and their number is said."""
+    file = root / name
     content = _object(file)
     width, height = (int(read_number(get_key(content, key, file), f"{file}: {key}", 1e6)) for key in "wh")
     tables = {key: get_key(content, key, file) for key in ("k", "w2c", "fn", "cam_id")}
@@ -53,8 +56,8 @@ def _read_meta(root: Path, file: Path, test: bool | None) -> list[Photograph]:
         if not isinstance(table, list) or len(table) != times or not times:
             raise SceneError(f"{file}: {key}", f"a list of {times} frames", _kind(table))
     mirrored = _is_mirrored(tables["w2c"])
-    found = []
-    missing: Path | None = None
+    found: list[Photograph] = []
+    missing: list[Path] = []
     for t in range(times):
         row = {key: table[t] for key, table in tables.items()}
         lengths = {key: len(value) if isinstance(value, list) else -1 for key, value in row.items()}
@@ -62,16 +65,18 @@ def _read_meta(root: Path, file: Path, test: bool | None) -> list[Photograph]:
             raise SceneError(f"{file}: frame {t}", "as many cameras in k, w2c, fn and cam_id", f"{lengths}")
         for c in range(lengths["fn"]):
             where = f"{file}: frame {t}, camera {c}"
-            name = str(row["fn"][c])
-            path = root / "ims" / name
+            path = root / "ims" / str(row["fn"][c])
             if not is_file(path):
-                missing = missing or path
+                missing.append(path)
                 continue
             camera = _camera(row["k"][c], row["w2c"][c], (width, height), mirrored, where)
             number = int(read_number(row["cam_id"][c], f"{where}: cam_id", 1e6))
             found.append(Photograph(f"cam{number:02d}_{t:05d}", path, camera, None, float(t), number, test))
-    if missing is not None and not found:
-        raise SceneError(missing, f"an image that {file.name} names", "no such file")
+    if missing and not found:
+        raise SceneError(missing[0], f"an image that {name} names", "no such file")
+    if missing:
+        named = len(missing) + len(found)
+        options.log(f"{name} names {named} images; left out: {len(missing)} that are not there, the first {missing[0]}")
     return found
 
 

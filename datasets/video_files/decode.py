@@ -35,8 +35,10 @@ class Frame:
 def video_frames(path: Path, header: Header, keep: set[int] | None = None, every: int = 1) -> Iterator[Frame]:
     """The frames of a video. keep: only these indices; every: only each so many-th. Others are decoded, not converted.
 
-    A damaged frame comes without an image; times are those of the file, so that a varying rate is kept.
+    A damaged frame comes without an image; times are those of the file, so that a varying rate is kept. SceneError for
+    a frame of another size than the first.
     """
+    size: tuple[int, int] | None = None
     last = max(keep) if keep else None
     index, time = -1, 0.0
     step = 1.0 / header.rate if header.rate else 1.0 / IMAGE_RATE
@@ -53,6 +55,11 @@ def video_frames(path: Path, header: Header, keep: set[int] | None = None, every
                 if last is not None and index >= last:
                     return
                 continue
+            if decoded is not None:
+                stored = (decoded.width, decoded.height)
+                size = size or stored
+                if stored != size:
+                    raise SceneError(path, f"frames of one size, {_pixels(size)}", f"{_pixels(stored)} at {time:.2f} s")
             damaged = decoded is None or decoded.is_corrupt
             yield Frame(index, time, None if decoded is None or damaged else _upright(decoded, header))
             if last is not None and index >= last:
@@ -80,7 +87,8 @@ def image_paths(folder: Path) -> list[Path]:
 
 
 def image_frames(paths: list[Path], keep: set[int] | None = None, every: int = 1) -> Iterator[Frame]:
-    """Images as frames at IMAGE_RATE; a damaged file comes without an image."""
+    """Images as frames at IMAGE_RATE; a damaged file comes without an image. SceneError unless all have one size."""
+    first: tuple[str, tuple[int, int]] | None = None
     for index, path in enumerate(paths):
         if (keep is not None and index not in keep) or index % every:
             continue
@@ -88,6 +96,11 @@ def image_frames(paths: list[Path], keep: set[int] | None = None, every: int = 1
             image = compose(read_rgba(path), BLACK)
         except SceneError:
             image = None
+        if image is not None:
+            stored = (image.shape[1], image.shape[0])
+            first = first or (path.name, stored)
+            if stored != first[1]:
+                raise SceneError(path, f"{_pixels(first[1])}, the size of {first[0]}", _pixels(stored))
         yield Frame(index, index / IMAGE_RATE, image)
 
 
@@ -120,6 +133,10 @@ def _upright(frame: av.VideoFrame, header: Header) -> np.ndarray:
         stored = header.size if header.rotation % 180 == 0 else header.size[::-1]
         image = cv2.resize(image, stored, interpolation=cv2.INTER_AREA)
     return cv2.rotate(image, _TURNS[header.rotation]) if header.rotation else image
+
+
+def _pixels(size: tuple[int, int]) -> str:
+    return f"{size[0]} x {size[1]} pixels"
 
 
 def _natural(name: str) -> list[tuple[int, int | str]]:

@@ -162,6 +162,26 @@ def test_what_is_no_clip_is_refused(tmp_path: Path, content: bytes | None, expec
         opened(path)
 
 
+def test_images_of_two_sizes_are_no_clip(tmp_path: Path) -> None:
+    for i, image in enumerate(frames(14)):
+        cv2.imwrite(str(tmp_path / f"{i}.png"), image[:-2] if i == 5 else image)
+    with pytest.raises(SceneError, match=r"5\.png: expected 96 x 64 pixels, the size of 0\.png, found 96 x 62 pixels"):
+        opened(tmp_path)
+
+
+def test_a_video_that_changes_its_size_is_refused(tmp_path: Path) -> None:
+    # MPEG transport streams can be joined end to end.
+    parts = []
+    for i, size in enumerate(("96x64", "128x64")):
+        parts.append(tmp_path / f"{i}.ts")
+        source = ["-f", "lavfi", "-i", f"testsrc=size={size}:rate=30:duration=1"]
+        subprocess.run([get_ffmpeg_exe(), "-loglevel", "error", *source, "-c:v", "mpeg2video", parts[i]], check=True)
+    joined = tmp_path / "joined.ts"
+    joined.write_bytes(b"".join(part.read_bytes() for part in parts))
+    with pytest.raises(SceneError, match=r"frames of one size, 96 x 64 pixels, found 128 x 64 pixels at"):
+        opened(joined)
+
+
 def test_a_folder_of_several_videos_is_no_clip(tmp_path: Path) -> None:
     path = write_clip(tmp_path / "a.mp4", frames(2), evenly(2))
     shutil.copy(path, tmp_path / "b.mp4")

@@ -118,6 +118,15 @@ def test_dynamic_gaussians(tmp_path: Path, mirrored: bool) -> None:
     assert scene.points.colors[0].tolist() == [128, 0, 255]
 
 
+def test_dynamic_gaussians_without_some_images(tmp_path: Path) -> None:
+    write_dynamic_gaussians(tmp_path, mirrored=False)
+    images = sorted(path for path in (tmp_path / "ims").rglob("*") if path.is_file())
+    images[0].unlink()
+    scene, lines = read(tmp_path)
+    assert len(scene.test) + len(scene.train) == len(images) - 1
+    assert any("images; left out: 1 that are not there" in line and str(images[0]) in line for line in lines)
+
+
 def test_nerfies(tmp_path: Path) -> None:
     scene, lines = read(write_nerfies(tmp_path))
     check(scene)
