@@ -83,7 +83,9 @@ def with_reader(cfg: SceneConfig, log: Log | None = None) -> SceneConfig:
         log(found.line)
     chosen = {"dnerf": 2, "plenoptic": 2}  # readers without a choice by size: their default
     downscale = cfg.downscale or chosen.get(found.reader, 0)
-    return replace(cfg, reader=found.reader, downscale=downscale)
+    # What is known to need it: other layouts are read as their files are.
+    color = False if cfg.color_correction == "auto" and found.reader != "video" else cfg.color_correction
+    return replace(cfg, reader=found.reader, downscale=downscale, color_correction=color)
 
 
 def _read_photographs(cfg: SceneConfig, log: Log) -> Scene:

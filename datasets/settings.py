@@ -34,6 +34,9 @@ class SceneConfig:
     # Videos of several cameras: none: synchronised | auto: starts found by sound, else by the picture | given: offsets
     sync: str = "none"
     offsets: list[float] = field(default_factory=list)  # seconds at which each camera started, in the order of names
+    # Several cameras: exposure and white balance made equal by matched points. auto: where it is shown to help | true:
+    # every camera | false
+    color_correction: Any = False
     first_frame: int = 0  # plenoptic, video, driving logs: the first frame in use, counted from 0
     # plenoptic, video, driving logs: largest number of frames in use; synthetic/counter, synthetic/street: to render
     frames: int = 300
@@ -71,6 +74,12 @@ class SceneConfig:
                 list(numbers),
             )
         require(self.sync in SYNC, "scene.sync", ", ".join(SYNC), self.sync)
+        require(
+            self.color_correction == "auto" or isinstance(self.color_correction, bool),
+            "scene.color_correction",
+            "auto, true or false",
+            self.color_correction,
+        )
         require(self.first_frame >= 0, "scene.first_frame", ">= 0", self.first_frame)
         require(self.frames >= 1, "scene.frames", "at least 1", self.frames)
         require(self.test_every >= 2, "scene.test_every", "at least 2", self.test_every)

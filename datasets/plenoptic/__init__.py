@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from datasets.cameras.color import ColorCorrection
 from datasets.cameras.lens import Undistortion
 from datasets.canonical import canonical_space
 from datasets.composition import chosen_downscale
@@ -55,6 +56,7 @@ class PosedFootage:
     undistortion: Mapping[str, Undistortion] | None = None  # by name; None: no distortion
     unit: float = 1.0  # world units per normalised unit
     init_box: Box | None = None  # None: a cube around the cameras
+    colors: Mapping[str, ColorCorrection] | None = None  # by name, of the cameras whose colours are corrected
 
     def first_images(self) -> dict[str, np.ndarray]:
         """Name -> the first frame of each camera, undistorted, full size."""
@@ -62,7 +64,7 @@ class PosedFootage:
 
     def to_scene(self) -> Scene:
         """The scene; decodes the frames that are not in the store."""
-        return self.footage.to_scene(self.cameras, self.undistortion, self.unit, self.init_box)
+        return self.footage.to_scene(self.cameras, self.undistortion, self.unit, self.init_box, self.colors)
 
 
 def read_plenoptic(path: str | Path, **options: Any) -> Scene:

@@ -26,6 +26,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from datasets.cameras.color import ColorCorrection
 from datasets.cameras.lens import Undistortion, undistort
 from datasets.files.atomic_write import TEMPORARY, DiskFull
 from datasets.files.errors import SceneError
@@ -71,10 +72,17 @@ def reduce_image(image: np.ndarray, downscale: int) -> np.ndarray:
 
 
 def store_folder(
-    cache: Path, scene: str, content: str, options: DecodeOptions, undistortion: Mapping[str, Undistortion]
+    cache: Path,
+    scene: str,
+    content: str,
+    options: DecodeOptions,
+    undistortion: Mapping[str, Undistortion],
+    colors: Mapping[str, ColorCorrection],
 ) -> Path:
     """The folder of a scene's frames. content: hash of all videos or images of the scene, dropped ones included."""
-    parts = (STORE_VERSION, content, vars(options), {name: vars(lens) for name, lens in undistortion.items()})
+    parts = [STORE_VERSION, content, vars(options), {name: vars(lens) for name, lens in undistortion.items()}]
+    if colors:
+        parts.append({name: vars(color) for name, color in colors.items()})
     digest = hashlib.blake2b(json.dumps(parts, sort_keys=True).encode(), digest_size=6).hexdigest()
     return cache / f"{scene.replace('/', '_')}-{digest}"
 
@@ -101,6 +109,7 @@ def decode(
     folder: Path,
     options: DecodeOptions,
     undistortion: Mapping[str, Undistortion],
+    colors: Mapping[str, ColorCorrection],
     threads: int,
     log: Log,
 ) -> dict[str, tuple[StoredFrame, ...]]:
@@ -126,7 +135,7 @@ def decode(
             missing = [stream for stream in streams if read_frames(folder, stream.name, shape) is None]
             _check_space(folder, len(missing) * math.prod(shape))
             with DecodingDisplay(len(missing), options.frames, log) as display:
-                _decode_missing(missing, folder, shape, options, undistortion, threads, display)
+                _decode_missing(missing, folder, shape, options, undistortion, colors, threads, display)
         found = stored()
     return found
 
@@ -137,6 +146,7 @@ def _decode_missing(
     shape: tuple[int, int, int, int],
     options: DecodeOptions,
     undistortion: Mapping[str, Undistortion],
+    colors: Mapping[str, ColorCorrection],
     threads: int,
     display: DecodingDisplay,
 ) -> None:
@@ -144,7 +154,8 @@ def _decode_missing(
     threads_each = max(1, threads // max(1, len(streams)))
 
     def decode_one(stream: Stream) -> None:
-        images = _reduced_frames(stream, options, undistortion.get(stream.name), threads_each, stop, display)
+        lens, color = undistortion.get(stream.name), colors.get(stream.name)
+        images = _reduced_frames(stream, options, lens, color, threads_each, stop, display)
         facts = {
             "source": stream.path.name,
             "rate": stream.rate,
@@ -173,15 +184,18 @@ def _reduced_frames(
     stream: Stream,
     options: DecodeOptions,
     lens: Undistortion | None,
+    color: ColorCorrection | None,
     threads: int,
     stop: threading.Event,
     display: DecodingDisplay,
 ) -> Iterator[np.ndarray]:
-    """A camera's frames as they are stored: undistorted and reduced."""
+    """A camera's frames as they are stored: corrected in colour, undistorted and reduced."""
     maps = lens.maps(stream.size) if lens else None
     for image in stream.read(options.first_frame, options.frames, threads):
         if stop.is_set():
             raise RuntimeError("decoding was stopped")  # not shown: the error that set `stop` is raised instead
+        if color is not None:
+            image = color.apply(image)
         if maps is not None:
             image = undistort(image, maps)
         yield reduce_image(image, options.downscale)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from datasets.cameras.color import ColorCorrection
 from datasets.cameras.lens import Undistortion, undistort
 from datasets.canonical import FRAMES_PER_UNIT
 from datasets.composition import BLACK, Color, as_color, reduced_camera
@@ -114,11 +115,13 @@ class Footage:
         undistortion: Mapping[str, Undistortion] | None = None,
         unit: float = 1.0,
         init_box: Box | None = None,
+        colors: Mapping[str, ColorCorrection] | None = None,
     ) -> Scene:
         """The scene with `cameras` (name -> camera of the full-size image); decodes frames that are not in the store.
 
         undistortion: name -> lens of the distorted images; `cameras` are those of the undistorted ones. unit: world
-        units per normalised unit. init_box: None: a cube around the cameras. SceneError, before decoding, if the scene
+        units per normalised unit. init_box: None: a cube around the cameras. colors: of the cameras whose colours are
+        corrected, held-out ones included. SceneError, before decoding, if the scene
         is invalid.
         """
         options = self.options
@@ -135,8 +138,8 @@ class Footage:
         validate_scene(self._scene(small, {name: [blank] * self.count for name in self.names}, unit, init_box))
 
         decoding = DecodeOptions(options.first_frame, self.count, options.downscale)
-        folder = store_folder(Path(options.cache), options.name, self.content, decoding, undistortion)
-        images = decode(self.streams, folder, decoding, undistortion, options.cores, options.log)
+        folder = store_folder(Path(options.cache), options.name, self.content, decoding, undistortion, colors or {})
+        images = decode(self.streams, folder, decoding, undistortion, colors or {}, options.cores, options.log)
         return validate_scene(self._scene(small, images, unit, init_box))
 
     def _time(self, stream: Stream, index: int) -> float:

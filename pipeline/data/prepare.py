@@ -30,6 +30,7 @@ from datasets import (
     reads_clip,
     with_reader,
 )
+from datasets.cameras.color import ColorCorrection
 from datasets.canonical import Canonical, canonical_of, canonical_space, canonicalise
 from datasets.scene import ScenePoints
 from pipeline.config.schema import Config
@@ -110,10 +111,16 @@ def _given_points(cfg: Config, scene: Scene, log: Callable[[str], None]) -> Reco
 
 def _from_posed(cfg: Config, posed: PosedFootage, log: Callable[[str], None]) -> Prepared:
     """Points from the full-size first frames of the training cameras; then the scene, whose frames may be smaller."""
-    cloud, folder = _reconstruct(cfg, training_photographs(posed), posed.unit, posed.footage.source, log)
+    photographs = training_photographs(posed)
+    cloud, folder = _reconstruct(cfg, photographs, posed.unit, posed.footage.source, log)
     if cloud.poses == "refined":
         refined = {name: found.camera for name, found in cloud.cameras.items()}
         posed = replace(posed, cameras={**posed.cameras, **refined})
+    if cfg.scene.color_correction:
+        cloud, colors = _corrected(cfg, photographs, cloud, log)
+        posed = replace(posed, colors=colors)
+        for name in posed.footage.held_out:
+            log(f"colours of {name} are left alone: a held-out camera takes no part in structure from motion here")
     return Prepared(posed.to_scene(), cloud, folder)
 
 
@@ -154,12 +161,16 @@ def _from_videos(cfg: Config, footage: Footage, log: Callable[[str], None]) -> P
     if footage.mixed_lenses:
         cfg = replace(cfg, init=replace(cfg.init, shared_intrinsics=False))
     cloud, folder = _reconstruct(cfg, photographs, 1.0, footage.source, log)
+    colors: dict[str, ColorCorrection] = {}
+    if cfg.scene.color_correction:
+        cloud, colors = _corrected(cfg, photographs, cloud, log)
     cameras = {name: found.camera for name, found in cloud.cameras.items()}
     train_cameras = [camera for name, camera in cameras.items() if name not in footage.held_out]
     scene = footage.to_scene(
         cameras,
         {name: Undistortion.of(found.camera, found.radial) for name, found in cloud.cameras.items()},
         unit=UNIT_OF_NEAR * near_depth(cloud.points, train_cameras),
+        colors=colors,
     )
     return Prepared(scene, cloud if cfg.init.source != "random" else None, folder)
 
@@ -180,6 +191,16 @@ def _from_clip(cfg: Config, clip: Clip, log: Callable[[str], None]) -> Prepared:
     cameras = {name: found.camera for name, found in cloud.cameras.items()}
     scene = clip.to_scene(cameras, lens.radial, UNIT_OF_NEAR * near_depth(cloud.points, list(cameras.values())))
     return Prepared(scene, cloud if cfg.init.source != "random" else None, folder, is_clip=True)
+
+
+def _corrected(
+    cfg: Config, photographs: list[Photograph], cloud: Reconstruction, log: Callable[[str], None]
+) -> tuple[Reconstruction, dict[str, ColorCorrection]]:
+    """The corrections of the cameras' colours by scene.color_correction, and the points in corrected colours."""
+    from pipeline.data.colors import color_corrections, recolored  # not needed by scenes without it
+
+    found = color_corrections(photographs, cloud, cfg.scene.color_correction is True, log)
+    return recolored(photographs, cloud, found), found
 
 
 def near_depth(points: np.ndarray, cameras: list[Camera]) -> float:
@@ -205,7 +226,14 @@ def _reconstruct(
             replace(photograph, camera=transform.camera(camera))
             for photograph, camera in zip(photographs, known, strict=True)
         ]
-    cloud, folder = reconstruct_cached(photographs, cfg.init, unit * transform.scale, source, Path(cfg.scene.cache))
+    cloud, folder = reconstruct_cached(
+        photographs,
+        cfg.init,
+        unit * transform.scale,
+        source,
+        Path(cfg.scene.cache),
+        observations=bool(cfg.scene.color_correction),
+    )
     summary = cloud.summary()
     log(
         f"sfm: {summary['points']} points, mean error {summary['mean_error_px']:.2f} px, mean track length "

@@ -28,17 +28,23 @@ from rasterizer.camera import MAX_DISTANCE, Camera
 
 VERSION = 1  # to be increased by every change of this project that alters the result
 CLIP_VERSION = 1  # the same for the two passes over a clip
+_ARRAYS = ("points", "colors", "errors", "track_lengths", "observations")  # of a Reconstruction
 # Settings of InitConfig that do not affect structure from motion.
 _UNRELATED = ("source", "min_points", "sphere_points", "sphere_radius")
 
 
 def reconstruct_cached(
-    photographs: Sequence[Photograph], cfg: InitConfig, unit: float, source: Path, cache: Path
+    photographs: Sequence[Photograph],
+    cfg: InitConfig,
+    unit: float,
+    source: Path,
+    cache: Path,
+    observations: bool = False,
 ) -> tuple[Reconstruction, Path]:
     """The result of `run.reconstruct`, from the cache if it is there, and its folder."""
-    folder = cache / f"sfm-{fingerprint(photographs, cfg, unit)}"
+    folder = cache / f"sfm-{fingerprint(photographs, cfg, unit, observations=observations)}"
     if not (folder / "result.json").is_file():
-        save(reconstruct(photographs, cfg, unit, source), folder)
+        save(reconstruct(photographs, cfg, unit, source, observations), folder)
     result = load(folder)
     if len(result.points) < cfg.min_points:  # the cache was written with a smaller min_points
         raise ValueError(
@@ -57,10 +63,13 @@ def clip_reconstruct_cached(
     return load(folder), folder
 
 
-def fingerprint(photographs: Sequence[Photograph], cfg: InitConfig, unit: float, clip: int | None = None) -> str:
+def fingerprint(
+    photographs: Sequence[Photograph], cfg: InitConfig, unit: float, clip: int | None = None, observations: bool = False
+) -> str:
     """Hash of photographs, poses, settings and versions: twelve hexadecimal digits. clip: CLIP_VERSION for a clip."""
     settings = {key: value for key, value in asdict(cfg).items() if key not in _UNRELATED}
     versions = [VERSION, metadata.version("pycolmap"), *([] if clip is None else [clip])]
+    versions += ["observations"] if observations else []
     digest = hashlib.blake2b(json.dumps([settings, unit, versions], sort_keys=True).encode(), digest_size=6)
     for photograph in photographs:
         c = photograph.camera
@@ -74,13 +83,8 @@ def fingerprint(photographs: Sequence[Photograph], cfg: InitConfig, unit: float,
 def save(result: Reconstruction, folder: Path) -> None:
     """Writes the folder atomically."""
     with atomic_folder(folder, marker="result.json") as temporary:
-        np.savez(
-            temporary / "result.npz",
-            points=result.points,
-            colors=result.colors,
-            errors=result.errors,
-            track_lengths=result.track_lengths,
-        )
+        arrays = {name: getattr(result, name) for name in _ARRAYS}
+        np.savez(temporary / "result.npz", **{name: array for name, array in arrays.items() if array is not None})
         cameras = {name: _camera_json(found) for name, found in result.cameras.items()}
         write_json(
             temporary / "result.json",
@@ -124,6 +128,9 @@ def _checked(found: Reconstruction) -> Reconstruction:
             raise ValueError(f"{name} {array.dtype} {array.shape}, or not finite")
     if count == 0 or np.abs(found.points).max() > MAX_DISTANCE or found.colors.dtype != np.uint8:
         raise ValueError(f"no points, points beyond {MAX_DISTANCE:g}, or colours that are not bytes")
+    seen = found.observations
+    if seen is not None and (seen.dtype.kind != "f" or seen.shape != (len(seen), 4) or not np.isfinite(seen).all()):
+        raise ValueError(f"observations {seen.dtype} {seen.shape}, or not finite")
     numbers = (found.seconds, found.photographs, *(camera.radial for camera in found.cameras.values()))
     if found.poses not in ("known", "refined", "estimated") or not all(
         isinstance(number, (int, float)) and math.isfinite(number) for number in numbers

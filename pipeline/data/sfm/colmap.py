@@ -49,6 +49,7 @@ def reconstruct(folder: Path, request: Request) -> ColmapResult:
     filter_points(model, request)
     registered = {Path(image.name).stem for image in model.images.values() if image.has_pose}
     cameras = {name: _camera_record(model, name) for name in used if name in registered}
+    seen = _seen(model, list(cameras)) if request.observations else []
     if not request.poses_known:
         for photograph in request.photographs:
             if photograph.held_out:
@@ -58,15 +59,29 @@ def reconstruct(folder: Path, request: Request) -> ColmapResult:
                         f"{photograph.name}: expected to estimate the pose of the held-out camera, found too "
                         "few matches with the others"
                     )
-                cameras[photograph.name] = found
-    points = [model.points3D[index] for index in sorted(model.points3D)]
+                cameras[photograph.name], inliers = found
+                seen += [(point, len(cameras) - 1, x, y) for point, x, y in inliers] if request.observations else []
+    rows = {index: row for row, index in enumerate(sorted(model.points3D))}
+    points = [model.points3D[index] for index in rows]
     return ColmapResult(
         points=np.array([p.xyz for p in points]).reshape(-1, 3),
         colors=np.array([p.color for p in points], np.uint8),
         errors=np.array([p.error for p in points]),
         track_lengths=np.array([len(p.track.elements) for p in points]),
         cameras=cameras,
+        observations=np.array([(rows[point], *rest) for point, *rest in seen]).reshape(-1, 4)
+        if request.observations
+        else None,
     )
+
+
+def _seen(model: pycolmap.Reconstruction, cameras: list[str]) -> list[tuple[int, int, float, float]]:
+    """(id of the point, place of its camera, x, y in pixels) of every feature that became a point."""
+    seen = []
+    for place, name in enumerate(cameras):
+        image = model.find_image_with_name(f"{name}.png")
+        seen += [(p.point3D_id, place, float(p.xy[0]), float(p.xy[1])) for p in image.points2D if p.has_point3D()]
+    return seen
 
 
 def match_features(database: Path, folder: Path, request: Request) -> None:

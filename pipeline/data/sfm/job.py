@@ -50,6 +50,7 @@ class Request:
     least_registered: float = 1.0  # share of the photographs whose pose must be found
     masked: bool = False  # a second pass: the job folder has features and matches, and masks of what moves
     intrinsics: list[float] | None = None  # initial [focal, cx, cy, k] of the shared lens; None: unknown
+    observations: bool = False  # whether the result says which photograph sees which point where
 
     @property
     def poses_known(self) -> bool:
@@ -69,6 +70,7 @@ class ColmapResult:
     errors: np.ndarray
     track_lengths: np.ndarray
     cameras: dict[str, dict]
+    observations: np.ndarray | None = None
 
 
 def write_request(folder: Path, request: Request) -> None:
@@ -81,13 +83,8 @@ def read_request(folder: Path) -> Request:
 
 
 def write_result(folder: Path, result: ColmapResult) -> None:
-    np.savez(
-        folder / "result.npz",
-        points=result.points,
-        colors=result.colors,
-        errors=result.errors,
-        track_lengths=result.track_lengths,
-    )
+    arrays = {name: getattr(result, name) for name in ("points", "colors", "errors", "track_lengths", "observations")}
+    np.savez(folder / "result.npz", **{name: array for name, array in arrays.items() if array is not None})
     (folder / "result.json").write_text(json.dumps(result.cameras))
 
 

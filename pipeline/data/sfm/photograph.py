@@ -17,6 +17,12 @@ class Photograph:
     image: np.ndarray  # (H, W, 3) uint8
     camera: Camera | None = None  # None: pose and intrinsics are to be estimated
     held_out: bool = False  # only its pose is estimated; points and other poses must not depend on it
+    lens: str = ""  # camera that took it, of a set of cameras that move; its photographs share intrinsics and colours
+
+    @property
+    def camera_name(self) -> str:
+        """Of the camera that took it: photographs of cameras that stand still are called after their camera."""
+        return self.lens or self.name
 
 
 @dataclass(frozen=True)
@@ -39,6 +45,8 @@ class Reconstruction:
     poses: str  # known | refined | estimated
     photographs: int  # number used for the points, without held-out ones
     seconds: float
+    # (M, 4) float64, where asked for: row of the point, place of the camera in `cameras`, x and y in pixels
+    observations: np.ndarray | None = None
 
     def summary(self) -> dict[str, float | int | str]:
         """The content of sfm.json."""

@@ -18,8 +18,13 @@ from pipeline.data.sfm.job import Request
 MIN_PAIRS = 12  # inliers; fewer may be consistent by coincidence
 
 
-def register_held_out(name: str, model: pycolmap.Reconstruction, folder: Path, request: Request) -> dict | None:
-    """The camera_record of photograph `name`; None if there are too few inliers."""
+def register_held_out(
+    name: str, model: pycolmap.Reconstruction, folder: Path, request: Request
+) -> tuple[dict, list[tuple[int, float, float]]] | None:
+    """The camera_record of photograph `name` and what it sees: (id of the point, x, y in pixels) of the inliers.
+
+    None if there are too few of them.
+    """
     database = folder / f"with_{name}.db"
     with pycolmap.Database.open(folder / "database.db"):
         database.write_bytes((folder / "database.db").read_bytes())
@@ -38,7 +43,7 @@ def register_held_out(name: str, model: pycolmap.Reconstruction, folder: Path, r
         device=pycolmap.Device.cpu,
     )
 
-    pixels, points = [], []
+    pixels, points, ids = [], [], []
     with pycolmap.Database.open(database) as db:
         held_out = db.read_image_with_name(f"{name}.png")
         assert held_out is not None  # extract_features has added it
@@ -49,7 +54,8 @@ def register_held_out(name: str, model: pycolmap.Reconstruction, folder: Path, r
             for own, other in db.read_two_view_geometry(held_out.image_id, image.image_id).inlier_matches:
                 if image.points2D[other].has_point3D():
                     pixels.append(keypoints[own])
-                    points.append(model.points3D[image.points2D[other].point3D_id].xyz)
+                    ids.append(image.points2D[other].point3D_id)
+                    points.append(model.points3D[ids[-1]].xyz)
     if len(pixels) < MIN_PAIRS:
         return None
     # Initial intrinsics: of the shared camera, else of another camera, then refined.
@@ -62,4 +68,6 @@ def register_held_out(name: str, model: pycolmap.Reconstruction, folder: Path, r
     )
     if found is None or found["num_inliers"] < MIN_PAIRS:
         return None
-    return camera_record(camera, found["cam_from_world"])
+    # A feature matched in several photographs gives a pair for each: one is enough.
+    inliers = {(ids[i], float(pixels[i][0]), float(pixels[i][1])) for i in np.flatnonzero(found["inlier_mask"])}
+    return camera_record(camera, found["cam_from_world"]), sorted(inliers)

@@ -7,6 +7,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from PIL import Image
@@ -18,11 +19,14 @@ from pipeline.runs.provenance import PROJECT_ROOT
 from rasterizer.camera import Camera
 
 
-def reconstruct(photographs: Sequence[Photograph], cfg: InitConfig, unit: float, source: Path) -> Reconstruction:
+def reconstruct(
+    photographs: Sequence[Photograph], cfg: InitConfig, unit: float, source: Path, observations: bool = False
+) -> Reconstruction:
     """Points, and poses if the photographs have none; deterministic for a `cfg.seed`.
 
     unit: world units per normalised unit, for cfg.max_distance; ignored without poses. source: the photographs' folder,
-    for messages. Raises ValueError of one line if the photographs do not suffice.
+    for messages. observations: whether the result has them. Raises ValueError of one line if the photographs do not
+    suffice.
     """
     used = [p for p in photographs if not p.held_out]
     if len(used) < 2:
@@ -35,7 +39,7 @@ def reconstruct(photographs: Sequence[Photograph], cfg: InitConfig, unit: float,
         needed = used if known else photographs  # a held-out photograph with known pose is not used
         for photograph in needed:
             Image.fromarray(photograph.image).save(folder / "images" / f"{photograph.name}.png", compress_level=1)
-        write_request(folder, request_for(needed, cfg, unit))
+        write_request(folder, replace(request_for(needed, cfg, unit), observations=observations))
         found = run_colmap(folder, source)
     if len(found.points) < cfg.min_points:
         raise ValueError(
@@ -57,6 +61,7 @@ def reconstruct(photographs: Sequence[Photograph], cfg: InitConfig, unit: float,
         poses,
         len(used),
         time.perf_counter() - started,
+        found.observations,
     )
 
 
