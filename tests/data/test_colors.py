@@ -7,12 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from plenoptic_folder import write_video
 
 from datasets.cameras.color import ColorCorrection
+from datasets.settings import SceneConfig
 from datasets.synthetic.film import film
 from datasets.synthetic.write_film import FilmSettings
-from pipeline.config.schema import InitConfig
+from pipeline.config.schema import Config, InitConfig
 from pipeline.data.colors import color_corrections, recolored
+from pipeline.data.prepare import prepare
 from pipeline.data.sfm.photograph import Photograph, Reconstruction
 from pipeline.data.sfm.run import reconstruct
 
@@ -91,3 +94,33 @@ def test_too_few_matches_leave_a_camera_alone(photographs: list[Photograph], fou
     lines: list[str] = []
     assert "c03" not in color_corrections(changed(photographs), fewer, False, lines.append)
     assert lines[0].startswith("colours of c03 are left alone: it has fewer than 50 matches")
+
+
+def test_scenes_without_poses_are_corrected(photographs: list[Photograph], tmp_path: Path) -> None:
+    """Films of two frames; what training and evaluation see of the changed cameras is as the scene is."""
+    videos = tmp_path / "videos"
+    videos.mkdir()
+    for photograph in changed(photographs):
+        write_video(videos / f"{photograph.name}.mp4", [photograph.image] * 2)
+    scenes, lines = {}, []
+    for setting in ("auto", False):
+        scene = SceneConfig(
+            "video", "video", str(videos), color_correction=setting, downscale=1, cache=str(tmp_path / "cache")
+        )
+        scenes[setting] = prepare(Config(scene=scene, init=InitConfig(min_points=50), threads=1), lines.append).scene
+    for split in ("train", "test"):
+        for view, plain in zip(getattr(scenes["auto"], split), getattr(scenes[False], split), strict=True):
+            name = view.name.split("/")[1][:3]
+            if name in FILMED:
+                true = next(p.image for p in photographs if p.name == name).astype(float)
+                assert np.abs(np.median(np.asarray(view.image) - true, axis=(0, 1))).max() < 2.5
+                assert np.abs(np.median(np.asarray(plain.image) - true, axis=(0, 1))).max() > 4
+            else:
+                np.testing.assert_array_equal(np.asarray(view.image), np.asarray(plain.image))
+    assert sum("colours are corrected" in line for line in lines) == 1
+
+
+@pytest.mark.parametrize("value", ["yes", 2, None])
+def test_other_settings_are_refused(value: object) -> None:
+    with pytest.raises(ValueError, match="scene.color_correction: expected auto, true or false, found"):
+        SceneConfig(color_correction=value)
