@@ -14,7 +14,7 @@ from datasets.settings import LAYOUTS, SceneConfig
 from datasets.validation import hold_out_every, hold_out_outermost
 
 if TYPE_CHECKING:  # imports a video decoder, which other scenes do not need
-    from datasets.clip import Clip
+    from datasets.clip import Clip, ClipSet
     from datasets.plenoptic import Footage, PosedFootage
 
 __all__ = [
@@ -25,10 +25,12 @@ __all__ = [
     "is_drive",
     "is_filmed",
     "load_clip",
+    "load_clip_set",
     "load_footage",
     "load_posed",
     "load_scene",
     "reads_clip",
+    "reads_clip_set",
     "validate_scene",
     "with_reader",
 ]
@@ -138,6 +140,33 @@ def load_clip(cfg: SceneConfig, log: Log = print) -> Clip:
     return open_clip(_path(cfg), options)
 
 
+def reads_clip_set(cfg: SceneConfig) -> bool:
+    """Whether the scene is several cameras of which some move, whose poses structure from motion finds."""
+    cfg = with_reader(cfg)
+    if cfg.reader != "video" or not cfg.moving_cameras or cfg.path is None or reads_clip(cfg):
+        return False
+    from datasets.clip import cameras_move
+
+    return cfg.moving_cameras is True or cameras_move(_path(cfg), cfg.drop_cameras)
+
+
+def load_clip_set(cfg: SceneConfig, log: Log = print) -> ClipSet:
+    """The clips of several cameras of which some move: their frames in use, without poses."""
+    from datasets.clip import ClipOptions, SetOptions, open_clip_set
+
+    options = ClipOptions(cfg.name, cfg.downscale, cfg.frames, cfg.first_frame, cfg.test_every, log)
+    # [0] is the default of cameras that stand still; of those that move every frame is a view of its own.
+    whole = cfg.test_every == 0 or list(cfg.test_cameras) != [0]
+    settings = SetOptions(
+        test_cameras=tuple(cfg.test_cameras) if whole else (),
+        drop_cameras=tuple(cfg.drop_cameras),
+        sync=cfg.sync,
+        offsets=tuple(cfg.offsets),
+        still=cfg.moving_cameras is not True,
+    )
+    return open_clip_set(_path(cfg), options, settings)
+
+
 def background_color(setting: str | Sequence[float]) -> Color | None:
     """scene.background as RGB in [0, 1]; None for auto."""
     if isinstance(setting, str):
@@ -180,7 +209,7 @@ def is_filmed(cfg: SceneConfig) -> bool:
         from datasets.synthetic import FILMED
 
         return _synthetic_name(cfg) in FILMED
-    return cfg.reader == "plenoptic" or (cfg.reader == "video" and not reads_clip(cfg))
+    return cfg.reader == "plenoptic" or (cfg.reader == "video" and not reads_clip(cfg) and not reads_clip_set(cfg))
 
 
 def __getattr__(name: str) -> Any:

@@ -28,12 +28,16 @@ class SceneConfig:
     # Validation: every n-th training view replaces the test views, so that settings are not selected by these. 0: off
     validation_every: int = 0
     validation_outermost: bool = False  # validation by as many of the outermost training views instead
-    test_every: int = 8  # one clip, folders without a test split: every so many-th frame is held out
+    # Cameras that move, folders without a test split: every so many-th frame is held out. 0: several cameras that move,
+    # scene.test_cameras instead
+    test_every: int = 8
     test_cameras: list[int] = field(default_factory=lambda: [0])  # plenoptic, video: numbers of held-out cameras
     drop_cameras: list[int] = field(default_factory=list)  # plenoptic, video: numbers of cameras to ignore
     # Videos of several cameras: none: synchronised | auto: starts found by sound, else by the picture | given: offsets
     sync: str = "none"
     offsets: list[float] = field(default_factory=list)  # seconds at which each camera started, in the order of names
+    # Videos of several cameras: whether some of them move. auto: looked at | true: all of them | false
+    moving_cameras: Any = False
     # Several cameras: exposure and white balance made equal by matched points. auto: where it is shown to help | true:
     # every camera | false
     color_correction: Any = False
@@ -74,15 +78,17 @@ class SceneConfig:
                 list(numbers),
             )
         require(self.sync in SYNC, "scene.sync", ", ".join(SYNC), self.sync)
-        require(
-            self.color_correction == "auto" or isinstance(self.color_correction, bool),
-            "scene.color_correction",
-            "auto, true or false",
-            self.color_correction,
-        )
+        for key in ("moving_cameras", "color_correction"):
+            value = getattr(self, key)
+            require(value == "auto" or isinstance(value, bool), f"scene.{key}", "auto, true or false", value)
         require(self.first_frame >= 0, "scene.first_frame", ">= 0", self.first_frame)
         require(self.frames >= 1, "scene.frames", "at least 1", self.frames)
-        require(self.test_every >= 2, "scene.test_every", "at least 2", self.test_every)
+        require(
+            self.test_every >= 2 or (self.test_every == 0 and self.reader in ("video", "auto")),
+            "scene.test_every",
+            "at least 2",
+            self.test_every,
+        )
         require(
             self.log_cameras is None
             or (0 < len(self.log_cameras) == len(set(self.log_cameras)) and min(self.log_cameras) >= 0),

@@ -1,10 +1,25 @@
-"""Reader of one clip by a camera that moves, without poses: a video file, or a folder of images in order.
+"""Reader of clips by cameras that move, without poses: a video file, a folder of images in order, or several videos.
 
 survey.py     one pass in small: sharpness, motion, brightness, cuts, bars
 choose.py     the part of the clip and the frames that are used
 footage.py    open_clip(): all of these; Clip.to_scene() once structure from motion has found the cameras
+still.py      whether the camera of a video stands still
+several.py    open_clip_set(): several cameras, of which some move, on one clock
 """
 
 from datasets.clip.footage import Clip, ClipFrame, ClipOptions, is_clip, open_clip
+from datasets.clip.several import ClipSet, SetOptions, cameras_move, open_clip_set
+from datasets.clip.still import stands_still
 
-__all__ = ["Clip", "ClipFrame", "ClipOptions", "is_clip", "open_clip"]
+__all__ = [
+    "Clip",
+    "ClipFrame",
+    "ClipOptions",
+    "ClipSet",
+    "SetOptions",
+    "cameras_move",
+    "is_clip",
+    "open_clip",
+    "open_clip_set",
+    "stands_still",
+]

@@ -26,8 +26,11 @@ class Choice:
     part: tuple[float, float]  # seconds: first and last frame of the part in use
 
 
-def choose(found: Survey, most: int) -> Choice:
-    """At most `most` frames of the longest part without a cut. The result may be empty."""
+def choose(found: Survey, most: int, still: bool = False) -> Choice:
+    """At most `most` frames of the longest part without a cut. The result may be empty.
+
+    still: the camera stands still, so that frames that are alike are not repeated ones.
+    """
     parts = _parts(found)
     notes = []
     damaged = int((~found.good).sum())
@@ -47,7 +50,7 @@ def choose(found: Survey, most: int) -> Choice:
             f"left out: {others}"
         )
     sharp = rows[~_blurred(found.sharpness[rows])]
-    moved = sharp[~_repeated(found, sharp)]
+    moved = sharp if still else sharp[~_repeated(found, sharp)]
     for what, count in (("blurred", len(rows) - len(sharp)), ("repeated", len(sharp) - len(moved))):
         if count:
             notes.append(f"{count} {what} frames are left out")

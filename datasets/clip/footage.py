@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -18,6 +18,7 @@ from datasets.composition import BLACK, chosen_downscale, reduced_camera
 from datasets.files.errors import SceneError
 from datasets.layouts.photographs import ordinal
 from datasets.plenoptic.decode import reduce_image
+from datasets.plenoptic.unsynchronised import covering
 from datasets.plenoptic.videos import FOOTAGE_SUFFIXES
 from datasets.scene import Scene, View, camera_extent, make_camera, validate_scene
 from datasets.video_files.decode import IMAGE_RATE, Frame, image_frames, image_paths, video_frames
@@ -77,7 +78,7 @@ class Clip:
         for index, frame in enumerate(kept):
             split = "test" if index in held_out else "train"
             image = undistort(frame.image, lens) if lens else frame.image
-            camera, image = self._training_view(cameras[frame.name], image)
+            camera, image = self.training_view(cameras[frame.name], image)
             views[split].append(View(camera, frame.time - kept[0].time, image, f"{split}/{frame.name}"))
         train = [view.camera for view in views["train"]]
         space = canonical_space(train, unit)
@@ -93,24 +94,24 @@ class Clip:
                 init_box=space.inverse.box((-1.2, 1.2)),
                 source=self.source,
                 unit=unit or space.unit,
-                playback_rate=self._playback_rate(kept),
+                playback_rate=playback_rate([frame.time for frame in kept]),
                 test_split=f"every {ordinal(self.options.test_every)} frame",
             )
         )
 
-    @staticmethod
-    def _playback_rate(kept: list[ClipFrame]) -> float:
-        """Frames a second at which the frames in use last as long as they did."""
-        rate = (len(kept) - 1) / max(kept[-1].time - kept[0].time, 1e-3)
-        return float(np.clip(rate, *PLAYBACK_RATES))
-
-    def _training_view(self, camera: Camera, image: np.ndarray) -> tuple[Camera, np.ndarray]:
+    def training_view(self, camera: Camera, image: np.ndarray) -> tuple[Camera, np.ndarray]:
+        """Camera and image of a frame (undistorted) at the size of training."""
         if self.downscale % self.reduced == 0:
             further = self.downscale // self.reduced
             small = make_camera(self.source, partial(reduced_camera, camera, further))
             return small, reduce_image(image, further)
         width, height = (max(1, side // self.downscale) for side in self.size)
         return camera.resized(width, height), cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+
+
+def playback_rate(times: Sequence[float]) -> float:
+    """Frames a second at which frames of these times (seconds, ascending) last as long as they did."""
+    return float(np.clip((len(times) - 1) / max(times[-1] - times[0], 1e-3), *PLAYBACK_RATES))
 
 
 def is_clip(path: Path) -> bool:
@@ -127,6 +128,13 @@ def open_clip(path: Path, options: ClipOptions) -> Clip:
         raise SceneError(path, "a video, or a folder of videos or of images in order", "nothing there")
     if path.is_dir() and (videos := _videos(path)):
         path = videos[0]
+    if options.test_every == 0:
+        raise SceneError("scene.test_every", "at least 2 for one camera that moves", "0")
+    return survey_clip(path, options).read()
+
+
+def survey_clip(path: Path, options: ClipOptions, still: bool = False) -> SurveyedClip:
+    """Chooses the frames in use. still: of a camera that stands still, whose frames may be alike."""
     header = None if path.is_dir() else probe(path)
     source = _Source(path, header)
     if header:
@@ -137,7 +145,7 @@ def open_clip(path: Path, options: ClipOptions) -> Clip:
     found = survey((f for f in source.frames(every=every) if f.index >= options.first_frame), total)
     if found is None:
         raise SceneError(path, "frames that can be decoded", "none")
-    choice = choose(found, options.most)
+    choice = choose(found, options.most, still)
     for note in choice.notes:
         options.log(f"{path.name}: {note}")
     if len(choice.indices) < FEWEST_FRAMES:
@@ -150,16 +158,39 @@ def open_clip(path: Path, options: ClipOptions) -> Clip:
     size = (right - left, bottom - top)
     if header is not None and size != header.size:
         options.log(f"{path.name}: black bars are cut off, {size[0]} x {size[1]} pixels are left")
-    reduced = max(1, -(-max(size) // SFM_SIDE))
-    downscale = options.downscale or chosen_downscale(size)
-    times = dict(zip(choice.indices, choice.times))
-    frames = []
-    for frame in source.frames(keep=set(choice.indices)):
-        if frame.image is not None:
-            image = reduce_image(np.ascontiguousarray(frame.image[top:bottom, left:right]), reduced)
-            frames.append(ClipFrame(f"frame_{frame.index:05d}", times[frame.index], image))
-    _refuse_other_sizes(path, frames)
-    return Clip(path, header, tuple(frames), size, reduced, downscale, choice, options)
+    return SurveyedClip(source, choice, found.content, options)
+
+
+@dataclass(frozen=True)
+class SurveyedClip:
+    """A clip whose frames in use are chosen, and not read yet."""
+
+    source: _Source
+    choice: Choice
+    content: tuple[int, int, int, int]  # left, top, right, bottom of the image without bars, pixels
+    options: ClipOptions
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) in pixels, without bars."""
+        left, top, right, bottom = self.content
+        return right - left, bottom - top
+
+    def read(self, size: tuple[int, int] | None = None) -> Clip:
+        """The clip with its frames. size: (width, height) that they are scaled to cover; None: their own."""
+        source, options = self.source, self.options
+        left, top, right, bottom = self.content
+        size = size or self.size
+        reduced = max(1, -(-max(size) // SFM_SIDE))
+        downscale = options.downscale or chosen_downscale(size)
+        times = dict(zip(self.choice.indices, self.choice.times))
+        frames = []
+        for frame in source.frames(keep=set(self.choice.indices)):
+            if frame.image is not None:
+                image = covering(np.ascontiguousarray(frame.image[top:bottom, left:right]), size)
+                frames.append(ClipFrame(f"frame_{frame.index:05d}", times[frame.index], reduce_image(image, reduced)))
+        _refuse_other_sizes(source.path, frames)
+        return Clip(source.path, source.header, tuple(frames), size, reduced, downscale, self.choice, options)
 
 
 @dataclass(frozen=True)

@@ -26,10 +26,9 @@ from datasets.plenoptic.footage import Footage, FootageOptions
 from datasets.plenoptic.images import camera_number, image_sequences, read_camera, read_cameras
 from datasets.plenoptic.poses import read_poses
 from datasets.plenoptic.sync import common_frames, select_cameras
-from datasets.plenoptic.unsynchronised import align, is_synchronised
-from datasets.plenoptic.videos import Video, VideoFile, find_cameras, find_footage, probe
+from datasets.plenoptic.unsynchronised import align, is_synchronised, offsets_of
+from datasets.plenoptic.videos import VideoFile, find_cameras, find_footage, probe
 from datasets.scene import Box, Scene
-from datasets.sync import Offsets, find_offsets
 from rasterizer.camera import Camera
 
 __all__ = [
@@ -101,17 +100,9 @@ def _unsynchronised(root: Path, files: Sequence[VideoFile], options: FootageOpti
     """Footage of cameras that started at different times; as filmed where they turn out to be synchronised."""
     keep = select_cameras([file.number for file in files], root, options.test_cameras, options.drop_cameras)
     videos = probe(files, keep, options.drop_cameras)
-    names = [video.name for video in videos]
-    alike = len({(video.size, video.rate, video.count) for video in videos}) == 1
-    offsets = _offsets(root, videos, options, needed=not alike)
+    offsets = offsets_of(root, videos, options.sync, options.offsets, options.log)
     if offsets is None:
-        options.log(
-            "neither sound nor picture says when each camera started; of one size, rate and length they are taken as "
-            "synchronised (scene.sync=given scene.offsets=[0,…] if they are not)"
-        )
         return _footage(root, files, options)
-    for line in offsets.lines(names):
-        options.log(line)
     if is_synchronised(videos, offsets):
         options.log("less than half a frame apart: taken as synchronised")
         return _footage(root, files, options)
@@ -121,28 +112,6 @@ def _unsynchronised(root: Path, files: Sequence[VideoFile], options: FootageOpti
     chosen = repr([(stream.size, stream.indices) for stream in streams])
     content = f"{fingerprint([file.path for file in files], VIDEO_PART)} {chosen}"
     return Footage(root, streams, streams[0].count, content, replace(options, first_frame=0))
-
-
-def _offsets(root: Path, videos: Sequence[Video], options: FootageOptions, needed: bool) -> Offsets | None:
-    """Given or found; None where they are not found and not needed, SceneError where they are needed."""
-    if options.sync == "given":
-        if len(options.offsets) != len(videos):
-            raise SceneError(
-                f"{root}: scene.offsets",
-                f"{len(videos)} numbers, the seconds at which {', '.join(video.name for video in videos)} started",
-                f"{len(options.offsets)}",
-            )
-        seconds = tuple(float(s) - float(options.offsets[0]) for s in options.offsets)
-        return Offsets(seconds, (0.0,) * len(videos), "given", (float("inf"),) * len(videos), 0.0)
-    found = find_offsets([video.path for video in videos])
-    if found is None and needed:
-        raise SceneError(
-            root,
-            "sound, or motion that all cameras see, to find out when each camera started",
-            "neither decides; scene.sync=given scene.offsets=[0,…] states the seconds at which each started, "
-            "scene.sync=none takes them as synchronised; film 6 seconds and more, a clap makes it certain",
-        )
-    return found
 
 
 def _footage(root: Path, files: Sequence[VideoFile], options: FootageOptions) -> Footage:

@@ -8,15 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 import numpy as np
 
 from datasets.files.errors import SceneError
 from datasets.plenoptic.decode import Stream
+from datasets.plenoptic.display import Log
 from datasets.plenoptic.sync import RATE_TOLERANCE
 from datasets.plenoptic.videos import Video
-from datasets.sync.offsets import Offsets
+from datasets.sync.offsets import Offsets, find_offsets
 from datasets.video_files.decode import frame_times
 
 SAME_START = 0.5  # frames: cameras that start nearer to each other than this, at one rate, are synchronised
@@ -41,6 +43,41 @@ class AlignedStream(Stream):
             while index < target:
                 index, image = next(frames)
             yield covering(image, self.size)
+
+
+def offsets_of(root: Path, videos: Sequence[Video], sync: str, given: Sequence[float], log: Log) -> Offsets | None:
+    """Starts of the cameras, given (sync=given) or found, with a line of what was found; None: taken as synchronised.
+
+    SceneError where neither sound nor picture decides and the videos differ in size, rate or length.
+    """
+    if sync == "given":
+        if len(given) != len(videos):
+            raise SceneError(
+                f"{root}: scene.offsets",
+                f"{len(videos)} numbers, the seconds at which {', '.join(video.name for video in videos)} started",
+                f"{len(given)}",
+            )
+        seconds = tuple(float(s) - float(given[0]) for s in given)
+        found = Offsets(seconds, (0.0,) * len(videos), "given", (float("inf"),) * len(videos), 0.0)
+    else:
+        searched = find_offsets([video.path for video in videos])
+        if searched is None:
+            if len({(video.size, video.rate, video.count) for video in videos}) > 1:
+                raise SceneError(
+                    root,
+                    "sound, or motion that all cameras see, to find out when each camera started",
+                    "neither decides; scene.sync=given scene.offsets=[0,…] states the seconds at which each started, "
+                    "scene.sync=none takes them as synchronised; film 6 seconds and more, a clap makes it certain",
+                )
+            log(
+                "neither sound nor picture says when each camera started; of one size, rate and length they are taken "
+                "as synchronised (scene.sync=given scene.offsets=[0,…] if they are not)"
+            )
+            return None
+        found = searched
+    for line in found.lines([video.name for video in videos]):
+        log(line)
+    return found
 
 
 def covering(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:

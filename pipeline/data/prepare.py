@@ -4,7 +4,7 @@
     posed multi-camera videos (plenoptic)    poses from the files, points triangulated from the first frames
     multi-camera videos without poses        poses and points from structure from motion
     driving logs                             poses from the files, points from LiDAR, else triangulated along the way
-    one clip without poses                   the same, of all frames in use
+    one clip, or several cameras that move   the same, of all frames in use
 
 Data are read in the units of their files. The result is in canonical coordinates (datasets/canonical.py), as is
 everything computed from it.
@@ -24,10 +24,12 @@ from datasets import (
     is_drive,
     is_filmed,
     load_clip,
+    load_clip_set,
     load_footage,
     load_posed,
     load_scene,
     reads_clip,
+    reads_clip_set,
     with_reader,
 )
 from datasets.cameras.color import ColorCorrection
@@ -39,7 +41,7 @@ from pipeline.data.training_views import evenly_spaced
 from rasterizer.camera import Camera
 
 if TYPE_CHECKING:  # imports a video decoder, which other scenes do not need
-    from datasets.clip import Clip
+    from datasets.clip import Clip, ClipSet
     from datasets.plenoptic import Footage, PosedFootage
 
 # Without depth bounds the 5 % quantile of the points' depths replaces the near bound. One normalised unit is 0.75 of
@@ -57,6 +59,7 @@ class Prepared:
     sfm_folder: Path | None  # cache folder of the cloud, with its summary and plot
     canonical: Canonical = Canonical()  # transform from the files' units
     is_clip: bool = False  # one clip by a camera that moves, in seconds
+    is_clip_set: bool = False  # several cameras, of which some move
 
 
 def prepare(cfg: Config, log: Callable[[str], None]) -> Prepared:
@@ -81,6 +84,8 @@ def _in_file_units(cfg: Config, log: Callable[[str], None]) -> Prepared:
     """Scene and points before normalisation."""
     if reads_clip(cfg.scene):
         return _from_clip(cfg, load_clip(cfg.scene, log=log), log)
+    if reads_clip_set(cfg.scene):
+        return _from_clip_set(cfg, load_clip_set(cfg.scene, log=log), log)
     if cfg.scene.reader == "video":
         return _from_videos(cfg, load_footage(cfg.scene, threads=cfg.threads, log=log), log)
     if is_filmed(cfg.scene) and cfg.init.source != "random":
@@ -191,6 +196,34 @@ def _from_clip(cfg: Config, clip: Clip, log: Callable[[str], None]) -> Prepared:
     cameras = {name: found.camera for name, found in cloud.cameras.items()}
     scene = clip.to_scene(cameras, lens.radial, UNIT_OF_NEAR * near_depth(cloud.points, list(cameras.values())))
     return Prepared(scene, cloud if cfg.init.source != "random" else None, folder, is_clip=True)
+
+
+def _from_clip_set(cfg: Config, found: ClipSet, log: Callable[[str], None]) -> Prepared:
+    """As one clip; the frames of each camera share a lens, and all are in one reconstruction."""
+    from pipeline.data.sfm.cache import clip_reconstruct_cached
+
+    photographs = [
+        Photograph(name, frame.image, lens=camera.name, time=camera.time(frame))
+        for name, camera, frame in found.photographs()
+    ]
+    log(f"sfm: {len(photographs)} frames of {len(found.cameras)} cameras in {found.source.name}")
+    corrected = bool(cfg.scene.color_correction)
+    cloud, folder = clip_reconstruct_cached(
+        photographs, cfg.init, found.source, Path(cfg.scene.cache), log, observations=corrected
+    )
+    summary = cloud.summary()
+    log(
+        f"sfm: {summary['registered']} of {len(photographs)} frames registered, {summary['points']} points, mean error "
+        f"{summary['mean_error_px']:.2f} px; cached in {folder}"
+    )
+    colors: dict[str, ColorCorrection] = {}
+    if corrected:
+        cloud, colors = _corrected(cfg, photographs, cloud, log)
+    cameras = {name: calibrated.camera for name, calibrated in cloud.cameras.items()}
+    radial = {p.lens: cloud.cameras[p.name].radial for p in photographs if p.name in cloud.cameras}
+    unit = UNIT_OF_NEAR * near_depth(cloud.points, list(cameras.values()))
+    scene = found.to_scene(cameras, radial, unit, colors)
+    return Prepared(scene, cloud if cfg.init.source != "random" else None, folder, is_clip_set=True)
 
 
 def _corrected(

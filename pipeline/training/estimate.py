@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from datasets import Scene, is_filmed, load_clip, load_footage, load_scene, reads_clip
+from datasets import Scene, is_filmed, load_clip, load_clip_set, load_footage, load_scene, reads_clip, reads_clip_set
 from pipeline.config.schema import Config
 from pipeline.data.optical_flow import CACHE_LIMIT_BYTES as FLOW_CACHE_LIMIT_BYTES
 from pipeline.data.optical_flow import measured_size
@@ -157,6 +157,10 @@ def measure_size(cfg: Config, threads: int) -> Size:
         width, height = (side // clip.downscale for side in clip.size)
         tests = len(clip.frames) // cfg.scene.test_every
         return Size(len(clip.frames) - tests, tests, width, height, 0, 0.0)
+    if reads_clip_set(cfg.scene):
+        found = load_clip_set(cfg.scene, log=lambda line: None)
+        train, tests = found.counts()
+        return Size(train, tests, *found.size, 0, 0.0)
     if is_filmed(cfg.scene):
         footage = load_footage(cfg.scene, threads=cfg.threads)
         width, height = (side // footage.options.downscale for side in footage.size)

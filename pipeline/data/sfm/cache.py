@@ -54,12 +54,17 @@ def reconstruct_cached(
 
 
 def clip_reconstruct_cached(
-    photographs: Sequence[Photograph], cfg: InitConfig, source: Path, cache: Path, log: Callable[[str], None]
+    photographs: Sequence[Photograph],
+    cfg: InitConfig,
+    source: Path,
+    cache: Path,
+    log: Callable[[str], None],
+    observations: bool = False,
 ) -> tuple[Reconstruction, Path]:
     """The result of `clip.reconstruct_clip`, from the cache if it is there, and its folder."""
-    folder = cache / f"sfm-{fingerprint(photographs, cfg, 1.0, CLIP_VERSION)}"
+    folder = cache / f"sfm-{fingerprint(photographs, cfg, 1.0, CLIP_VERSION, observations)}"
     if not (folder / "result.json").is_file():
-        save(reconstruct_clip(photographs, cfg, source, log), folder)
+        save(reconstruct_clip(photographs, cfg, source, log, observations), folder)
     return load(folder), folder
 
 
@@ -75,6 +80,8 @@ def fingerprint(
         c = photograph.camera
         described = None if c is None else (c.fx, c.fy, c.cx, c.cy, c.world_to_cam.tolist())
         digest.update(repr((photograph.name, photograph.held_out, photograph.image.shape, described)).encode())
+        if photograph.lens:
+            digest.update(repr((photograph.lens, photograph.time)).encode())
         if c is None or not photograph.held_out:  # a held-out photograph with known pose is not used
             digest.update(np.ascontiguousarray(photograph.image).data)
     return digest.hexdigest()

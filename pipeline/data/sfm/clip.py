@@ -1,4 +1,4 @@
-"""reconstruct_clip(): cameras of the frames of one clip, in two passes, so that what moves does not mislead them.
+"""reconstruct_clip(): cameras of the frames of clips, in two passes, so that what moves does not mislead them.
 
 The first pass uses all features. What disagrees with the cameras it finds is marked (moving_masks.py). The second pass
 drops the matches on it, verifies the others again, and starts from the lens of the first.
@@ -18,28 +18,31 @@ from PIL import Image
 from pipeline.config.schema import InitConfig
 from pipeline.data.sfm.job import TURNS, ColmapResult, write_request
 from pipeline.data.sfm.moving_masks import moving_masks
+from pipeline.data.sfm.pairs import by_lens, pairs_of
 from pipeline.data.sfm.photograph import CalibratedCamera, Photograph, Reconstruction
 from pipeline.data.sfm.run import calibrated, request_for, run_colmap
 
-# Frames matched with each frame, by their distance in time: near ones overlap most, far ones keep the path from
-# drifting and find a place that is seen again.
-DISTANCES = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256)
 LEAST_REGISTERED = 0.8  # of the frames
 FIRST_PASS = 0.3  # of the frames: enough to mark what moves
+LEAST_OF_LENS = 0.5  # of the frames of each camera, where there are several
 KEPT_BY_SECOND = 0.95  # of the first pass's cameras; where the second finds fewer, its masks took too much
 
 
 def reconstruct_clip(
-    photographs: Sequence[Photograph], cfg: InitConfig, source: Path, log: Callable[[str], None]
+    photographs: Sequence[Photograph],
+    cfg: InitConfig,
+    source: Path,
+    log: Callable[[str], None],
+    observations: bool = False,
 ) -> Reconstruction:
-    """Cameras and points from frames in order of time, all of one lens; world units are arbitrary.
+    """Cameras and points from frames in order of time; world units are arbitrary.
 
-    Frames whose camera is not found are missing in `cameras`. ValueError, one line with what to film instead, if that
-    is more than a fifth of them.
+    photographs: those of one lens one after another, of several cameras on one clock. Frames whose camera is not found
+    are missing in `cameras`. ValueError, one line with what to film instead, if that is more than a fifth of them.
     """
     started = time.perf_counter()
     names = [photograph.name for photograph in photographs]
-    pairs = [[a, b] for d in DISTANCES for a, b in zip(names, names[d:])]
+    lenses = by_lens(photographs)
     sizes = {p.name: p.image.shape for p in photographs}
     refused: ValueError | None = None
     with tempfile.TemporaryDirectory(prefix="sfm-") as temporary:
@@ -48,17 +51,20 @@ def reconstruct_clip(
         (folder / "masks").mkdir()
         for photograph in photographs:
             Image.fromarray(photograph.image).save(folder / "images" / f"{photograph.name}.png", compress_level=1)
-        request = replace(request_for(photographs, cfg, 1.0), pairs=pairs, least_registered=FIRST_PASS)
+        request = replace(request_for(photographs, cfg, 1.0), pairs=pairs_of(lenses), least_registered=FIRST_PASS)
+        request = replace(request, observations=observations)
+        if len(lenses) > 1 and cfg.shared_intrinsics:
+            request = replace(request, lenses=[[p.name for p in lens] for lens in lenses])
         write_request(folder, request)
         found = first = run_colmap(folder, source)
         log(f"sfm: first pass, {len(first.cameras)} of {len(names)} frames registered")
-        masks = moving_masks(photographs, _cameras(first, sizes), first.points)
+        masks: dict[str, np.ndarray] = {}
+        for lens in lenses:  # flow is measured between frames of one camera
+            masks |= moving_masks(lens, _cameras(first, sizes), first.points)
         if any(mask.any() for mask in masks.values()):
             for name, mask in masks.items():
                 np.save(folder / "masks" / f"{name}.npy", mask)
-            lens = next(iter(first.cameras.values()))
-            focal, _, cx, cy = lens["intrinsics"]
-            write_request(folder, replace(request, masked=True, intrinsics=[focal, cx, cy, lens["radial"]]))
+            write_request(folder, replace(request, masked=True, intrinsics=_intrinsics(first, lenses)))
             second = None
             try:
                 second = run_colmap(folder, source)
@@ -76,6 +82,8 @@ def reconstruct_clip(
                 found = second
             else:
                 log("sfm: the first pass is used, which found more")
+    if len(lenses) > 1:
+        _refuse_missing(found, lenses, source)
     if len(found.cameras) < LEAST_REGISTERED * len(names):
         if refused is not None:
             raise refused
@@ -98,7 +106,31 @@ def reconstruct_clip(
         "estimated",
         len(names),
         time.perf_counter() - started,
+        found.observations,
     )
+
+
+def _intrinsics(first: ColmapResult, lenses: Sequence[Sequence[Photograph]]) -> dict[str, list[float]]:
+    """Photograph -> [focal, cx, cy, k] of its lens, as the first pass found it."""
+    found: dict[str, list[float]] = {}
+    for lens in lenses:
+        record = next((first.cameras[p.name] for p in lens if p.name in first.cameras), None)
+        if record is not None:
+            focal, _, cx, cy = record["intrinsics"]
+            found |= {p.name: [focal, cx, cy, record["radial"]] for p in lens}
+    return found
+
+
+def _refuse_missing(found: ColmapResult, lenses: Sequence[Sequence[Photograph]], source: Path) -> None:
+    """ValueError for a camera of which too few frames were found: it does not see what the others see."""
+    for lens in lenses:
+        count = sum(p.name in found.cameras for p in lens)
+        if count < LEAST_OF_LENS * len(lens):
+            raise ValueError(
+                f"{source}: expected to find {lens[0].lens} among the other cameras, found {count} of {len(lens)} of "
+                "its frames; let all cameras film the same things, from places that are not far apart, or leave it "
+                "out (scene.drop_cameras)"
+            )
 
 
 def _cameras(found: ColmapResult, sizes: dict[str, tuple[int, ...]]) -> dict[str, CalibratedCamera]:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
-from pipeline.data.sfm.features import set_shared_intrinsics, verification_options
+from pipeline.data.sfm.features import set_intrinsics, verification_options
 from pipeline.data.sfm.job import TURNS, Request, SfmError
 
 STILL = 0.01  # image widths: matches between no two frames are farther apart than this if the camera stands still
@@ -23,7 +23,7 @@ WHAT_TO_FILM = "walk sideways around what you film, 5 to 20 seconds, rather than
 def keep_unmasked_matches(database: Path, masks: Path, request: Request) -> None:
     """Drops the matches with an end where masks/<image>.npy is true, and verifies the others again."""
     if request.intrinsics is not None:
-        set_shared_intrinsics(database, request.intrinsics)
+        set_intrinsics(database, request.intrinsics)
     with pycolmap.Database.open(database) as db:
         images = db.read_all_images()
         still = {image.image_id: _still(db, image, masks) for image in images}

@@ -41,7 +41,8 @@ def reconstruct(folder: Path, request: Request) -> ColmapResult:
     if request.masked:
         keep_unmasked_matches(database, folder / "masks", request)
     else:
-        extract_features(database, images, [f"{name}.png" for name in used], request)
+        for lens in request.lenses or [used]:
+            extract_features(database, images, [f"{name}.png" for name in lens], request)
         match_features(database, folder, request)
     if request.pairs is not None:
         refuse_still_camera(database)

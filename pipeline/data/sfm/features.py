@@ -27,8 +27,6 @@ def extract_features(database: Path, images: Path, files: list[str], request: Re
         camera_mode=pycolmap.CameraMode.PER_IMAGE if camera_per_image else pycolmap.CameraMode.SINGLE,
         device=pycolmap.Device.cpu,
     )
-    if request.intrinsics is not None:
-        set_shared_intrinsics(database, request.intrinsics)
     if request.poses_known:
         with pycolmap.Database.open(database) as db:
             for image in db.read_all_images():
@@ -38,12 +36,15 @@ def extract_features(database: Path, images: Path, files: list[str], request: Re
                 db.update_camera(camera)
 
 
-def set_shared_intrinsics(database: Path, intrinsics: list[float]) -> None:
-    """Gives every camera of the database [focal, cx, cy, k] as initial values that verification trusts."""
+def set_intrinsics(database: Path, intrinsics: dict[str, list[float]]) -> None:
+    """Gives the cameras of photographs [focal, cx, cy, k] as initial values that verification trusts."""
     with pycolmap.Database.open(database) as db:
-        for camera in db.read_all_cameras():
-            camera.params = intrinsics
-            camera.has_prior_focal_length = True
+        cameras = {camera.camera_id: camera for camera in db.read_all_cameras()}
+        for image in db.read_all_images():
+            if Path(image.name).stem in intrinsics:
+                cameras[image.camera_id].params = intrinsics[Path(image.name).stem]
+                cameras[image.camera_id].has_prior_focal_length = True
+        for camera in cameras.values():
             db.update_camera(camera)
 
 

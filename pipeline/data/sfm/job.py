@@ -49,7 +49,8 @@ class Request:
     pairs: list[list[str]] | None = None  # names of photographs to match; None: all with all
     least_registered: float = 1.0  # share of the photographs whose pose must be found
     masked: bool = False  # a second pass: the job folder has features and matches, and masks of what moves
-    intrinsics: list[float] | None = None  # initial [focal, cx, cy, k] of the shared lens; None: unknown
+    lenses: list[list[str]] | None = None  # photographs that share a lens; None: as shared_intrinsics says
+    intrinsics: dict[str, list[float]] | None = None  # photograph -> initial [focal, cx, cy, k] of its lens
     observations: bool = False  # whether the result says which photograph sees which point where
 
     @property

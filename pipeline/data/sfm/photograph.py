@@ -17,7 +17,8 @@ class Photograph:
     image: np.ndarray  # (H, W, 3) uint8
     camera: Camera | None = None  # None: pose and intrinsics are to be estimated
     held_out: bool = False  # only its pose is estimated; points and other poses must not depend on it
-    lens: str = ""  # camera that took it, of a set of cameras that move; its photographs share intrinsics and colours
+    lens: str = ""  # of several cameras that move: the one that took it; its photographs share intrinsics and colours
+    time: float = 0.0  # seconds of the common clock, of several cameras that move
 
     @property
     def camera_name(self) -> str:

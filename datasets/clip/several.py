@@ -1,0 +1,191 @@
+"""Several cameras of one event, of which some move: a clip each, on one clock, in pictures of one size."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from datasets.cameras.color import ColorCorrection
+from datasets.cameras.lens import Undistortion, undistort
+from datasets.canonical import canonical_space
+from datasets.clip.footage import FEWEST_FRAMES, Clip, ClipFrame, ClipOptions, playback_rate, survey_clip
+from datasets.clip.still import stands_still
+from datasets.composition import BLACK
+from datasets.files.errors import SceneError
+from datasets.layouts.photographs import ordinal
+from datasets.plenoptic.sync import select_cameras
+from datasets.plenoptic.unsynchronised import offsets_of
+from datasets.plenoptic.videos import VideoFile, find_footage, probe
+from datasets.scene import Scene, View, camera_extent, validate_scene
+from rasterizer.camera import Camera
+
+
+@dataclass(frozen=True)
+class SetOptions:
+    """Beside ClipOptions: the settings of several cameras."""
+
+    test_cameras: Sequence[int] = ()  # held out; empty: every so many-th frame of each camera
+    drop_cameras: Sequence[int] = ()  # ignored
+    sync: str = "auto"  # as scene.sync
+    offsets: Sequence[float] = ()
+    still: bool = True  # whether a camera of the set may stand still
+
+
+@dataclass(frozen=True)
+class MovingCamera:
+    """One camera of the set: its frames in use."""
+
+    name: str  # of its file, without the suffix
+    number: int  # as in scene.test_cameras and scene.drop_cameras
+    clip: Clip
+    start: float  # seconds of the common clock
+    drift: float  # seconds of the common clock per second of its own, less 1
+    still: bool
+
+    def time(self, frame: ClipFrame) -> float:
+        """On the common clock, seconds."""
+        return self.start + frame.time * (1 + self.drift)
+
+    def photograph(self, frame: ClipFrame) -> str:
+        """Name of the photograph that has the frame's pose: of a camera that stands still one for all frames."""
+        return f"{self.number:02d}_{(self.clip.frames[0] if self.still else frame).name}"
+
+
+@dataclass(frozen=True)
+class ClipSet:
+    """The cameras in use; their poses are not known yet."""
+
+    source: Path
+    cameras: tuple[MovingCamera, ...]
+    options: ClipOptions
+    settings: SetOptions
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) of training images."""
+        clip = self.cameras[0].clip
+        return clip.size[0] // clip.downscale, clip.size[1] // clip.downscale
+
+    def counts(self) -> tuple[int, int]:
+        """(training views, held-out views), if all poses are found."""
+        total = sum(len(camera.clip.frames) for camera in self.cameras)
+        held_out = sum(len(self._held_out(camera, len(camera.clip.frames))) for camera in self.cameras)
+        return total - held_out, held_out
+
+    def photographs(self) -> Iterator[tuple[str, MovingCamera, ClipFrame]]:
+        """(name, camera, frame) of what structure from motion takes."""
+        for camera in self.cameras:
+            for frame in camera.clip.frames[:1] if camera.still else camera.clip.frames:
+                yield camera.photograph(frame), camera, frame
+
+    def to_scene(
+        self,
+        poses: Mapping[str, Camera],
+        radial: Mapping[str, float],
+        unit: float,
+        colors: Mapping[str, ColorCorrection] | None = None,
+    ) -> Scene:
+        """The scene of the frames whose photograph has a pose, of ClipFrame.image. Other frames are left out.
+
+        radial: camera -> distortion of its lens (OpenCV's k1). unit: world units per normalised unit. colors: of the
+        cameras whose colours are corrected.
+        """
+        views: dict[str, list[View]] = {"train": [], "test": []}
+        kept = {c.name: [f for f in c.clip.frames if c.photograph(f) in poses] for c in self.cameras}
+        times = [camera.time(frame) for camera in self.cameras for frame in kept[camera.name]]
+        for camera in self.cameras:
+            held_out = self._held_out(camera, len(kept[camera.name]))
+            for index, frame in enumerate(kept[camera.name]):
+                split = "test" if index in held_out else "train"
+                pose = poses[camera.photograph(frame)]
+                image = colors[camera.name].apply(frame.image) if colors and camera.name in colors else frame.image
+                if radial[camera.name]:
+                    lens = Undistortion.of(pose, radial[camera.name])
+                    image = undistort(image, lens.maps((pose.width, pose.height)))
+                pose, image = camera.clip.training_view(pose, image)
+                number = frame.name.rpartition("_")[2]
+                views[split].append(
+                    View(pose, camera.time(frame) - min(times), image, f"{split}/{camera.name}_{number}")
+                )
+        train = [view.camera for view in views["train"]]
+        longest = max(self.cameras, key=lambda camera: len(kept[camera.name]))
+        return validate_scene(
+            Scene(
+                name=self.options.name,
+                train=tuple(views["train"]),
+                test=tuple(views["test"]),
+                duration=max(times) - min(times),
+                time_start=0.0,
+                background=BLACK,
+                extent=camera_extent(train),
+                init_box=canonical_space(train, unit).inverse.box((-1.2, 1.2)),
+                source=self.source,
+                unit=unit,
+                playback_rate=playback_rate([frame.time for frame in kept[longest.name]]),
+                test_split=self._split(),
+            )
+        )
+
+    def _held_out(self, camera: MovingCamera, count: int) -> Sequence[int]:
+        """Places among its `count` frames."""
+        if self.settings.test_cameras:
+            return range(count) if camera.number in self.settings.test_cameras else ()
+        return range(self.options.test_every // 2, count, self.options.test_every)
+
+    def _split(self) -> str:
+        if self.settings.test_cameras:
+            return "camera " + ", ".join(map(str, sorted(self.settings.test_cameras)))
+        return f"every {ordinal(self.options.test_every)} frame of each camera"
+
+
+def cameras_move(root: Path, drop_cameras: Sequence[int]) -> bool:
+    """Whether several cameras filmed, and one of them does not stand still. SceneError for a folder without videos."""
+    files = [file for file in find_footage(root) if file.number not in drop_cameras]
+    return len(files) > 1 and not all(stands_still(file.path) for file in files)
+
+
+def open_clip_set(root: Path, options: ClipOptions, settings: SetOptions) -> ClipSet:
+    """Reads the frames in use of all cameras. SceneError for what cannot be used, with what to do instead."""
+    files = find_footage(root)
+    keep = select_cameras([file.number for file in files], root, settings.test_cameras, settings.drop_cameras)
+    kept = [file for file in files if file.number in keep]
+    still = [settings.still and stands_still(file.path) for file in kept]
+    options.log(_said(kept, still))
+    videos = probe(files, keep, settings.drop_cameras)
+    offsets = None
+    if settings.sync != "none":
+        offsets = offsets_of(root, videos, settings.sync, settings.offsets, options.log)
+    share = max(FEWEST_FRAMES, options.most // len(kept))
+    surveyed = [
+        survey_clip(file.path, replace(options, most=share), stands) for file, stands in zip(kept, still, strict=True)
+    ]
+    size = min(clip.size[0] for clip in surveyed), min(clip.size[1] for clip in surveyed)
+    none = (0.0,) * len(kept)
+    starts, drifts = (none, none) if offsets is None else (offsets.seconds, offsets.drift)
+    cameras = tuple(
+        MovingCamera(file.name, file.number, clip.read(size), start, drift, stands)
+        for file, clip, start, drift, stands in zip(kept, surveyed, starts, drifts, still, strict=True)
+    )
+    _refuse_other_times(root, cameras)
+    return ClipSet(root, cameras, options, settings)
+
+
+def _refuse_other_times(root: Path, cameras: Sequence[MovingCamera]) -> None:
+    """SceneError for a camera that filmed while no other one did."""
+    spans = [(camera.time(camera.clip.frames[0]), camera.time(camera.clip.frames[-1])) for camera in cameras]
+    for camera, (start, end) in zip(cameras, spans):
+        others = [span for other, span in zip(cameras, spans) if other is not camera]
+        if all(end < first or last < start for first, last in others):
+            raise SceneError(
+                camera.clip.source,
+                "frames of the time that another camera filmed",
+                f"{start:.2f} to {end:.2f} s; scene.drop_cameras=[{camera.number}] leaves it out",
+            )
+
+
+def _said(files: Sequence[VideoFile], still: Sequence[bool]) -> str:
+    """For the user."""
+    moving = ", ".join(file.name for file, stands in zip(files, still) if not stands)
+    standing = ", ".join(file.name for file, stands in zip(files, still) if stands)
+    return f"cameras that move: {moving or 'none'}" + (f"; that stand still: {standing}" if standing else "")
