@@ -147,7 +147,7 @@ def reads_clip_set(cfg: SceneConfig) -> bool:
         return False
     from datasets.clip import cameras_move
 
-    return cfg.moving_cameras is True or cameras_move(_path(cfg), cfg.drop_cameras)
+    return cameras_move(_path(cfg), cfg.drop_cameras, look=cfg.moving_cameras is not True)
 
 
 def load_clip_set(cfg: SceneConfig, log: Log = print) -> ClipSet:

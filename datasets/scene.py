@@ -94,6 +94,7 @@ class Scene:
     playback_rate: float | None = None  # of videos: frames a second of rendered videos; None: frame_rate
     sweeps: tuple[Sweep, ...] = ()  # LiDAR of the training frames, in the order of time
     test_sweeps: tuple[Sweep, ...] = ()  # of the held-out frames; no model is trained on them
+    cameras_move: bool = False  # several cameras, of which some move; views are named <split>/<camera>_<frame>
     is_drive: bool = False  # a car drives through it; images of different cameras may differ in size
     metre: float | None = None  # world units per metre; None: unknown
     seconds_per_unit: float = 1.0  # of a driving log: seconds per unit of its times

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from datasets.clip.survey import WIDTH
+from datasets.files.errors import SceneError
 from datasets.video_files.decode import IMAGE_RATE, video_frames
 from datasets.video_files.probe import probe
 
@@ -21,8 +22,14 @@ LEAST_TEXTURE = 3.0  # of 255: standard deviation around a pixel, below which it
 
 
 def stands_still(path: Path) -> bool:
-    """Of a video. The median displacement against the first frame is small in most frames; True where none is good."""
-    return _still(path, path.stat().st_mtime_ns)
+    """Whether the median displacement against the first frame is small in most frames of a video.
+
+    True where no frame can be decoded: reading the video says so, with what to do.
+    """
+    try:
+        return _still(path, path.stat().st_mtime_ns)
+    except SceneError:
+        return True
 
 
 @lru_cache(maxsize=64)  # a run asks several times

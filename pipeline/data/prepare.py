@@ -12,7 +12,7 @@ everything computed from it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -59,7 +59,6 @@ class Prepared:
     sfm_folder: Path | None  # cache folder of the cloud, with its summary and plot
     canonical: Canonical = Canonical()  # transform from the files' units
     is_clip: bool = False  # one clip by a camera that moves, in seconds
-    is_clip_set: bool = False  # several cameras, of which some move
 
 
 def prepare(cfg: Config, log: Callable[[str], None]) -> Prepared:
@@ -122,7 +121,7 @@ def _from_posed(cfg: Config, posed: PosedFootage, log: Callable[[str], None]) ->
         refined = {name: found.camera for name, found in cloud.cameras.items()}
         posed = replace(posed, cameras={**posed.cameras, **refined})
     if cfg.scene.color_correction:
-        cloud, colors = _corrected(cfg, photographs, cloud, log)
+        cloud, colors = _corrected(cfg, photographs, cloud, (), log)
         posed = replace(posed, colors=colors)
         for name in posed.footage.held_out:
             log(f"colours of {name} are left alone: a held-out camera takes no part in structure from motion here")
@@ -168,7 +167,7 @@ def _from_videos(cfg: Config, footage: Footage, log: Callable[[str], None]) -> P
     cloud, folder = _reconstruct(cfg, photographs, 1.0, footage.source, log)
     colors: dict[str, ColorCorrection] = {}
     if cfg.scene.color_correction:
-        cloud, colors = _corrected(cfg, photographs, cloud, log)
+        cloud, colors = _corrected(cfg, photographs, cloud, footage.held_out, log)
     cameras = {name: found.camera for name, found in cloud.cameras.items()}
     train_cameras = [camera for name, camera in cameras.items() if name not in footage.held_out]
     scene = footage.to_scene(
@@ -208,6 +207,7 @@ def _from_clip_set(cfg: Config, found: ClipSet, log: Callable[[str], None]) -> P
     ]
     log(f"sfm: {len(photographs)} frames of {len(found.cameras)} cameras in {found.source.name}")
     corrected = bool(cfg.scene.color_correction)
+    held_out = [camera.name for camera in found.cameras if camera.number in found.settings.test_cameras]
     cloud, folder = clip_reconstruct_cached(
         photographs, cfg.init, found.source, Path(cfg.scene.cache), log, observations=corrected
     )
@@ -218,22 +218,26 @@ def _from_clip_set(cfg: Config, found: ClipSet, log: Callable[[str], None]) -> P
     )
     colors: dict[str, ColorCorrection] = {}
     if corrected:
-        cloud, colors = _corrected(cfg, photographs, cloud, log)
+        cloud, colors = _corrected(cfg, photographs, cloud, held_out, log)
     cameras = {name: calibrated.camera for name, calibrated in cloud.cameras.items()}
     radial = {p.lens: cloud.cameras[p.name].radial for p in photographs if p.name in cloud.cameras}
     unit = UNIT_OF_NEAR * near_depth(cloud.points, list(cameras.values()))
     scene = found.to_scene(cameras, radial, unit, colors)
-    return Prepared(scene, cloud if cfg.init.source != "random" else None, folder, is_clip_set=True)
+    return Prepared(scene, cloud if cfg.init.source != "random" else None, folder)
 
 
 def _corrected(
-    cfg: Config, photographs: list[Photograph], cloud: Reconstruction, log: Callable[[str], None]
+    cfg: Config,
+    photographs: list[Photograph],
+    cloud: Reconstruction,
+    held_out: Collection[str],
+    log: Callable[[str], None],
 ) -> tuple[Reconstruction, dict[str, ColorCorrection]]:
     """The corrections of the cameras' colours by scene.color_correction, and the points in corrected colours."""
     from pipeline.data.colors import color_corrections, recolored  # not needed by scenes without it
 
-    found = color_corrections(photographs, cloud, cfg.scene.color_correction is True, log)
-    return recolored(photographs, cloud, found), found
+    found = color_corrections(photographs, cloud, held_out, cfg.scene.color_correction is True, log)
+    return recolored(photographs, cloud, held_out, found), found
 
 
 def near_depth(points: np.ndarray, cameras: list[Camera]) -> float:

@@ -60,7 +60,7 @@ def run(cfg: Config, overrides: Sequence[str], log: Log) -> dict:
             log(line)
     data = prepare(cfg, log)
     unresolved, cfg = cfg, resolved(cfg, data.scene)
-    if (data.is_clip or data.is_clip_set) and not (cfg.resume and "train" in read_stages(path)):
+    if (data.is_clip or data.scene.cameras_move) and not (cfg.resume and "train" in read_stages(path)):
         log(training_minutes(cfg, data.scene))
     if unresolved.train.static_overrides and cfg.train != without_static_overrides(unresolved).train:
         log("static scene: trained with train.static_overrides")

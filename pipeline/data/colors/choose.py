@@ -10,7 +10,7 @@ left alone are then the reference of those that are corrected; where there is no
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -26,15 +26,18 @@ FEWEST_MATCHES = 50  # of a camera, with points that another one sees: ten in ea
 
 
 def color_corrections(
-    photographs: Sequence[Photograph], found: Reconstruction, every: bool, log: Callable[[str], None]
+    photographs: Sequence[Photograph],
+    found: Reconstruction,
+    held_out: Collection[str],
+    every: bool,
+    log: Callable[[str], None],
 ) -> dict[str, ColorCorrection]:
     """Camera -> its correction, of the cameras that are corrected.
 
-    found: with observations. every: correct all cameras with enough matches (scene.color_correction=true). Held-out
-    cameras are fitted to the others, which do not depend on them.
+    found: with observations. held_out: names of cameras; they are fitted to the others, which do not depend on them.
+    every: correct all cameras with enough matches (scene.color_correction=true).
     """
     matches = matched_colors(photographs, found)
-    held_out = {p.camera_name for p in photographs if p.held_out}
     training = [i for i, name in enumerate(matches.cameras) if name not in held_out]
     rows = matches.where(np.isin(matches.camera, training)).shared()
     enough = [i for i in training if rows.count(i) >= FEWEST_MATCHES]
@@ -63,13 +66,15 @@ def color_corrections(
 
 
 def recolored(
-    photographs: Sequence[Photograph], found: Reconstruction, corrections: Mapping[str, ColorCorrection]
+    photographs: Sequence[Photograph],
+    found: Reconstruction,
+    held_out: Collection[str],
+    corrections: Mapping[str, ColorCorrection],
 ) -> Reconstruction:
-    """The reconstruction with its points' colours moved as the cameras that see them were corrected."""
+    """The reconstruction with its points' colours moved as the training cameras that see them were corrected."""
     if not corrections:
         return found
     matches = matched_colors(photographs, found)
-    held_out = {p.camera_name for p in photographs if p.held_out}
     change = np.zeros((len(found.points), 3))
     count = np.zeros(len(found.points))
     for i, name in enumerate(matches.cameras):
@@ -128,7 +133,7 @@ def _lines(
             "{} {:.1f} → {:.1f}".format(matches.cameras[i], *before_after[i]) for i in sorted(corrections)
         )
         lines.append(f"colours are corrected (difference from the other cameras, of 255): {changed}")
-        lines += [f"the other {len(left)} cameras' {agreement}: no correction"] if left else []
+        lines += [f"those of the others: {agreement}, no correction"] if left else []
     elif left:
         lines.append(f"{agreement}: no correction")
     return lines

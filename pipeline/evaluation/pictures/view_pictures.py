@@ -9,8 +9,9 @@ import numpy as np
 from PIL import Image
 
 from datasets.files.atomic_write import atomic_file
-from datasets.scene import Scene
+from datasets.scene import Scene, View
 from pipeline.config.schema import Config
+from pipeline.data.frame_order import camera_name
 from pipeline.data.training_views import camera_at, evenly_spaced, target_of
 from pipeline.evaluation.motion.moving_pixels import MovingPixels
 from pipeline.evaluation.pictures.camera_path import FRAME_RATE, Ellipse, bullet_time, ellipse_among, median_depth
@@ -67,11 +68,17 @@ def write_bullet_time(path: Path, renderer: Renderer) -> None:
 
 
 def write_clip_films(folder: Path, renderer: Renderer, frame_rate: float) -> None:
-    """Three videos of one clip: path_render_and_truth.mp4, every frame beside its render (held-out ones included, in
-    order of time); still_camera.mp4, all times seen by the middle frame's camera; and bullet_time.mp4."""
+    """Three videos of cameras that move: path_render_and_truth.mp4, every frame beside its render (held-out ones
+    included, one camera after the other, in order of time); still_camera.mp4, all times of one camera seen by its
+    middle frame; and bullet_time.mp4."""
     scene, scale = renderer.scene, renderer.cfg.train.resolution_scale
-    views = sorted(scene.train + scene.test, key=lambda view: view.time)
-    still = camera_at(views[len(views) // 2].camera, scale)
+
+    def taker(view: View) -> str:
+        return camera_name(view.name) if scene.cameras_move else ""
+
+    views = sorted(scene.train + scene.test, key=lambda view: (taker(view), view.time))
+    middle = views[len(views) // 2]
+    still = camera_at(middle.camera, scale)
     width, height = still.width, still.height
     with video(folder / "path_render_and_truth.mp4", 2 * width, height, frame_rate) as send:
         for view in views:
@@ -80,5 +87,6 @@ def write_clip_films(folder: Path, renderer: Renderer, frame_rate: float) -> Non
             send(np.concatenate([image, target.image.numpy().transpose(1, 2, 0)], axis=1))
     with video(folder / "still_camera.mp4", width, height, frame_rate) as send:
         for view in views:
-            send(renderer.image(still, view.time))
+            if taker(view) == taker(middle):
+                send(renderer.image(still, view.time))
     write_bullet_time(folder / "bullet_time.mp4", renderer)
