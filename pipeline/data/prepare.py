@@ -81,6 +81,12 @@ def prepare(cfg: Config, log: Callable[[str], None]) -> Prepared:
 
 def _in_file_units(cfg: Config, log: Callable[[str], None]) -> Prepared:
     """Scene and points before normalisation."""
+    several = not reads_clip(cfg.scene) and (cfg.scene.reader == "video" or is_filmed(cfg.scene))
+    if cfg.scene.color_correction is True and (not several or cfg.init.source == "random"):
+        why = "random points" if several else "a scene that is not several videos"
+        raise ValueError(f"scene.color_correction: expected auto or false for {why}, found true")
+    if cfg.scene.moving_cameras is True and not reads_clip_set(cfg.scene):
+        raise ValueError("scene.moving_cameras: expected auto or false for a scene without several videos, found true")
     if reads_clip(cfg.scene):
         return _from_clip(cfg, load_clip(cfg.scene, log=log), log)
     if reads_clip_set(cfg.scene):
