@@ -94,20 +94,21 @@ class ClipSet:
         views: dict[str, list[View]] = {"train": [], "test": []}
         kept = {c.name: [f for f in c.clip.frames if c.photograph(f) in poses] for c in self.cameras}
         times = [camera.time(frame) for camera in self.cameras for frame in kept[camera.name]]
+        start, end = min(times), max(times)
         for camera in self.cameras:
-            held_out = self._held_out(camera, len(kept[camera.name]))
-            for index, frame in enumerate(kept[camera.name]):
+            frames, color = kept[camera.name], (colors or {}).get(camera.name)
+            held_out = self._held_out(camera, len(frames))
+            lens = None
+            if radial[camera.name]:
+                one = poses[camera.photograph(frames[0])]
+                lens = Undistortion.of(one, radial[camera.name]).maps((one.width, one.height))
+            for index, frame in enumerate(frames):
                 split = "test" if index in held_out else "train"
-                pose = poses[camera.photograph(frame)]
-                image = colors[camera.name].apply(frame.image) if colors and camera.name in colors else frame.image
-                if radial[camera.name]:
-                    lens = Undistortion.of(pose, radial[camera.name])
-                    image = undistort(image, lens.maps((pose.width, pose.height)))
-                pose, image = camera.clip.training_view(pose, image)
-                number = frame.name.rpartition("_")[2]
-                views[split].append(
-                    View(pose, camera.time(frame) - min(times), image, f"{split}/{camera.name}_{number}")
-                )
+                image = color.apply(frame.image) if color else frame.image
+                image = undistort(image, lens) if lens else image
+                pose, image = camera.clip.training_view(poses[camera.photograph(frame)], image)
+                name = f"{split}/{camera.name}_{frame.name.rpartition('_')[2]}"
+                views[split].append(View(pose, camera.time(frame) - start, image, name))
         train = [view.camera for view in views["train"]]
         longest = max(self.cameras, key=lambda camera: len(kept[camera.name]))
         return validate_scene(
@@ -115,7 +116,7 @@ class ClipSet:
                 name=self.options.name,
                 train=tuple(views["train"]),
                 test=tuple(views["test"]),
-                duration=max(times) - min(times),
+                duration=end - start,
                 time_start=0.0,
                 background=BLACK,
                 extent=camera_extent(train),
@@ -159,7 +160,8 @@ def open_clip_set(root: Path, options: ClipOptions, settings: SetOptions) -> Cli
     videos = probe(files, keep, settings.drop_cameras)
     offsets = None
     if settings.sync != "none":
-        offsets = offsets_of(root, videos, settings.sync, settings.offsets, options.log)
+        moving = not all(still)
+        offsets = offsets_of(root, videos, settings.sync, settings.offsets, options.log, moving)
     share = max(FEWEST_FRAMES, options.most // len(kept))
     surveyed = [
         survey_clip(file.path, replace(options, most=share), stands) for file, stands in zip(kept, still, strict=True)

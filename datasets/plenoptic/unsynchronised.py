@@ -45,10 +45,13 @@ class AlignedStream(Stream):
             yield covering(image, self.size)
 
 
-def offsets_of(root: Path, videos: Sequence[Video], sync: str, given: Sequence[float], log: Log) -> Offsets | None:
+def offsets_of(
+    root: Path, videos: Sequence[Video], sync: str, given: Sequence[float], log: Log, moving: bool = False
+) -> Offsets | None:
     """Starts of the cameras, given (sync=given) or found, with a line of what was found; None: taken as synchronised.
 
-    SceneError where neither sound nor picture decides and the videos differ in size, rate or length.
+    moving: a camera moves, so that only the sound is asked. SceneError where neither sound nor picture decides and the
+    videos differ in size, rate or length, or a camera moves.
     """
     if sync == "given":
         if len(given) != len(videos):
@@ -60,14 +63,16 @@ def offsets_of(root: Path, videos: Sequence[Video], sync: str, given: Sequence[f
         seconds = tuple(float(s) - float(given[0]) for s in given)
         found = Offsets(seconds, (0.0,) * len(videos), "given", (float("inf"),) * len(videos), 0.0)
     else:
-        searched = find_offsets([video.path for video in videos])
+        searched = find_offsets([video.path for video in videos], picture=not moving)
         if searched is None:
-            if len({(video.size, video.rate, video.count) for video in videos}) > 1:
+            if moving or len({(video.size, video.rate, video.count) for video in videos}) > 1:
+                clue = "sound that all cameras hear" if moving else "sound, or motion that all cameras see"
                 raise SceneError(
                     root,
-                    "sound, or motion that all cameras see, to find out when each camera started",
-                    "neither decides; scene.sync=given scene.offsets=[0,…] states the seconds at which each started, "
-                    "scene.sync=none takes them as synchronised; film 6 seconds and more, a clap makes it certain",
+                    f"{clue}, to find out when each camera started",
+                    f"{'it does not decide' if moving else 'neither decides'}; scene.sync=given scene.offsets=[0,…] "
+                    "states the seconds at which each started, scene.sync=none takes them as synchronised; film 6 "
+                    "seconds and more, a clap makes it certain",
                 )
             log(
                 "neither sound nor picture says when each camera started; of one size, rate and length they are taken "

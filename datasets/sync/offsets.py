@@ -46,19 +46,25 @@ class Offsets:
         return found + ([f"clocks drift: {', '.join(drifting)}"] if drifting else [])
 
 
-def find_offsets(paths: Sequence[Path]) -> Offsets | None:
-    """By sound where every camera has it and it decides, else by the picture; None where neither does."""
-    return _found(tuple(paths), tuple(path.stat().st_mtime_ns for path in paths))
+def find_offsets(paths: Sequence[Path], picture: bool = True) -> Offsets | None:
+    """By sound where every camera has it and it decides, else by the picture; None where neither does.
+
+    picture: whether it is asked. That of a camera that moves changes with the camera: of sets of signals that had
+    nothing in common, one in twenty agreed well enough by chance.
+    """
+    return _found(tuple(paths), tuple(path.stat().st_mtime_ns for path in paths), picture)
 
 
 @lru_cache(maxsize=4)  # a run asks twice: for its estimate, and to read the videos
-def _found(paths: tuple[Path, ...], modified: tuple[int, ...]) -> Offsets | None:
+def _found(paths: tuple[Path, ...], modified: tuple[int, ...], picture: bool) -> Offsets | None:
     sounds = [sound_energy(path) for path in paths]
     heard = [sound for sound in sounds if sound is not None]
     if len(heard) == len(paths):
         found = offsets_of([[sound] for sound in heard], "sound")
         if found is not None:
             return with_drift(found, heard)
+    if not picture:
+        return None
     seen = [picture_signals(path) for path in paths]
     return offsets_of(seen, "picture") if all(seen) else None
 

@@ -138,6 +138,15 @@ def test_what_cannot_be_used_is_refused(videos: Path, settings: dict, expected: 
         opened(videos, **settings)
 
 
+def test_the_picture_does_not_say_when_a_camera_that_moves_started(videos: Path, tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        frames = [textured_plane(18 * i / 12, (96, 64)) for i in range(40)]
+        write_clip(tmp_path / f"{name}.mp4", frames, [i / 12 for i in range(40)])
+    with pytest.raises(SceneError, match="expected sound that all cameras hear, to find out when each camera started"):
+        opened(tmp_path)
+    assert [camera.start for camera in opened(tmp_path, sync="none")[0].cameras] == [0.0, 0.0]
+
+
 @pytest.mark.parametrize("value", ["yes", 1, None])
 def test_other_settings_are_refused(value: object) -> None:
     with pytest.raises(ValueError, match="scene.moving_cameras: expected auto, true or false, found"):
