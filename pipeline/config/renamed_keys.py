@@ -37,7 +37,7 @@ ADDED: dict[str, Any] = {
     "train.depth.lidar": 1.0,
     "train.depth.lidar_decay": 0.267,
     "train.depth.sky_inverse": 0.1,
-    "train.depth.sky_opacity": 0.05,
+    "train.depth.sky_opacity": 0.0,
     "train.cubemap_resolution": 128,
     "train.select_motion": 0.0,
 }

@@ -120,7 +120,7 @@ class DepthConfig:
     sfm: float = 0.0  # the same at the points of structure from motion, of scenes that start from them
     lidar_decay: float = 0.267  # of both weights: × exp(-fraction of the schedule / this), as there; 0: constant
     sky_inverse: float = 0.1  # of the inverse depth in the sky, as there
-    sky_opacity: float = 0.05  # of -log(1 - alpha) in the sky, as Periodic Vibration Gaussian has it
+    sky_opacity: float = 0.0  # of -log(1 - alpha) in the sky; 0.05 in Periodic Vibration Gaussian (docs/urban.md)
 
     def __post_init__(self) -> None:
         check("train.depth", self, {f.name: at_least(0).but("0: none") for f in fields(self)})
