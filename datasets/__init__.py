@@ -147,7 +147,7 @@ def reads_clip_set(cfg: SceneConfig) -> bool:
         return False
     from datasets.clip import cameras_move
 
-    return cameras_move(_path(cfg), cfg.drop_cameras, look=cfg.moving_cameras is not True)
+    return cameras_move(_path(cfg), cfg.drop_cameras, assumed=cfg.moving_cameras is True)
 
 
 def load_clip_set(cfg: SceneConfig, log: Log = print) -> ClipSet:

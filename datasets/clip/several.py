@@ -141,13 +141,13 @@ class ClipSet:
         return f"every {ordinal(self.options.test_every)} frame of each camera"
 
 
-def cameras_move(root: Path, drop_cameras: Sequence[int], look: bool = True) -> bool:
+def cameras_move(root: Path, drop_cameras: Sequence[int], assumed: bool = False) -> bool:
     """Whether several cameras filmed, and one of them does not stand still. SceneError for a folder without videos.
 
-    look: else they are taken to move.
+    assumed: they are taken to move without a check.
     """
     files = [file for file in find_footage(root) if file.number not in drop_cameras]
-    return len(files) > 1 and not (look and all(stands_still(file.path) for file in files))
+    return len(files) > 1 and (assumed or not all(stands_still(file.path) for file in files))
 
 
 def open_clip_set(root: Path, options: ClipOptions, settings: SetOptions) -> ClipSet:

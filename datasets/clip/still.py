@@ -8,14 +8,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from datasets.clip.survey import WIDTH
+from datasets.clip.survey import small_image
 from datasets.files.errors import SceneError
 from datasets.video_files.decode import IMAGE_RATE, video_frames
 from datasets.video_files.probe import probe
 
 SAMPLES = 9  # frames, evenly spread
-# Image widths: a pixel of the small images, six of a picture of 1280. Flow between frames of a tripod is below a tenth.
-SHIFTED = 1 / WIDTH
+SHIFTED = 1.0  # pixels of the small images. Flow between frames of a tripod is below a tenth.
 # Of the samples: a single one may be filled by somebody who walks past the lens.
 MOVED_SHARE = 0.3
 LEAST_TEXTURE = 3.0  # of 255: standard deviation around a pixel, below which its flow is a guess
@@ -37,22 +36,17 @@ def _still(path: Path, modified: int) -> bool:
     header = probe(path)
     total = header.count or round((header.seconds or 0.0) * (header.rate or IMAGE_RATE))
     wanted = set(np.linspace(0, max(total - 1, 0), SAMPLES).astype(int).tolist())
-    images = [_small(frame.image) for frame in video_frames(path, header, wanted) if frame.image is not None]
+    frames = [frame.image for frame in video_frames(path, header, wanted) if frame.image is not None]
+    images = [small_image(cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY)) for frame in frames]
     shifts = [_shift(images[0], image) for image in images[1:]]
     return not shifts or float(np.mean(np.array(shifts) > SHIFTED)) < MOVED_SHARE
 
 
-def _small(image: np.ndarray) -> np.ndarray:
-    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-    size = WIDTH, max(16, round(WIDTH * grey.shape[0] / grey.shape[1]))
-    return cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
-
-
 def _shift(first: np.ndarray, image: np.ndarray) -> float:
-    """Median displacement of the textured pixels, image widths; 0 without texture."""
+    """Median displacement of the textured pixels, pixels; 0 without texture."""
     search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
     flow = np.asarray(search.calc(first, image, None))  # type: ignore[call-overload]
     values = first.astype(np.float32)
     mean, square = (cv2.blur(x, (7, 7)) for x in (values, values**2))
     textured = square - mean**2 > LEAST_TEXTURE**2
-    return float(np.median(np.linalg.norm(flow, axis=2)[textured])) / WIDTH if textured.any() else 0.0
+    return float(np.median(np.linalg.norm(flow, axis=2)[textured])) if textured.any() else 0.0

@@ -54,7 +54,7 @@ def survey(frames: Iterable[Frame], total: int) -> Survey | None:
             continue
         grey = cv2.cvtColor(frame.image, cv2.COLOR_RGB2GRAY)
         brightest = grey if brightest is None or brightest.shape != grey.shape else np.maximum(brightest, grey)
-        small = _small(grey)
+        small = small_image(grey)
         contrast = float(small.std())
         sharpness = float(cv2.Laplacian(small, cv2.CV_32F).var()) / max(contrast**2, 1.0)
         flow, unexplained = (0.0, 0.0) if before is None else _change(search, before, small)
@@ -78,8 +78,8 @@ def survey(frames: Iterable[Frame], total: int) -> Survey | None:
     )
 
 
-def _small(grey: np.ndarray) -> np.ndarray:
-    """Half as many pixels a side as WIDTH needs at most: the shape is kept."""
+def small_image(grey: np.ndarray) -> np.ndarray:
+    """The image with at most WIDTH pixels on its longer side."""
     scale = WIDTH / max(grey.shape)
     if scale >= 1:
         return grey

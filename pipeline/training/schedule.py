@@ -39,8 +39,8 @@ def clock_at(iteration: int, train_seconds: float, cfg: TrainConfig) -> float:
 def shortened(cfg: TrainConfig, share: float) -> TrainConfig:
     """The whole schedule in `share` (0 to 1) of its iterations: every iteration number is scaled. No time budget.
 
-    The intervals of densification and opacity resets are kept, because each needs the statistics of a number of views;
-    that of additions by error, which needs none, is scaled.
+    The intervals of densification, pruning and opacity resets are kept, because each needs the statistics of a number
+    of views; that of additions by error is, too, because only pruning removes those that fit single views.
     """
 
     def scaled(iteration: int) -> int:
@@ -57,11 +57,7 @@ def shortened(cfg: TrainConfig, share: float) -> TrainConfig:
         envmap_until=scaled(cfg.envmap_until),
         lr=replace(cfg.lr, decay_iterations=max(1, scaled(cfg.lr.decay_iterations))),
         densify=replace(
-            dense,
-            start=scaled(dense.start),
-            stop=scaled(dense.stop),
-            prune_big_after=scaled(dense.prune_big_after),
-            error_points_every=max(1, scaled(dense.error_points_every)),
+            dense, start=scaled(dense.start), stop=scaled(dense.stop), prune_big_after=scaled(dense.prune_big_after)
         ),
     )
 

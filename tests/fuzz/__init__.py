@@ -5,7 +5,7 @@ and what was found; never another exception, a crash, a hang or a warning.
 
 A target (target.py) is a valid example, a Hypothesis strategy of changes to it, and a check of the rule. To add one:
     1. write targets/<name>.py (of a scene: targets/data/) with example(), changes(), check() and TARGET;
-       targets/data/frame_store.py is a short one, and targets/layouts/ are folders of other tools;
+       targets/data/frame_store.py is a short one; folders of other tools are made by layout_target.py;
     2. run `PYTHONPATH=tests python -m fuzz <name> --seconds 600`;
     3. fix what it finds, and move the saved input to regressions/<name>/<what it is>/, which test_fuzz.py replays.
 

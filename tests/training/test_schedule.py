@@ -94,6 +94,9 @@ def test_a_shortened_schedule_is_the_whole_one_scaled(now: int) -> None:
     same = {"lr": {}, "clock": 0.0, "depth_decay": 0.0}
     assert replace(whole, **same) == replace(scaled, **same)
     assert (short.densify.start, short.densify.stop, short.densify.every) == (50, 1500, cfg.densify.every)
+    # What is added by error is removed by pruning only: both keep their pace.
+    assert short.densify.error_points_every == cfg.densify.error_points_every
+    assert short.densify.prune_sensitivity_every == cfg.densify.prune_sensitivity_every
 
 
 def test_shortening_to_1_changes_nothing() -> None:

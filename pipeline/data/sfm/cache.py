@@ -21,6 +21,7 @@ from datasets.files.atomic_write import atomic_folder, write_json
 from datasets.files.errors import DataError, read_json
 from pipeline.config.schema import InitConfig
 from pipeline.data.sfm.clip import reconstruct_clip
+from pipeline.data.sfm.job import ARRAYS
 from pipeline.data.sfm.photograph import CalibratedCamera, Photograph, Reconstruction
 from pipeline.data.sfm.plot import plot_reconstruction
 from pipeline.data.sfm.run import reconstruct
@@ -28,7 +29,6 @@ from rasterizer.camera import MAX_DISTANCE, Camera
 
 VERSION = 1  # to be increased by every change of this project that alters the result
 CLIP_VERSION = 1  # the same for the two passes over a clip
-_ARRAYS = ("points", "colors", "errors", "track_lengths", "observations")  # of a Reconstruction
 # Settings of InitConfig that do not affect structure from motion.
 _UNRELATED = ("source", "min_points", "sphere_points", "sphere_radius")
 
@@ -90,7 +90,7 @@ def fingerprint(
 def save(result: Reconstruction, folder: Path) -> None:
     """Writes the folder atomically."""
     with atomic_folder(folder, marker="result.json") as temporary:
-        arrays = {name: getattr(result, name) for name in _ARRAYS}
+        arrays = {name: getattr(result, name) for name in ARRAYS}
         np.savez(temporary / "result.npz", **{name: array for name, array in arrays.items() if array is not None})
         cameras = {name: _camera_json(found) for name, found in result.cameras.items()}
         write_json(

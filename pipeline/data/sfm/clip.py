@@ -16,7 +16,7 @@ import numpy as np
 from PIL import Image
 
 from pipeline.config.schema import InitConfig
-from pipeline.data.sfm.job import TURNS, ColmapResult, write_request
+from pipeline.data.sfm.job import ColmapResult, SfmError, write_request
 from pipeline.data.sfm.moving_masks import moving_masks
 from pipeline.data.sfm.pairs import by_lens, pairs_of
 from pipeline.data.sfm.photograph import CalibratedCamera, Photograph, Reconstruction
@@ -70,8 +70,8 @@ def reconstruct_clip(
                 second = run_colmap(folder, source)
             except ValueError as error:  # the masks took what the first pass stood on
                 refused = error
-                if TURNS in str(error):
-                    raise
+                if isinstance(error, SfmError) and error.camera_turns:
+                    raise  # moving objects had misled the first pass
             share = float(np.mean([mask.mean() for mask in masks.values()]))
             registered = "too few" if second is None else len(second.cameras)
             log(

@@ -8,7 +8,7 @@ import numpy as np
 import pycolmap
 
 from pipeline.data.sfm.features import set_intrinsics, verification_options
-from pipeline.data.sfm.job import TURNS, Request, SfmError
+from pipeline.data.sfm.job import Request, SfmError
 
 STILL = 0.01  # image widths: matches between no two frames are farther apart than this if the camera stands still
 TURNED = 0.05  # image widths: frames whose matches are farther apart tell whether the camera turns or moves
@@ -18,6 +18,7 @@ _ROTATIONS = (
     pycolmap.TwoViewGeometryConfiguration.PLANAR_OR_PANORAMIC,
 )
 WHAT_TO_FILM = "walk sideways around what you film, 5 to 20 seconds, rather than turning on the spot"
+TURNS = f" (the camera turns without moving, which shows no depth: {WHAT_TO_FILM})"  # added to a message
 
 
 def keep_unmasked_matches(database: Path, masks: Path, request: Request) -> None:
@@ -68,12 +69,10 @@ def refuse_still_camera(database: Path) -> None:
         )
 
 
-def because_it_turns(database: Path) -> str:
-    """A reason to be added to a message where the camera only turned; else empty."""
+def camera_turns(database: Path) -> bool:
+    """Whether most pairs of frames are related by a rotation alone."""
     turned = [config in _ROTATIONS for config, shift in _verified_pairs(database) if shift > TURNED]
-    if not turned or np.mean(turned) < TURNING_SHARE:
-        return ""
-    return f" ({TURNS}, which shows no depth: {WHAT_TO_FILM})"
+    return bool(turned) and float(np.mean(turned)) >= TURNING_SHARE
 
 
 def _verified_pairs(database: Path) -> list[tuple[pycolmap.TwoViewGeometryConfiguration, float]]:

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
-from pipeline.data.sfm.clip_matches import because_it_turns, keep_unmasked_matches, refuse_still_camera
+from pipeline.data.sfm.clip_matches import TURNS, camera_turns, keep_unmasked_matches, refuse_still_camera
 from pipeline.data.sfm.features import camera_record, extract_features, match_pairs, verification_options
 from pipeline.data.sfm.job import ColmapResult, Request, SfmError, read_request, write_error, write_result
 from pipeline.data.sfm.registration import register_held_out
@@ -31,7 +31,7 @@ def main(folder: Path) -> None:
     try:
         write_result(folder, reconstruct(folder, request))
     except SfmError as error:
-        write_error(folder, str(error))
+        write_error(folder, error)
 
 
 def reconstruct(folder: Path, request: Request) -> ColmapResult:
@@ -140,18 +140,19 @@ def estimate_cameras(folder: Path, used: list[str], request: Request) -> pycolma
         folder / "database.db", folder / "images", output, options=pipeline_options(request)
     )
     if not models:
-        found = "no initial pair"
-        if request.pairs is not None:
-            found += because_it_turns(folder / "database.db")
-        raise SfmError(f"expected {len(used)} photographs of the same objects, found {found}")
+        turns = request.pairs is not None and camera_turns(folder / "database.db")
+        found = f"no initial pair{TURNS if turns else ''}"
+        raise SfmError(f"expected {len(used)} photographs of the same objects, found {found}", turns)
     model = max(models.values(), key=lambda m: (m.num_reg_images(), m.num_points3D()))
     registered = {Path(image.name).stem for image in model.images.values() if image.has_pose}
     missing = [name for name in used if name not in registered]
     if request.pairs is not None and len(registered) < request.least_registered * len(used):
+        turns = camera_turns(folder / "database.db")
         raise SfmError(
             f"expected to find the camera of {request.least_registered:.0%} of {len(used)} frames, found that of "
-            f"{len(registered)}{because_it_turns(folder / 'database.db')}; film slowly, with texture in view all the "
-            "time, and so that every part of the scene is seen from several places"
+            f"{len(registered)}{TURNS if turns else ''}; film slowly, with texture in view all the time, and so that "
+            "every part of the scene is seen from several places",
+            turns,
         )
     if missing and request.pairs is None:
         raise SfmError(

@@ -2,7 +2,7 @@
 
     images/<name>.png, request.json     input
     result.npz, result.json             output, or
-    error.txt                           one line
+    error.json                          an SfmError
 
 Both processes import this module, so it imports neither pycolmap nor Pillow (see colmap.py).
 """
@@ -15,12 +15,15 @@ from pathlib import Path
 
 import numpy as np
 
-# Of a message: such a camera is refused, whatever a pass makes of its frames.
-TURNS = "the camera turns without moving"
+ARRAYS = ("points", "colors", "errors", "track_lengths", "observations")  # of a result; the last may be None
 
 
 class SfmError(ValueError):
-    """The photographs do not suffice for the reconstruction."""
+    """The photographs do not suffice for the reconstruction. camera_turns: because the camera only turned."""
+
+    def __init__(self, line: str, camera_turns: bool = False) -> None:
+        super().__init__(line)
+        self.camera_turns = camera_turns
 
 
 @dataclass(frozen=True)
@@ -84,7 +87,7 @@ def read_request(folder: Path) -> Request:
 
 
 def write_result(folder: Path, result: ColmapResult) -> None:
-    arrays = {name: getattr(result, name) for name in ("points", "colors", "errors", "track_lengths", "observations")}
+    arrays = {name: getattr(result, name) for name in ARRAYS}
     np.savez(folder / "result.npz", **{name: array for name, array in arrays.items() if array is not None})
     (folder / "result.json").write_text(json.dumps(result.cameras))
 
@@ -94,10 +97,10 @@ def read_result(folder: Path) -> ColmapResult:
         return ColmapResult(**arrays, cameras=json.loads((folder / "result.json").read_text()))
 
 
-def write_error(folder: Path, line: str) -> None:
-    (folder / "error.txt").write_text(line)
+def write_error(folder: Path, error: SfmError) -> None:
+    (folder / "error.json").write_text(json.dumps({"line": str(error), "camera_turns": error.camera_turns}))
 
 
-def read_error(folder: Path) -> str | None:
-    path = folder / "error.txt"
-    return path.read_text() if path.exists() else None
+def read_error(folder: Path) -> SfmError | None:
+    path = folder / "error.json"
+    return SfmError(**json.loads(path.read_text())) if path.exists() else None

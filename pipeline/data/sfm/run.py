@@ -13,7 +13,15 @@ from pathlib import Path
 from PIL import Image
 
 from pipeline.config.schema import InitConfig
-from pipeline.data.sfm.job import ColmapResult, PhotographRecord, Request, read_error, read_result, write_request
+from pipeline.data.sfm.job import (
+    ColmapResult,
+    PhotographRecord,
+    Request,
+    SfmError,
+    read_error,
+    read_result,
+    write_request,
+)
 from pipeline.data.sfm.photograph import CalibratedCamera, Photograph, Reconstruction
 from pipeline.runs.provenance import PROJECT_ROOT
 from rasterizer.camera import Camera
@@ -90,8 +98,8 @@ def run_colmap(folder: Path, source: Path) -> ColmapResult:
         stderr=subprocess.PIPE,
         text=True,
     )
-    if line := read_error(folder):
-        raise ValueError(f"{source}: {line}")
+    if error := read_error(folder):
+        raise SfmError(f"{source}: {error}", error.camera_turns)
     if done.returncode != 0:
         last = (done.stderr.strip().splitlines() or ["no message"])[-1]
         raise ValueError(

@@ -73,9 +73,6 @@ def select(
     """Train twice on `scene.train`. Deterministic in scene, configuration and seed, except for the seconds."""
     started, part = time.perf_counter(), hold_out_poses(scene, VALIDATION_EVERY)
     short = short_schedule(cfg.train, cfg.train.select_time_colour)
-    # Gaussians added by error are short-lived at first, and fit changes of colour by coming and going. A whole schedule
-    # prunes them; a tenth does not: on synthetic/lamp the gain was 0.17 dB with them and 0.43 without.
-    short = replace(short, densify=replace(short.densify, error_points=0))
     cfg, psnr = replace(cfg, train=short, resume=False), []
     for variant, label in ((cfg, "with"), (without_time_colour(cfg), "without")):
         log(
