@@ -30,6 +30,7 @@ REMOVED: dict[str, Any] = {
 ADDED: dict[str, Any] = {
     "train.regularization.flow": 0.0,
     "train.densify.error_points": 0,
+    "train.densify.error_points_share": 1.0,
     "train.densify.error_points_every": 500,
     "train.dropout": 0.0,
     # Without effect but on driving logs, which no earlier version read.

@@ -61,7 +61,9 @@ class DensifyConfig:
     # Gaussians of the lowest image sensitivity are pruned, together this share of the total sensitivity; 0: none
     prune_sensitivity: float = 0.0
     prune_sensitivity_every: int = 500  # iterations between prunings by sensitivity
-    error_points: int = 0  # Gaussians added where and when the error is (pipeline/training/density/error_sampling.py)
+    # Gaussians added where and when the error is (pipeline/training/density/error_sampling.py): at most so many
+    error_points: int = 0
+    error_points_share: float = 1.0  # and at most this × the number that there are
     error_points_every: int = 500  # iterations between such additions
     opacity_reset_every: int = 3000  # iterations between opacity resets; 0: never
     opacity_reset_to: float = 0.01  # highest opacity after a reset
@@ -78,6 +80,7 @@ class DensifyConfig:
             "prune_sensitivity": between("[0, 1)", 0, 1).but("0: nothing"),
             "prune_sensitivity_every": positive_count(),
             "error_points": at_least(0).but("0: none"),
+            "error_points_share": above(0),
             "error_points_every": positive_count(),
             "every": positive_count(),
             "max_gaussians": positive_count(),

@@ -27,7 +27,7 @@ class RefinementViews:
 
 
 def refine(state: TrainState, phase: Phase, views: RefinementViews, scene: Scene, cfg: Config) -> list[dict]:
-    """Densify, add Gaussians by error, prune by sensitivity and reset opacities in the iterations scheduled for it.
+    """Densify, prune by sensitivity, add Gaussians by error and reset opacities in the iterations scheduled for it.
     Returns the events as rows of log.jsonl."""
     events = []
     rules = cfg.train.densify
@@ -41,8 +41,6 @@ def refine(state: TrainState, phase: Phase, views: RefinementViews, scene: Scene
             "event": "densify", "iteration": state.iteration, "cloned": done.cloned, "split": done.split,
             "pruned": done.pruned, "n_gaussians": done.total,
         })  # fmt: skip
-    if cfg.ablation.time_split and error_sampling.due(state.iteration, phase.clock, cfg.train):
-        events.append(_add_by_error(state, views.errors, scene, cfg))
     if sensitivity_pruning.due(state.iteration, cfg.train):
         rng = stream(cfg.seed, Stream.SENSITIVITY, state.iteration)
         sensitivity = sensitivity_pruning.image_sensitivity(
@@ -56,16 +54,20 @@ def refine(state: TrainState, phase: Phase, views: RefinementViews, scene: Scene
             "event": "prune_sensitivity", "iteration": state.iteration, "pruned": pruned,
             "n_gaussians": len(state.model),
         })  # fmt: skip
+    # After pruning, which makes room below max_gaussians and would remove most of them at once.
+    if cfg.ablation.time_split and error_sampling.due(state.iteration, phase.clock, cfg.train):
+        events.append(_add_by_error(state, views.errors, scene, cfg))
     if densification.opacity_reset_due(state.iteration, phase.clock, rules):
         densification.reset_opacity(state.optimiser, rules, phase.sphere)
     return events
 
 
 def _add_by_error(state: TrainState, sampler: ErrorSampler, scene: Scene, cfg: Config) -> dict:
-    """Add `error_points` Gaussians, as far as `max_gaussians` allows, where and when the error is."""
+    """Add Gaussians where and when the error is, as many as the three limits of their number allow."""
     rules, sphere = cfg.train.densify, state.model.sphere
-    room = rules.max_gaussians - (len(state.model) if sphere is None else int((~sphere).sum()))
-    count, added = min(rules.error_points, room), 0
+    present = len(state.model) if sphere is None else int((~sphere).sum())
+    limits = (rules.error_points, int(rules.error_points_share * present), rules.max_gaussians - present)
+    count, added = min(limits), 0
     if count > 0 and state.model.kind.dims == 4:
         rng = stream(cfg.seed, Stream.ERROR_POINTS, state.iteration)
         rows = sampler.draw(state.model, cfg, count, rng, state.threads)

@@ -168,3 +168,14 @@ def test_training_adds_up_to_the_cap_and_never_without_densification_in_time(tmp
     capped = train_with(tmp_path / "capped", error_points=30, error_points_every=10, max_gaussians=210)
     assert all(row["n_gaussians"] <= 210 for row in capped)
     assert train_with(tmp_path / "ablation", time_split=False, error_points=30, error_points_every=10) == []
+
+
+def test_a_share_of_what_pruning_leaves_bounds_the_additions(tmp_path: Path):
+    rules = dict(error_points=30, error_points_share=0.1, error_points_every=10)
+    added = train_with(tmp_path, **rules, prune_sensitivity=0.05, prune_sensitivity_every=10)
+    pruned = [row for row in TinyRun(tmp_path).rows("log.jsonl") if row["event"] == "prune_sensitivity"]
+    assert [row["iteration"] for row in added] == [row["iteration"] for row in pruned][:4] == [10, 20, 30, 40]
+    for left, row in zip(pruned, added):
+        assert row["n_gaussians"] - row["added"] == left["n_gaussians"]
+        assert row["added"] == min(30, int(0.1 * left["n_gaussians"]))
+    assert added[0]["added"] > 0
