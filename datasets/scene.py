@@ -117,6 +117,11 @@ class Scene:
         return self.duration / max(1, len(self.train_times) - 1)
 
     @property
+    def several_cameras(self) -> bool:
+        """Whether the training views show each time from two places or more, on average."""
+        return len(self.train) >= 2 * len(self.train_times)
+
+    @property
     def is_static(self) -> bool:
         """True if every view has the same time: the model then has no time axis."""
         return len({view.time for view in self.train + self.test}) <= 1

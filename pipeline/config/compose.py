@@ -18,8 +18,8 @@ from omegaconf import DictConfig, OmegaConf
 
 from datasets.files.errors import clear
 from pipeline.config.renamed_keys import REMOVED, renamed_key
+from pipeline.config.scene_overrides import GROUPS, with_overrides
 from pipeline.config.schema import Config
-from pipeline.config.static_overrides import with_static_overrides
 
 PATH_KEYS = ("scene.path", "scene.cache", "out")
 CONFIG_DIR = Path(__file__).resolve().parents[2] / "conf"
@@ -43,13 +43,14 @@ def named_after_folder(family: str, path: str | None) -> str:
 
 def to_config(composed: DictConfig) -> Config:
     """The typed configuration of a run. ValueError, one line, where a key is unknown or a value out of range."""
-    known = set(known_keys()) | _static_override_keys()
+    known = set(known_keys()) | _override_keys()
     tree: Any = OmegaConf.to_container(composed, resolve=False)
     for key in _keys_of(tree):
         if key not in known:  # `+key=value` on the command line gets past Hydra's own check
             raise ValueError(_unknown_key(key))
     cfg: Any = OmegaConf.to_object(composed)
-    with_static_overrides(cfg)  # wrong overrides are refused on any scene, not on the first static one
+    for group in GROUPS:  # wrong overrides are refused on any scene, not on the first of its kind
+        with_overrides(cfg, group)
     return cfg
 
 
@@ -71,10 +72,10 @@ def known_keys(schema: type = Config, prefix: str = "") -> list[str]:
     return keys
 
 
-def _static_override_keys() -> set[str]:
-    """`train.static_overrides` holds keys of `train`, but itself."""
-    keys = (key.removeprefix("train.") for key in known_keys() if key.startswith("train."))
-    return {f"train.static_overrides.{key}" for key in keys if key != "static_overrides"}
+def _override_keys() -> set[str]:
+    """The overrides of a kind of scene hold keys of `train`, but no overrides."""
+    keys = [key.removeprefix("train.") for key in known_keys() if key.startswith("train.")]
+    return {f"train.{group}.{key}" for group in GROUPS for key in keys if key not in GROUPS}
 
 
 def one_line(error: BaseException) -> str:
@@ -171,7 +172,7 @@ def _unknown_key(key: str) -> str:
         return f"{key}: was removed; no study showed a use for it"
     if new != key:
         return f"{key}: is called {new} now"
-    if key in _static_override_keys():
+    if key in _override_keys():
         return f"{key}: not among this schedule's differences; add it as +{key}=..."
     siblings = [known for known in known_keys() if known.count(".") == key.count(".")]
     close = difflib.get_close_matches(key, siblings, n=1)

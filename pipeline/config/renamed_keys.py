@@ -41,6 +41,7 @@ ADDED: dict[str, Any] = {
     "train.depth.sky_opacity": 0.0,
     "train.cubemap_resolution": 128,
     "train.select_motion": 0.0,
+    "train.film_overrides": None,
 }
 _OVERRIDES = "train.static_overrides."  # holds keys of `train`
 
@@ -85,7 +86,7 @@ def _moved(tree: dict[str, Any], rename: Callable[[str], str], without: Mapping[
     found: dict[str, Any] = {}
     for key, value in _leaves(tree, ""):
         new = rename(key)
-        if new in without and without[new] == value:
+        if new in without and value in (without[new], {}):  # an empty group changes nothing either
             continue
         *groups, last = new.split(".")
         try:

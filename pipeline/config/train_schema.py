@@ -168,8 +168,10 @@ class TrainConfig:
     init_box: Optional[list[float]] = None  # [low, high] of their cube, canonical units; None: the scene's
     lr: LearningRates = field(default_factory=LearningRates)
     densify: DensifyConfig = field(default_factory=DensifyConfig)
-    # Keys of `train` with other values for a static scene (pipeline/config/static_overrides.py); null once resolved
+    # Keys of `train` with other values for a static scene, and for one that moves and that several cameras film
+    # (pipeline/config/scene_overrides.py); null once resolved
     static_overrides: Optional[dict[str, Any]] = field(default_factory=dict)
+    film_overrides: Optional[dict[str, Any]] = field(default_factory=dict)
     eval_every: int = 500  # iterations between evaluations on held-out views
     eval_views: int = 30  # held-out views of such an evaluation, evenly spread; the final evaluation takes all
     checkpoint_every: int = 1000  # iterations between checkpoints

@@ -13,10 +13,10 @@ from datasets import Scene
 from datasets.files.atomic_write import write_json
 from datasets.files.errors import read_json
 from pipeline.config.compose import config_of_tree
+from pipeline.config.scene_overrides import with_overrides
 from pipeline.config.schema import Config
-from pipeline.config.static_overrides import without_static_overrides
 from pipeline.data.prepare import prepare
-from pipeline.model.scene_settings import resolved
+from pipeline.model.scene_settings import overrides_for, resolved
 from pipeline.runs.provenance import provenance
 from pipeline.runs.run_folder import RunFolder
 from pipeline.runs.run_identity import read_stages, refuse_foreign, refuse_other_run
@@ -62,8 +62,9 @@ def run(cfg: Config, overrides: Sequence[str], log: Log) -> dict:
     unresolved, cfg = cfg, resolved(cfg, data.scene)
     if (data.is_clip or data.scene.cameras_move) and not (cfg.resume and "train" in read_stages(path)):
         log(training_minutes(cfg, data.scene))
-    if unresolved.train.static_overrides and cfg.train != without_static_overrides(unresolved).train:
-        log("static scene: trained with train.static_overrides")
+    if cfg.train != with_overrides(unresolved, None).train:
+        group = overrides_for(data.scene, cfg)
+        log(f"{'static scene' if group == 'static_overrides' else 'several cameras'}: trained with train.{group}")
 
     with RunFolder(path, asdict(cfg), cfg.resume, lambda stored: _resolved_tree(stored, data.scene)) as folder:
         inputs = stage_inputs(cfg, data)

@@ -45,7 +45,7 @@ def opacity_weight(model: Model, cfg: RegularizationConfig, scene: Scene) -> Ten
         return 1.0
     if model.kind.dims == 3:
         return min(1.0, cfg.opacity_views / views)
-    if views >= 2 * len(scene.train_times):
+    if scene.several_cameras:
         return 1.0
     views_in_lifetime = torch.exp(model.parameters["log_scale"][:, 3]).mul_(views / scene.duration)
     return (cfg.opacity_views / views_in_lifetime).clamp_(max=1.0)
