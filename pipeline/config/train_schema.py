@@ -169,7 +169,7 @@ class TrainConfig:
     lr: LearningRates = field(default_factory=LearningRates)
     densify: DensifyConfig = field(default_factory=DensifyConfig)
     # Keys of `train` with other values for a static scene, and for one that moves and that several cameras film
-    # (pipeline/config/scene_overrides.py); null once resolved
+    # (pipeline/config/scene_overrides.py); null once resolved, but for static ones that select_motion may need
     static_overrides: Optional[dict[str, Any]] = field(default_factory=dict)
     film_overrides: Optional[dict[str, Any]] = field(default_factory=dict)
     eval_every: int = 500  # iterations between evaluations on held-out views

@@ -11,8 +11,14 @@ from pipeline.model.model import kind_of
 
 
 def resolved(cfg: Config, scene: Scene) -> Config:
-    """`cfg` with the settings that depend on `scene` filled in. Idempotent."""
-    cfg = with_overrides(cfg, overrides_for(scene, cfg))
+    """`cfg` with the settings that depend on `scene` filled in. Idempotent.
+
+    The static overrides stay while `select_motion` has still to decide whether the model is static.
+    """
+    group, static = overrides_for(scene, cfg), cfg.train.static_overrides
+    cfg = with_overrides(cfg, group)
+    if group != "static_overrides" and cfg.train.select_motion > 0 and cfg.ablation.static is None:
+        cfg = replace(cfg, train=replace(cfg.train, static_overrides=static))
     return replace(cfg, scene=replace(cfg.scene, background=list(scene.background)))
 
 

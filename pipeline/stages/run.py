@@ -62,8 +62,8 @@ def run(cfg: Config, overrides: Sequence[str], log: Log) -> dict:
     unresolved, cfg = cfg, resolved(cfg, data.scene)
     if (data.is_clip or data.scene.cameras_move) and not (cfg.resume and "train" in read_stages(path)):
         log(training_minutes(cfg, data.scene))
-    if cfg.train != with_overrides(unresolved, None).train:
-        group = overrides_for(data.scene, cfg)
+    group = overrides_for(data.scene, cfg)
+    if group and with_overrides(cfg, None).train != with_overrides(unresolved, None).train:
         log(f"{'static scene' if group == 'static_overrides' else 'several cameras'}: trained with train.{group}")
 
     with RunFolder(path, asdict(cfg), cfg.resume, lambda stored: _resolved_tree(stored, data.scene)) as folder:

@@ -14,6 +14,7 @@ from pipeline.config.compose import CONFIG_DIR, one_line, register_schema, to_co
 from pipeline.config.schema import AblationConfig, Config
 from pipeline.config.train_schema import ResolutionStep, TrainConfig
 from pipeline.model.scene_settings import resolved
+from pipeline.training.selection.motion import without_time
 
 DIFFERENCES = {"init_points": 70, "lr": {"sh_rest": 1e-3}, "resolution_steps": [{"until": 0.5, "scale": 0.5}]}
 
@@ -48,6 +49,13 @@ def test_films_have_their_own() -> None:
     assert (resolved(cfg, one).train.regularization.motion, resolved(cfg, film).train.regularization.motion) == (0, 0.5)
     static = replace(tiny_scene(static=True), train=tiny_scene(static=True).train * 2)
     assert resolved(cfg, static).train.regularization.motion == 0
+
+
+def test_a_model_that_selection_makes_static_has_the_static_ones() -> None:
+    scene, undecided = tiny_scene(), replace(config(), train=replace(config().train, select_motion=0.1))
+    once = resolved(undecided, scene)
+    assert (once.train.init_points, without_time(once, scene).train.init_points) == (None, 70)
+    assert resolved(once, scene) == once
 
 
 def test_resolving_twice_is_resolving_once() -> None:
