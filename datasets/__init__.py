@@ -136,6 +136,7 @@ def load_clip(cfg: SceneConfig, log: Log = print) -> Clip:
     """The clip of a config: its frames in use, without cameras."""
     from datasets.clip import ClipOptions, open_clip
 
+    _refuse_validation(cfg, "clips (scene.test_every holds out other frames)")
     options = ClipOptions(cfg.name, cfg.downscale, cfg.frames, cfg.first_frame, cfg.test_every, log)
     return open_clip(_path(cfg), options)
 
@@ -154,6 +155,7 @@ def load_clip_set(cfg: SceneConfig, log: Log = print) -> ClipSet:
     """The clips of several cameras of which some move: their frames in use, without poses."""
     from datasets.clip import ClipOptions, SetOptions, open_clip_set
 
+    _refuse_validation(cfg, "clips (scene.test_every and scene.test_cameras hold out other views)")
     options = ClipOptions(cfg.name, cfg.downscale, cfg.frames, cfg.first_frame, cfg.test_every, log)
     # [0] is the default of cameras that stand still; of those that move every frame is a view of its own.
     whole = cfg.test_every == 0 or list(cfg.test_cameras) != [0]
@@ -242,14 +244,15 @@ def _synthetic_name(cfg: SceneConfig) -> str:
     return cfg.name.rpartition("/")[2]
 
 
-def _footage_options(cfg: SceneConfig, threads: int, log: Log) -> dict[str, Any]:
-    """The fields of plenoptic.FootageOptions. SceneError for scene.validation_every, which is for photographs."""
+def _refuse_validation(cfg: SceneConfig, footage: str) -> None:
+    """SceneError for scene.validation_every, which is for photographs with poses."""
     if cfg.validation_every:
-        raise SceneError(
-            "scene.validation_every",
-            f"0 for the multi-camera videos of {cfg.name} (scene.test_cameras holds out another camera)",
-            str(cfg.validation_every),
-        )
+        raise SceneError("scene.validation_every", f"0 for {footage}", str(cfg.validation_every))
+
+
+def _footage_options(cfg: SceneConfig, threads: int, log: Log) -> dict[str, Any]:
+    """The fields of plenoptic.FootageOptions."""
+    _refuse_validation(cfg, f"the multi-camera videos of {cfg.name} (scene.test_cameras holds out another camera)")
     return {
         "name": cfg.name,
         "downscale": cfg.downscale,

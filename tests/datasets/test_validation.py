@@ -6,7 +6,7 @@ import pytest
 from tiny import tiny_scene
 from tiny_film import tiny_film
 
-from datasets import SceneError, load_posed, load_scene
+from datasets import SceneError, load_clip, load_clip_set, load_posed, load_scene
 from datasets.settings import SceneConfig
 from datasets.validation import hold_out_every, hold_out_outermost, hold_out_poses
 
@@ -52,3 +52,10 @@ def test_validation_every_is_refused_for_videos(load, tmp_path):
     with pytest.raises(SceneError, match="scene.validation_every: expected 0 for .* synthetic/counter .*found 8"):
         load(film)
     assert not (tmp_path / "cache").exists()  # refused before rendering
+
+
+@pytest.mark.parametrize("load", [load_clip, load_clip_set])
+def test_validation_every_is_refused_for_clips(load, tmp_path):
+    clip = SceneConfig(name="video", reader="video", path=str(tmp_path), validation_every=8)
+    with pytest.raises(SceneError, match="scene.validation_every: expected 0 for clips .*found 8"):
+        load(clip)  # before the videos are looked for
