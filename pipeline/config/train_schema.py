@@ -168,9 +168,10 @@ class TrainConfig:
     init_box: Optional[list[float]] = None  # [low, high] of their cube, canonical units; None: the scene's
     lr: LearningRates = field(default_factory=LearningRates)
     densify: DensifyConfig = field(default_factory=DensifyConfig)
-    # Keys of `train` with other values for a static scene, and for one that moves and that several cameras film
-    # (pipeline/config/scene_overrides.py); null once resolved, but for static ones that select_motion may need
+    # Keys of `train` with other values for a static scene (pipeline/config/scene_overrides.py); null once resolved,
+    # unless select_motion has still to decide
     static_overrides: Optional[dict[str, Any]] = field(default_factory=dict)
+    # Likewise for a scene that moves and that several cameras film; null once resolved
     film_overrides: Optional[dict[str, Any]] = field(default_factory=dict)
     eval_every: int = 500  # iterations between evaluations on held-out views
     eval_views: int = 30  # held-out views of such an evaluation, evenly spread; the final evaluation takes all
