@@ -64,7 +64,8 @@ def run(cfg: Config, overrides: Sequence[str], log: Log) -> dict:
         log(training_minutes(cfg, data.scene))
     group = overrides_for(data.scene, cfg)
     if group and with_overrides(cfg, None).train != with_overrides(unresolved, None).train:
-        log(f"{'static scene' if group == 'static_overrides' else 'several cameras'}: trained with train.{group}")
+        kind = "static scene" if group == "static_overrides" else "several cameras"
+        log(f"{kind}: trained with train.{group}, whose keys count instead of those of train")
 
     with RunFolder(path, asdict(cfg), cfg.resume, lambda stored: _resolved_tree(stored, data.scene)) as folder:
         inputs = stage_inputs(cfg, data)
