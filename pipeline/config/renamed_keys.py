@@ -29,6 +29,7 @@ REMOVED: dict[str, Any] = {
 # Added key -> the value that changes nothing, under which it is no part of the hashes of stages.
 ADDED: dict[str, Any] = {
     "train.regularization.flow": 0.0,
+    "train.regularization.reference_views": 0.0,
     "train.densify.error_points": 0,
     "train.densify.error_points_share": 1.0,
     "train.densify.error_points_every": 500,

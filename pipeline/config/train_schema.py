@@ -104,10 +104,14 @@ class ResolutionStep:
 
 @dataclass
 class RegularizationConfig:
-    """Weights of the regularization terms (pipeline/training/objective/regularization.py). 0: none."""
+    """Weights of the regularization terms (pipeline/training/objective/regularization.py). 0: none.
+
+    Those of motion and opacity are × the share of the training images that is not background.
+    """
 
     motion: float = 0.0  # towards no motion: × mean tilt between space and time, radians
     opacity: float = 0.0  # towards transparency: × mean opacity
+    reference_views: float = 0.0  # `motion` and `opacity` are × this / number of training views; 0: they are as given
     opacity_views: float = 0.0  # one camera: `opacity` is weaker where more views than this share a lifetime; 0: never
     flow: float = 0.0  # towards the optical flow measured in videos: × mean error, image widths (flow_loss.py)
 

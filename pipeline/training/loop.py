@@ -19,6 +19,7 @@ from pipeline.data.training_views import TrainingViews
 from pipeline.model.model import Model
 from pipeline.training.density.refinement import RefinementViews, refine
 from pipeline.training.objective.losses import psnr
+from pipeline.training.objective.regularization import relative_to_data
 from pipeline.training.progress import TrainingProgress
 from pipeline.training.run_log import RunLog
 from pipeline.training.schedule import Phase
@@ -80,6 +81,10 @@ def train(
     state = start(model, scene, cfg, run, start_iteration, start_seconds)
     flows = FlowTargets(scene) if cfg.train.regularization.flow > 0 and state.model.kind.motion == "full" else None
     depths = _depths(scene, cfg)
+    regularization = relative_to_data(cfg.train.regularization, scene)
+    if state.iteration == start_iteration:
+        weights = {"motion": regularization.motion, "opacity": regularization.opacity}
+        run.log({"event": "regularization", "iteration": start_iteration, **weights})
     views, refinement_views = TrainingViews(scene.train, flows, depths), RefinementViews.of(scene)
 
     with TrainingProgress(state.iteration, cfg.train.iterations, cfg.train.time_budget_s) as progress:
@@ -87,7 +92,7 @@ def train(
         while not finished:
             phase = state.begin_iteration(scene, cfg)
             batch = render_batch(state, draw_batch(state, views, phase, scene, cfg), phase, scene, cfg)
-            optimiser_step(state, batch, phase, scene, cfg)
+            optimiser_step(state, batch, phase, scene, regularization)
             for event in refine(state, phase, refinement_views, scene, cfg):
                 run.log(event)
 

@@ -12,6 +12,7 @@ from datasets.composition import Color
 from datasets.scene import Scene
 from pipeline.config.random_streams import Stream, stream
 from pipeline.config.schema import Config
+from pipeline.config.train_schema import RegularizationConfig
 from pipeline.data.training_views import Target, TrainingViews
 from pipeline.model.model import Model
 from pipeline.model.render import Rendered, backward, render
@@ -185,8 +186,10 @@ def render_batch(state: TrainState, drawn: Sequence[DrawnView], phase: Phase, sc
     return batch
 
 
-def optimiser_step(state: TrainState, batch: Batch, phase: Phase, scene: Scene, cfg: Config) -> None:
-    """Add the gradients of the regularization and do one step of Adam."""
-    add_regularization_gradients(state.gradients, state.model, cfg.train.regularization, scene)
+def optimiser_step(
+    state: TrainState, batch: Batch, phase: Phase, scene: Scene, regularization: RegularizationConfig
+) -> None:
+    """Add the gradients of the regularization and do one step of Adam. regularization: of `relative_to_data`."""
+    add_regularization_gradients(state.gradients, state.model, regularization, scene)
     rows = trainable_rows(state.model, phase.sphere, batch.visible)
     state.optimiser.step(state.gradients, phase.lr, rows, batch.d_environment_map)

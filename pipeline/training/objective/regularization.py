@@ -6,16 +6,32 @@ its depth and velocity are arbitrary. An infinite `motion` weight is no_4drot. N
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
 from datasets.scene import Scene
 from pipeline.config.train_schema import RegularizationConfig
+from pipeline.data.covered_share import covered_share
 from pipeline.model.model import Model
 from rasterizer import Gradients
 
 TILT_SOFTENING = 1e-3  # radians: smooths the norm at zero tilt
+
+
+def relative_to_data(cfg: RegularizationConfig, scene: Scene) -> RegularizationConfig:
+    """`cfg` with its weights on motion and opacity in proportion to what the training views determine.
+
+    The photometric loss is a mean over all pixels and over the views. Pixels of the background's colour add nothing to
+    it: where the scene covers a tenth of the images, a Gaussian's share of the loss is a tenth. The weights are
+    multiplied by the covered share, and by reference_views / number of training views unless reference_views is 0.
+    """
+    factor = covered_share(scene.train, scene.background)
+    if cfg.reference_views > 0:
+        factor *= cfg.reference_views / len(scene.train)
+    return replace(cfg, motion=cfg.motion * factor, opacity=cfg.opacity * factor)
 
 
 def add_regularization_gradients(gradients: Gradients, model: Model, cfg: RegularizationConfig, scene: Scene) -> None:

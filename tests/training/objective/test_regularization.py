@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 from builders import random_gaussians
@@ -15,6 +16,7 @@ from pipeline.training.objective.regularization import (
     TILT_SOFTENING,
     add_regularization_gradients,
     opacity_weight,
+    relative_to_data,
     tilt,
 )
 from rasterizer import Gradients
@@ -67,6 +69,28 @@ def test_the_opacity_weight_is_1_for_dynamic_scenes_with_several_cameras():
     twice, cfg = replace(SCENE, train=SCENE.train + SCENE.train), RegularizationConfig(opacity=1.0, opacity_views=20.0)
     assert twice.train_times == SCENE.train_times and len(twice.train) == 2 * len(twice.train_times)
     assert opacity_weight(model(), cfg, twice) == 1.0
+
+
+def test_weights_follow_the_covered_share_and_the_number_of_views():
+    """tiny_scene's disc has a radius of 6 of 32 pixels; 51 views instead of 100."""
+    cfg = RegularizationConfig(motion=0.5, opacity=2.0, opacity_views=7.0, flow=3.0)
+    red = np.stack([np.asarray(view.image)[..., 0] for view in SCENE.train])
+    share = np.count_nonzero(red) / red.size
+    assert share == pytest.approx(np.pi * 36 / 32**2, rel=0.05)  # the pixels whose centre is in the disc, not its area
+    found = relative_to_data(cfg, SCENE)
+    assert (found.motion, found.opacity) == pytest.approx((0.5 * share, 2.0 * share))
+    assert replace(found, motion=0.5, opacity=2.0) == cfg  # nothing else changes
+    found = relative_to_data(replace(cfg, reference_views=100.0), SCENE)
+    assert (found.motion, found.opacity) == pytest.approx((0.5 * share * 100 / 51, 2.0 * share * 100 / 51))
+
+
+def test_empty_background_takes_no_part_in_the_balance_of_loss_and_regularization():
+    """Images with a border of background, twice as wide and high: a quarter of the weight beside a quarter of the
+    loss, which is a mean over all pixels."""
+    framed = tuple(replace(view, image=np.pad(view.image, ((16, 16), (16, 16), (0, 0)))) for view in SCENE.train)
+    cfg = RegularizationConfig(motion=1.0, opacity=1.0)
+    whole, part = relative_to_data(cfg, SCENE), relative_to_data(cfg, replace(SCENE, train=framed))
+    assert (part.motion, part.opacity) == pytest.approx((whole.motion / 4, whole.opacity / 4))
 
 
 def test_tilt_is_twice_the_sine_of_half_the_angle_of_the_time_axis():
