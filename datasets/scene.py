@@ -122,6 +122,11 @@ class Scene:
         return len(self.train) >= 2 * len(self.train_times)
 
     @property
+    def is_clip(self) -> bool:
+        """Whether one camera filmed it in order: neighbouring images are nearly the same view."""
+        return self.playback_rate is not None and not self.several_cameras
+
+    @property
     def is_static(self) -> bool:
         """True if every view has the same time: the model then has no time axis."""
         return len({view.time for view in self.train + self.test}) <= 1

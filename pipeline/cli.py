@@ -20,6 +20,7 @@ from rich.console import Console
 from rich.table import Table
 
 from pipeline.config.compose import CONFIG_DIR, one_line, options, quote_paths, register_schema, to_config
+from pipeline.config.scene_overrides import without_given
 from pipeline.config.schema import Config
 from pipeline.config.sweep_plan import one_per_experiment, planned_work
 from pipeline.terminal import sweep_progress
@@ -99,7 +100,7 @@ def run_one(composed: DictConfig) -> None:
     sweep_progress.current = None
     try:
         sweep_progress.current = sweep = SweepRun.joined(composed.out, composed.train.iterations)
-        cfg = to_config(composed)
+        cfg = to_config(without_given(composed, job.overrides.task))
         _hint_at_settings(cfg, job.runtime.choices.get("scene"))
         import torch  # these two late: a typo on the command line need not wait for them
 

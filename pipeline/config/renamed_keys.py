@@ -43,6 +43,7 @@ ADDED: dict[str, Any] = {
     "train.cubemap_resolution": 128,
     "train.select_motion": 0.0,
     "train.film_overrides": None,
+    "train.clip_overrides": None,
 }
 _OVERRIDES = "train.static_overrides."  # holds keys of `train`
 

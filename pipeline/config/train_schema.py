@@ -177,6 +177,8 @@ class TrainConfig:
     static_overrides: Optional[dict[str, Any]] = field(default_factory=dict)
     # Likewise for a scene that moves and that several cameras film; null once resolved
     film_overrides: Optional[dict[str, Any]] = field(default_factory=dict)
+    # Likewise for one that moves and that one camera films in order; null once resolved
+    clip_overrides: Optional[dict[str, Any]] = field(default_factory=dict)
     eval_every: int = 500  # iterations between evaluations on held-out views
     eval_views: int = 30  # held-out views of such an evaluation, evenly spread; the final evaluation takes all
     checkpoint_every: int = 1000  # iterations between checkpoints

@@ -26,4 +26,6 @@ def overrides_for(scene: Scene, cfg: Config) -> str | None:
     """Which of the schedule's overrides apply to a model of `scene`; None: none."""
     if kind_of(scene, cfg).motion == "static":
         return "static_overrides"
-    return "film_overrides" if scene.several_cameras else None
+    if scene.several_cameras:
+        return "film_overrides"
+    return "clip_overrides" if scene.is_clip else None

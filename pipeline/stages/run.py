@@ -41,6 +41,7 @@ STAGES = (
     Stage("evaluate", evaluate_model, ("metrics", "per_image", "renders")),
     Stage("view", write_page, ("viewer",)),
 )
+KINDS = {"static_overrides": "static scene", "film_overrides": "several cameras", "clip_overrides": "clip by one camera"}
 NOTHING_KEPT = "nothing of the run was saved yet; the same command starts it anew"
 
 
@@ -64,8 +65,7 @@ def run(cfg: Config, overrides: Sequence[str], log: Log) -> dict:
         log(training_minutes(cfg, data.scene))
     group = overrides_for(data.scene, cfg)
     if group and with_overrides(cfg, None).train != with_overrides(unresolved, None).train:
-        kind = "static scene" if group == "static_overrides" else "several cameras"
-        log(f"{kind}: trained with train.{group}, whose keys count instead of those of train")
+        log(f"{KINDS[group]}: trained with train.{group}, whose keys count instead of the schedule's")
 
     with RunFolder(path, asdict(cfg), cfg.resume, lambda stored: _resolved_tree(stored, data.scene)) as folder:
         inputs = stage_inputs(cfg, data)

@@ -8,9 +8,11 @@ import pytest
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 from tiny import tiny_scene
+from tiny_film import tiny_film
 
 from datasets.settings import SceneConfig
 from pipeline.config.compose import CONFIG_DIR, one_line, register_schema, to_config
+from pipeline.config.scene_overrides import without_given
 from pipeline.config.schema import AblationConfig, Config
 from pipeline.config.train_schema import ResolutionStep, TrainConfig
 from pipeline.model.scene_settings import resolved
@@ -32,13 +34,13 @@ def test_they_are_put_in_where_nothing_moves() -> None:
     assert found.resolution_steps == [ResolutionStep(0.5, 0.5)]  # a whole list, not its items
     plain = config().train
     back = replace(found, init_points=None, lr=plain.lr, resolution_steps=[])
-    assert back == replace(plain, static_overrides=None, film_overrides=None)  # and nothing else
+    assert back == replace(plain, static_overrides=None, film_overrides=None, clip_overrides=None)  # and nothing else
 
 
 def test_nor_where_something_moves_or_the_schedule_has_none() -> None:
     for scene, cfg in ((tiny_scene(), config()), (tiny_scene(static=True), config(None))):
         black = replace(BLACK, background=[0.0, 0.0, 0.0])
-        plain = replace(cfg.train, static_overrides=None, film_overrides=None)
+        plain = replace(cfg.train, static_overrides=None, film_overrides=None, clip_overrides=None)
         assert resolved(cfg, scene) == replace(cfg, scene=black, train=plain)
 
 
@@ -49,6 +51,14 @@ def test_films_have_their_own() -> None:
     assert (resolved(cfg, one).train.regularization.motion, resolved(cfg, film).train.regularization.motion) == (0, 0.5)
     static = replace(tiny_scene(static=True), train=tiny_scene(static=True).train * 2)
     assert resolved(cfg, static).train.regularization.motion == 0
+
+
+def test_and_clips_by_one_camera() -> None:
+    one, film = tiny_scene(), tiny_film()
+    clip = replace(one, playback_rate=10.0)
+    cfg = Config(scene=BLACK, train=TrainConfig(iterations=40, clip_overrides={"dropout": 0.25}))
+    found = [resolved(cfg, scene).train.dropout for scene in (one, clip, film, replace(film, playback_rate=10.0))]
+    assert found == [0, 0.25, 0, 0]
 
 
 def test_a_model_that_selection_makes_static_has_the_static_ones() -> None:
@@ -105,3 +115,28 @@ def test_an_added_one_counts() -> None:
         cfg = to_config(compose("config", ["scene=synthetic/wheel", "train=fast", "+train.static_overrides.batch=2"]))
     assert resolved(cfg, tiny_scene(static=True)).train.batch == 2
     assert OmegaConf.structured(cfg).train.batch == resolved(cfg, tiny_scene()).train.batch == 4
+
+
+def test_what_the_command_line_gives_counts_on_every_kind_of_scene() -> None:
+    one, static = tiny_scene(), tiny_scene(static=True)
+    film = replace(one, train=one.train + one.train)
+    arguments = ["scene=synthetic/wheel", "train=fast", "train.regularization.opacity=0.5", "train.lr={sh_rest: 0.25}"]
+    register_schema()
+    with initialize_config_dir(str(CONFIG_DIR), version_base=None):
+        composed = compose("config", arguments)
+    usual, given = to_config(composed), to_config(without_given(composed, arguments))
+    for scene in (one, film, static):
+        train = resolved(given, scene).train
+        assert (train.regularization.opacity, train.lr.sh_rest) == (0.5, 0.25)
+        # nothing else changes
+        expected = resolved(usual, scene).train
+        lr, regularization = replace(expected.lr, sh_rest=0.25), replace(expected.regularization, opacity=0.5)
+        assert train == replace(expected, lr=lr, regularization=regularization)
+
+
+def test_an_override_of_a_kind_of_scene_on_the_command_line_stays() -> None:
+    arguments = ["scene=synthetic/wheel", "train=fast", "train.static_overrides.init_points=7"]
+    register_schema()
+    with initialize_config_dir(str(CONFIG_DIR), version_base=None):
+        composed = compose("config", arguments)
+    assert resolved(to_config(without_given(composed, arguments)), tiny_scene(static=True)).train.init_points == 7
