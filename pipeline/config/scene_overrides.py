@@ -1,8 +1,9 @@
 """Overrides by the kind of scene: keys of a schedule with other values where nothing moves, in films and in clips.
 
 `train.static_overrides` holds those of static scenes, `train.film_overrides` those of moving scenes that several
-cameras film, `train.clip_overrides` those of moving scenes that one camera films in order. A run resolves its configuration once the scene is known (pipeline/model/scene_settings.py); its
-config.yaml holds the result. What the command line gives counts on scenes of every kind.
+cameras film, `train.clip_overrides` those of moving scenes that one camera films in order. A run resolves its
+configuration once the scene is known (pipeline/model/scene_settings.py); its config.yaml holds the result. What the
+command line gives counts on scenes of every kind.
 """
 
 from __future__ import annotations

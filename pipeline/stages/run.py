@@ -41,7 +41,11 @@ STAGES = (
     Stage("evaluate", evaluate_model, ("metrics", "per_image", "renders")),
     Stage("view", write_page, ("viewer",)),
 )
-KINDS = {"static_overrides": "static scene", "film_overrides": "several cameras", "clip_overrides": "clip by one camera"}
+KINDS = {
+    "static_overrides": "static scene",
+    "film_overrides": "several cameras",
+    "clip_overrides": "clip by one camera",
+}
 NOTHING_KEPT = "nothing of the run was saved yet; the same command starts it anew"
 
 
