@@ -30,6 +30,7 @@ REMOVED: dict[str, Any] = {
 ADDED: dict[str, Any] = {
     "train.regularization.flow": 0.0,
     "train.regularization.reference_views": 0.0,
+    "train.regularization.rigid": 0.0,
     "train.densify.error_points": 0,
     "train.densify.error_points_share": 1.0,
     "train.densify.error_points_every": 500,

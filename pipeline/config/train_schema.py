@@ -113,6 +113,7 @@ class RegularizationConfig:
     opacity: float = 0.0  # towards transparency: × mean opacity
     reference_views: float = 0.0  # `motion` and `opacity` are × this / number of training views; 0: they are as given
     opacity_views: float = 0.0  # one camera: `opacity` is weaker where more views than this share a lifetime; 0: never
+    rigid: float = 0.0  # towards neighbours that move alike: × rigid loss of one view in eight iterations
     flow: float = 0.0  # towards the optical flow measured in videos: × mean error, image widths (flow_loss.py)
 
     def __post_init__(self) -> None:

@@ -25,7 +25,7 @@ from pipeline.training.objective.flow_loss import flow_loss
 from pipeline.training.objective.losses import view_loss
 from pipeline.training.objective.random_background import over_random_background
 from pipeline.training.objective.regularization import add_regularization_gradients
-from pipeline.training.objective.rigid_loss import add_rigid_gradient
+from pipeline.training.objective.rigid_loss import RIGID_EVERY, RIGID_NEIGHBOURS, add_rigid_gradient
 from pipeline.training.schedule import Phase
 from pipeline.training.state import TrainState
 from rasterizer import Gradients, Request, ViewGradient
@@ -44,6 +44,7 @@ class DrawnView:
 class RenderedView:
     """Result of the forward and backward pass of one view."""
 
+    time: float
     loss: float
     image: Tensor  # (3, H, W)
     target: Tensor  # (3, H, W)
@@ -107,7 +108,7 @@ class Batch:
             gradient.mark_visible(self.visible, self._kernels.threads)
         self.loss += loss / self._size
         self.n_alive += rasterizer.alive / self._size
-        self.last = RenderedView(loss, rendered.image, target.image, gradient)
+        self.last = RenderedView(target.time, loss, rendered.image, target.image, gradient)
         return self.last
 
     def _also(self, target: Target) -> tuple[str, ...]:
@@ -191,5 +192,10 @@ def optimiser_step(
 ) -> None:
     """Add the gradients of the regularization and do one step of Adam. regularization: of `relative_to_data`."""
     add_regularization_gradients(state.gradients, state.model, regularization, scene)
+    if regularization.rigid > 0 and state.model.kind.motion == "full" and state.iteration % RIGID_EVERY == 0:
+        weight, time = RIGID_EVERY * regularization.rigid, batch.last.time
+        add_rigid_gradient(
+            state.gradients, state.model, time, scene.duration, weight, state.threads, RIGID_NEIGHBOURS
+        )
     rows = trainable_rows(state.model, phase.sphere, batch.visible)
     state.optimiser.step(state.gradients, phase.lr, rows, batch.d_environment_map)

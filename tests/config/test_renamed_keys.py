@@ -73,7 +73,7 @@ def test_a_removed_key_is_dropped_where_it_changed_nothing_and_else_refused() ->
         assert f"{key}: was removed" in one_line(error.value)
 
 
-@pytest.mark.parametrize("name", ["flow"])
+@pytest.mark.parametrize("name", ["flow", "reference_views", "rigid"])
 def test_an_added_key_is_part_of_the_hashes_of_stages_only_where_it_changes_something(name: str) -> None:
     nothing = ADDED[f"train.regularization.{name}"]
     assert getattr(RegularizationConfig(), name) == nothing

@@ -14,7 +14,7 @@ from shell import FORKING
 from tiny import TinyRun, fake_evaluate, tiny_config, tiny_scene, train_in_process, train_tiny
 
 from pipeline.config.schema import AblationConfig
-from pipeline.config.train_schema import ResolutionStep
+from pipeline.config.train_schema import RegularizationConfig, ResolutionStep
 from pipeline.model.initialise import initialise
 from pipeline.model.model import Model
 from pipeline.training import checkpoint, finite_checks, loop, step
@@ -194,6 +194,7 @@ def test_without_moments_a_run_cannot_be_continued(tmp_path) -> None:
         {"resolution_steps": [ResolutionStep(0.5, 0.5)]},
         {"resolution_scale": 0.5},
         {"rigid_weight": 1.0},
+        {"regularization": RegularizationConfig(rigid=1.0)},
     ],
 )
 def test_every_option_runs(tmp_path, keys: dict) -> None:

@@ -1,7 +1,9 @@
-"""The rigid loss of the released program, not of the paper; train=release uses it for one scene, D-NeRF's lego.
+"""The rigid loss: differences between the velocities of neighbouring Gaussians.
 
-It penalises differences between the velocities of neighbouring Gaussians, and needs a k-nearest-neighbour search per
-view. It applies to models with 4D rotation only, because no others move.
+It is the released program's, not the paper's. `train.rigid_weight` has it as there, for every training view;
+train=release uses that for one scene, D-NeRF's lego. `train.regularization.rigid` has it for one view in RIGID_EVERY
+iterations and with fewer neighbours, which takes a twentieth of the time. It applies to models with 4D rotation only,
+because no others move.
 """
 
 from __future__ import annotations
@@ -19,6 +21,11 @@ FALLOFF = 100.0  # weight exp(-100 d²), d in world units: 1/e at 0.1
 MIN_MARGINAL = 0.7  # only Gaussians with temporal marginal p(t) above this
 # Velocities are displacements per this fraction of the duration; the release uses 0.1 with D-NeRF's duration of 1.
 VELOCITY_STEP = 0.1
+# Of `train.regularization.rigid`.
+RIGID_EVERY = 8  # iterations
+RIGID_NEIGHBOURS = 8
+
+FIELDS = ("mean", "log_scale", "quat_left", "quat_right")
 
 
 def rigid_loss(
@@ -29,45 +36,72 @@ def rigid_loss(
     time: float,
     duration: float,
     threads: int = 1,
+    neighbours: int = NEIGHBOURS,
 ) -> Tensor:
     """Mean of exp(-100 d²) |u_i - u_j| over the Gaussians i with p(t) > MIN_MARGINAL and their neighbours j; scalar.
 
     u = Σ_xyz,t / Σtt × 0.1 duration is the displacement of the conditional mean in a tenth of the duration
     (docs/method.md 1.1). d is the distance at `time`, constant in the gradient. All four tensors are (N, 4).
     """
-    rotation = rotation_4d(quat_left, quat_right)
-    axes = rotation * log_scale.exp()[:, None, :]  # M = R diag(s)
+    moving = _moving_at(mean, log_scale, quat_left, quat_right, time)
+    return _loss_of(*(tensor[moving] for tensor in (mean, log_scale, quat_left, quat_right)), time, duration, threads, neighbours)
+
+
+def add_rigid_gradient(
+    gradients: Gradients,
+    model: Model,
+    time: float,
+    duration: float,
+    weight: float,
+    threads: int,
+    neighbours: int = NEIGHBOURS,
+) -> float:
+    """Add weight × ∂(rigid loss)/∂parameters to `gradients`, in place; returns weight × loss."""
+    parameters = [model.parameters[name] for name in FIELDS]
+    rows = _moving_at(*parameters, time).nonzero()[:, 0]
+    leaves = [tensor[rows].requires_grad_() for tensor in parameters]  # the others have no gradient
+    with torch.enable_grad():
+        loss = weight * _loss_of(*leaves, time, duration, threads, neighbours)
+    if not loss.requires_grad:
+        return 0.0
+    for name, grad in zip(FIELDS, torch.autograd.grad(loss, leaves, allow_unused=True)):
+        if grad is not None:
+            getattr(gradients, name).index_add_(0, rows, grad)
+    return loss.item()
+
+
+@torch.no_grad()
+def _moving_at(mean: Tensor, log_scale: Tensor, quat_left: Tensor, quat_right: Tensor, time: float) -> Tensor:
+    """(N,) bool: p(t) > MIN_MARGINAL."""
+    axes = rotation_4d(quat_left, quat_right)[:, 3] * log_scale.exp()  # the last row of M = R diag(s)
+    return torch.exp(-0.5 * (time - mean[:, 3]) ** 2 / (axes * axes).sum(dim=1)) > MIN_MARGINAL
+
+
+def _loss_of(
+    mean: Tensor,
+    log_scale: Tensor,
+    quat_left: Tensor,
+    quat_right: Tensor,
+    time: float,
+    duration: float,
+    threads: int,
+    neighbours: int,
+) -> Tensor:
+    """`rigid_loss` of Gaussians that all have p(t) > MIN_MARGINAL."""
+    if len(mean) < 2:
+        return mean.new_zeros(())
+    axes = rotation_4d(quat_left, quat_right) * log_scale.exp()[:, None, :]  # M = R diag(s)
     time_row = axes[:, 3]
     variance = (time_row * time_row).sum(dim=1)  # Σtt
-    elapsed = time - mean[:, 3]
-    alive = torch.exp(-0.5 * elapsed.detach() ** 2 / variance.detach()) > MIN_MARGINAL
-    if int(alive.sum()) < 2:
-        return mean.new_zeros(())
-    velocity = (axes[alive, :3] @ time_row[alive, :, None])[:, :, 0] / variance[alive, None]
-    position = (mean[alive, :3] + velocity * elapsed[alive, None]).detach()
+    velocity = (axes[:, :3] @ time_row[:, :, None])[:, :, 0] / variance[:, None]
+    position = (mean[:, :3] + velocity * (time - mean[:, 3:])).detach()
     step = velocity * (VELOCITY_STEP * duration)
 
     points = position.double().numpy()
-    count = min(NEIGHBOURS, len(points) - 1)
+    count = min(neighbours, len(points) - 1)
     distance, index = cKDTree(points).query(points, k=count + 1, workers=threads)
     weight = torch.exp(-FALLOFF * torch.from_numpy(distance[:, 1:]).to(mean.dtype) ** 2)  # column 0 is the point itself
     difference = step[torch.from_numpy(index[:, 1:])] - step[:, None]
     # The gradient of a square root is infinite at 0, and unrotated Gaussians all have velocity 0.
     relative_speed = torch.sqrt((difference**2).sum(dim=2) + 1e-20)
     return (weight * relative_speed).mean()
-
-
-def add_rigid_gradient(
-    gradients: Gradients, model: Model, time: float, duration: float, weight: float, threads: int
-) -> float:
-    """Add weight × ∂(rigid loss)/∂parameters to `gradients`, in place; returns weight × loss."""
-    names = ("mean", "log_scale", "quat_left", "quat_right")
-    leaves = {name: model.parameters[name].detach().requires_grad_() for name in names}
-    with torch.enable_grad():
-        loss = weight * rigid_loss(**leaves, time=time, duration=duration, threads=threads)
-    if not loss.requires_grad:
-        return 0.0
-    for name, grad in zip(names, torch.autograd.grad(loss, list(leaves.values()), allow_unused=True)):
-        if grad is not None:
-            getattr(gradients, name).add_(grad)
-    return loss.item()

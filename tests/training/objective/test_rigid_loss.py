@@ -8,7 +8,18 @@ import pytest
 import torch
 from builders import random_gaussians
 
-from pipeline.training.objective.rigid_loss import FALLOFF, MIN_MARGINAL, NEIGHBOURS, VELOCITY_STEP, rigid_loss
+from pipeline.model.model import Model
+from pipeline.training.objective.rigid_loss import (
+    FALLOFF,
+    FIELDS,
+    MIN_MARGINAL,
+    NEIGHBOURS,
+    RIGID_NEIGHBOURS,
+    VELOCITY_STEP,
+    add_rigid_gradient,
+    rigid_loss,
+)
+from rasterizer import Gradients
 from rasterizer.covariance import rotation_4d
 
 TIME, DURATION = 0.4, 1.0
@@ -20,7 +31,7 @@ def tensors() -> dict[str, torch.Tensor]:
     return {name: getattr(gaussians, name) for name in ("mean", "log_scale", "quat_left", "quat_right")}
 
 
-def naive(mean, log_scale, quat_left, quat_right) -> torch.Tensor:
+def naive(mean, log_scale, quat_left, quat_right, neighbours=NEIGHBOURS) -> torch.Tensor:
     """With the full Σ, and the distances of all pairs."""
     rotation = rotation_4d(quat_left, quat_right)
     covariance = rotation @ torch.diag_embed((2 * log_scale).exp()) @ rotation.transpose(1, 2)
@@ -33,7 +44,7 @@ def naive(mean, log_scale, quat_left, quat_right) -> torch.Tensor:
     for position, step in moving:
         others = [(float((position - p).norm()), s) for p, s in moving if p is not position]
         others.sort(key=lambda pair: pair[0])
-        terms += [math.exp(-FALLOFF * d**2) * (s - step).norm() for d, s in others[:NEIGHBOURS]]
+        terms += [math.exp(-FALLOFF * d**2) * (s - step).norm() for d, s in others[:neighbours]]
     return torch.stack(terms).mean()
 
 
@@ -49,6 +60,24 @@ def test_the_gradient_equals_that_of_the_definition(tensors):
     naive(**truth).backward()
     for name in ("log_scale", "quat_left", "quat_right"):  # the mean enters only through detached positions and p(t)
         torch.testing.assert_close(ours[name].grad, truth[name].grad, rtol=1e-7, atol=1e-12)
+
+
+@pytest.mark.parametrize("neighbours", [NEIGHBOURS, RIGID_NEIGHBOURS])
+def test_it_is_added_to_the_gradients_with_its_weight(tensors, neighbours):
+    gaussians = random_gaussians(60, "full", torch.Generator().manual_seed(7))
+    model = Model.from_gaussians(type(gaussians)(**{name: t.float() for name, t in gaussians.tensors().items()}))
+    gradients = Gradients.zeros_like(model.gaussians())
+    gradients.quat_left.fill_(0.5)
+    loss = add_rigid_gradient(gradients, model, TIME, DURATION, 3.0, threads=1, neighbours=neighbours)
+    truth = {name: t.clone().requires_grad_() for name, t in tensors.items()}
+    expected = 3 * naive(**truth, neighbours=neighbours)
+    expected.backward()
+    # float32 against float64: errors of 6e-8 of the largest velocity, whose differences are as large as it
+    assert loss == pytest.approx(expected.item(), rel=1e-5)
+    for name in FIELDS:
+        grad = torch.zeros_like(truth[name]) if truth[name].grad is None else truth[name].grad
+        mine = getattr(gradients, name).double() - (0.5 if name == "quat_left" else 0.0)
+        torch.testing.assert_close(mine, grad, rtol=1e-4, atol=1e-5 * float(grad.abs().max()) + 1e-7)
 
 
 def test_equal_velocities_have_no_loss(tensors):
