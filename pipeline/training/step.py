@@ -194,8 +194,6 @@ def optimiser_step(
     add_regularization_gradients(state.gradients, state.model, regularization, scene)
     if regularization.rigid > 0 and state.model.kind.motion == "full" and state.iteration % RIGID_EVERY == 0:
         weight, time = RIGID_EVERY * regularization.rigid, batch.last.time
-        add_rigid_gradient(
-            state.gradients, state.model, time, scene.duration, weight, state.threads, RIGID_NEIGHBOURS
-        )
+        add_rigid_gradient(state.gradients, state.model, time, scene.duration, weight, state.threads, RIGID_NEIGHBOURS)
     rows = trainable_rows(state.model, phase.sphere, batch.visible)
     state.optimiser.step(state.gradients, phase.lr, rows, batch.d_environment_map)

@@ -2,7 +2,7 @@
 
 It is the released program's, not the paper's. `train.rigid_weight` has it as there, for every training view;
 train=release uses that for one scene, D-NeRF's lego. `train.regularization.rigid` has it for one view in RIGID_EVERY
-iterations and with fewer neighbours, which takes a twentieth of the time. It applies to models with 4D rotation only,
+iterations and with fewer neighbours, which takes a fortieth of the time. It applies to models with 4D rotation only,
 because no others move.
 """
 
@@ -25,7 +25,7 @@ VELOCITY_STEP = 0.1
 RIGID_EVERY = 8  # iterations
 RIGID_NEIGHBOURS = 8
 
-FIELDS = ("mean", "log_scale", "quat_left", "quat_right")
+FIELDS = ("mean", "log_scale", "quat_left", "quat_right")  # that the loss depends on
 
 
 def rigid_loss(
@@ -44,50 +44,7 @@ def rigid_loss(
     (docs/method.md 1.1). d is the distance at `time`, constant in the gradient. All four tensors are (N, 4).
     """
     moving = _moving_at(mean, log_scale, quat_left, quat_right, time)
-    return _loss_of(*(tensor[moving] for tensor in (mean, log_scale, quat_left, quat_right)), time, duration, threads, neighbours)
-
-
-def add_rigid_gradient(
-    gradients: Gradients,
-    model: Model,
-    time: float,
-    duration: float,
-    weight: float,
-    threads: int,
-    neighbours: int = NEIGHBOURS,
-) -> float:
-    """Add weight × ∂(rigid loss)/∂parameters to `gradients`, in place; returns weight × loss."""
-    parameters = [model.parameters[name] for name in FIELDS]
-    rows = _moving_at(*parameters, time).nonzero()[:, 0]
-    leaves = [tensor[rows].requires_grad_() for tensor in parameters]  # the others have no gradient
-    with torch.enable_grad():
-        loss = weight * _loss_of(*leaves, time, duration, threads, neighbours)
-    if not loss.requires_grad:
-        return 0.0
-    for name, grad in zip(FIELDS, torch.autograd.grad(loss, leaves, allow_unused=True)):
-        if grad is not None:
-            getattr(gradients, name).index_add_(0, rows, grad)
-    return loss.item()
-
-
-@torch.no_grad()
-def _moving_at(mean: Tensor, log_scale: Tensor, quat_left: Tensor, quat_right: Tensor, time: float) -> Tensor:
-    """(N,) bool: p(t) > MIN_MARGINAL."""
-    axes = rotation_4d(quat_left, quat_right)[:, 3] * log_scale.exp()  # the last row of M = R diag(s)
-    return torch.exp(-0.5 * (time - mean[:, 3]) ** 2 / (axes * axes).sum(dim=1)) > MIN_MARGINAL
-
-
-def _loss_of(
-    mean: Tensor,
-    log_scale: Tensor,
-    quat_left: Tensor,
-    quat_right: Tensor,
-    time: float,
-    duration: float,
-    threads: int,
-    neighbours: int,
-) -> Tensor:
-    """`rigid_loss` of Gaussians that all have p(t) > MIN_MARGINAL."""
+    mean, log_scale, quat_left, quat_right = (t[moving] for t in (mean, log_scale, quat_left, quat_right))
     if len(mean) < 2:
         return mean.new_zeros(())
     axes = rotation_4d(quat_left, quat_right) * log_scale.exp()[:, None, :]  # M = R diag(s)
@@ -105,3 +62,31 @@ def _loss_of(
     # The gradient of a square root is infinite at 0, and unrotated Gaussians all have velocity 0.
     relative_speed = torch.sqrt((difference**2).sum(dim=2) + 1e-20)
     return (weight * relative_speed).mean()
+
+
+@torch.no_grad()
+def _moving_at(mean: Tensor, log_scale: Tensor, quat_left: Tensor, quat_right: Tensor, time: float) -> Tensor:
+    """(N,) bool: p(t) > MIN_MARGINAL. Most are not, and need no gradient."""
+    axes = rotation_4d(quat_left, quat_right)[:, 3] * log_scale.exp()  # the last row of M = R diag(s)
+    return torch.exp(-0.5 * (time - mean[:, 3]) ** 2 / (axes * axes).sum(dim=1)) > MIN_MARGINAL
+
+
+def add_rigid_gradient(
+    gradients: Gradients,
+    model: Model,
+    time: float,
+    duration: float,
+    weight: float,
+    threads: int,
+    neighbours: int = NEIGHBOURS,
+) -> float:
+    """Add weight × ∂(rigid loss)/∂parameters to `gradients`, in place; returns weight × loss."""
+    leaves = {name: model.parameters[name].detach().requires_grad_() for name in FIELDS}
+    with torch.enable_grad():
+        loss = weight * rigid_loss(**leaves, time=time, duration=duration, threads=threads, neighbours=neighbours)
+    if not loss.requires_grad:
+        return 0.0
+    for name, grad in zip(FIELDS, torch.autograd.grad(loss, list(leaves.values()), allow_unused=True)):
+        if grad is not None:
+            getattr(gradients, name).add_(grad)
+    return loss.item()
