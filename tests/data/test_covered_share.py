@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from tiny import tiny_scene
 
-from pipeline.data.covered_share import TOLERANCE, covered_share
+from datasets.composition import BORDER_TOLERANCE
+from pipeline.data.covered_share import covered_share
 
 VIEW = tiny_scene().train[0]
 GREY = (0.5, 0.5, 0.5)  # 127.5 of 255
@@ -30,7 +31,7 @@ def test_a_pixel_counts_if_one_channel_differs():
 
 
 def test_compression_artefacts_of_the_background_do_not_count():
-    noise = np.random.default_rng(0).integers(-TOLERANCE + 1, TOLERANCE, (10, 20, 3))
+    noise = np.random.default_rng(0).integers(-BORDER_TOLERANCE + 1, BORDER_TOLERANCE, (10, 20, 3))
     image = (plain().astype(int) + noise).astype(np.uint8)
     image[0] = 255  # 20 of 200 pixels
     assert of(image) == 0.1
