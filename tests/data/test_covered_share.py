@@ -30,6 +30,12 @@ def test_a_pixel_counts_if_one_channel_differs():
     assert of(image, plain(), background=GREY) == 0.125  # the mean over the views
 
 
+def test_pixels_that_a_mask_leaves_out_do_not_count():
+    mask = np.ones((10, 20), bool)
+    mask[:, :5] = False  # a quarter
+    assert covered_share([replace(VIEW, image=plain(0), mask=mask)], GREY) == 0.75
+
+
 def test_compression_artefacts_of_the_background_do_not_count():
     noise = np.random.default_rng(0).integers(-BORDER_TOLERANCE + 1, BORDER_TOLERANCE, (10, 20, 3))
     image = (plain().astype(int) + noise).astype(np.uint8)

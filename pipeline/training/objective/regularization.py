@@ -28,6 +28,8 @@ def relative_to_data(cfg: RegularizationConfig, scene: Scene) -> RegularizationC
     it: where the scene covers a tenth of the images, a Gaussian's share of the loss is a tenth. The weights are
     multiplied by the covered share, and by reference_views / number of training views unless reference_views is 0.
     """
+    if cfg.motion == cfg.opacity == 0:
+        return cfg  # without reading the images
     factor = covered_share(scene.train, scene.background)
     if cfg.reference_views > 0:
         factor *= cfg.reference_views / len(scene.train)
