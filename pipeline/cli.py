@@ -23,7 +23,7 @@ from pipeline.config.compose import CONFIG_DIR, one_line, options, quote_paths, 
 from pipeline.config.scene_overrides import without_given
 from pipeline.config.schema import Config
 from pipeline.config.sweep_plan import one_per_experiment, planned_work
-from pipeline.terminal import sweep_progress
+from pipeline.terminal import interruption, sweep_progress
 from pipeline.terminal.closed_pipe import quiet_on_closed_pipe
 from pipeline.terminal.help_page import help_page
 from pipeline.terminal.sweep_progress import SweepRun
@@ -73,6 +73,7 @@ def main() -> None:
     register_schema()
     commands = one_per_experiment(quote_paths(sys.argv[1:]))
     failed = False
+    interruption.watch()
     try:
         with sweep_progress.sweep(planned_work(commands)):
             for command in commands:

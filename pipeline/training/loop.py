@@ -17,6 +17,7 @@ from pipeline.data.optical_flow import FlowTargets
 from pipeline.data.sfm.depth_targets import PointDepths
 from pipeline.data.training_views import TrainingViews
 from pipeline.model.model import Model
+from pipeline.terminal import interruption
 from pipeline.training.density.refinement import RefinementViews, refine
 from pipeline.training.objective.losses import psnr
 from pipeline.training.objective.regularization import relative_to_data
@@ -106,6 +107,7 @@ def train(
                 _evaluate(state, phase, evaluate_fn, progress, run, finished)
             if finished or state.iteration % cfg.train.checkpoint_every == 0:
                 save(state, run, keep_moments=cfg.train.checkpoint_keep_moments or not finished)
+            interruption.raise_if_lost()
     return TrainResult(
         state.model, state.iteration, state.stopwatch.seconds, state.best, state.best_model, state.optimiser.bytes
     )
