@@ -113,11 +113,15 @@ class RegularizationConfig:
     opacity: float = 0.0  # towards transparency: × mean opacity
     reference_views: float = 0.0  # `motion` and `opacity` are × this / number of training views; 0: they are as given
     opacity_views: float = 0.0  # one camera: `opacity` is weaker where more views than this share a lifetime; 0: never
-    rigid: float = 0.0  # towards neighbours that move alike: × rigid loss of one view in eight iterations
+    rigid: float = 0.0  # towards neighbours that move alike: × the release's rigid loss (rigid_loss.py)
+    rigid_every: int = 1  # training views; the rigid loss is that of every such view, × this
+    rigid_neighbours: int = 20  # nearest Gaussians that a Gaussian is compared with
     flow: float = 0.0  # towards the optical flow measured in videos: × mean error, image widths (flow_loss.py)
 
     def __post_init__(self) -> None:
-        check("train.regularization", self, {f.name: at_least(0).but("0: none") for f in fields(self)})
+        counts = dict.fromkeys(("rigid_every", "rigid_neighbours"), positive_count())
+        weights = {f.name: at_least(0).but("0: none") for f in fields(self) if f.name not in counts}
+        check("train.regularization", self, weights | counts)
 
 
 @dataclass
@@ -146,7 +150,6 @@ class TrainConfig:
     resolution_steps: list[ResolutionStep] = field(default_factory=list)  # coarse to fine; empty: full size throughout
     time_budget_s: Optional[float] = None  # stop after so many training seconds
     ssim_weight: float = 0.2  # w of the loss (1 - w) L1 + w (1 - SSIM)
-    rigid_weight: float = 0.0  # of the release's rigid loss; 0: none
     regularization: RegularizationConfig = field(default_factory=RegularizationConfig)
     depth: DepthConfig = field(default_factory=DepthConfig)
     dropout: float = 0.0  # share of the Gaussians left out of each training view, at random; 0: none
@@ -208,7 +211,6 @@ class TrainConfig:
             "envmap_height": positive_count(2),
             "envmap_until": at_least(0),
             "cubemap_resolution": positive_count(),
-            "rigid_weight": at_least(0),
             "dropout": between("[0, 1)", 0, 1).but("0: none"),
             "sh_degree_every": at_least(0).but("0: all at once"),
             "fourier_at": Range("at most two iterations in ascending order",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -25,7 +25,7 @@ from pipeline.training.objective.flow_loss import flow_loss
 from pipeline.training.objective.losses import view_loss
 from pipeline.training.objective.random_background import over_random_background
 from pipeline.training.objective.regularization import add_regularization_gradients
-from pipeline.training.objective.rigid_loss import RIGID_EVERY, RIGID_NEIGHBOURS, add_rigid_gradient
+from pipeline.training.objective.rigid_loss import add_rigid_gradient
 from pipeline.training.schedule import Phase
 from pipeline.training.state import TrainState
 from rasterizer import Gradients, Request, ViewGradient
@@ -38,6 +38,7 @@ class DrawnView:
     target: Target
     background: Color  # that its image is composed over
     dropped: Tensor | None = None  # (N,) bool, Gaussians that are left out of it; None: none
+    rigid: bool = False  # whether the rigid loss takes this view's time
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,7 @@ class Batch:
         gradient = backward(
             rasterizer, model, rendered, value.d_image, gradients, self.d_environment_map, d_flow, d_alpha, d_depth
         )
-        if cfg.train.rigid_weight > 0 and self._model.kind.motion == "full":
+        if view.rigid:
             loss += self._add_rigid_gradient(target.time, gradients)
         if self.visible is not None:
             gradient.mark_visible(self.visible, self._kernels.threads)
@@ -144,9 +145,11 @@ class Batch:
         return alone
 
     def _add_rigid_gradient(self, time: float, gradients: Gradients) -> float:
-        weight = self._cfg.train.rigid_weight / self._size
-        share = add_rigid_gradient(gradients, self._model, time, self._scene.duration, weight, self._kernels.threads)
-        return self._size * share
+        cfg, threads = self._cfg.train.regularization, self._kernels.threads
+        weight = cfg.rigid * cfg.rigid_every / self._size  # as much as in every view
+        return self._size * add_rigid_gradient(
+            gradients, self._model, time, self._scene.duration, cfg.rigid_neighbours, weight, threads
+        )
 
 
 def draw_batch(state: TrainState, views: TrainingViews, phase: Phase, scene: Scene, cfg: Config) -> list[DrawnView]:
@@ -155,10 +158,15 @@ def draw_batch(state: TrainState, views: TrainingViews, phase: Phase, scene: Sce
     if cfg.train.random_background:
         rng = stream(cfg.seed, Stream.BACKGROUND, state.iteration)
         targets = [over_random_background(*target, rng) for target in targets]
-    if cfg.train.dropout == 0:
-        return [DrawnView(*target) for target in targets]
-    rng = stream(cfg.seed, Stream.DROPOUT, state.iteration)
-    return [DrawnView(*target, draw_dropped(len(state.model), cfg.train.dropout, rng)) for target in targets]
+    drawn, share = [DrawnView(*target) for target in targets], cfg.train.dropout
+    if share > 0:
+        rng = stream(cfg.seed, Stream.DROPOUT, state.iteration)
+        drawn = [replace(view, dropped=draw_dropped(len(state.model), share, rng)) for view in drawn]
+    rules = cfg.train.regularization
+    if rules.rigid > 0 and state.model.kind.motion == "full":
+        before = (state.iteration - 1) * cfg.train.batch  # training views
+        drawn = [replace(view, rigid=(before + i) % rules.rigid_every == 0) for i, view in enumerate(drawn, 1)]
+    return drawn
 
 
 def render_batch(state: TrainState, drawn: Sequence[DrawnView], phase: Phase, scene: Scene, cfg: Config) -> Batch:
@@ -192,8 +200,5 @@ def optimiser_step(
 ) -> None:
     """Add the gradients of the regularization and do one step of Adam. regularization: of `relative_to_data`."""
     add_regularization_gradients(state.gradients, state.model, regularization, scene)
-    if regularization.rigid > 0 and state.model.kind.motion == "full" and state.iteration % RIGID_EVERY == 0:
-        weight, time = RIGID_EVERY * regularization.rigid, batch.last.time
-        add_rigid_gradient(state.gradients, state.model, time, scene.duration, weight, state.threads, RIGID_NEIGHBOURS)
     rows = trainable_rows(state.model, phase.sphere, batch.visible)
     state.optimiser.step(state.gradients, phase.lr, rows, batch.d_environment_map)

@@ -182,7 +182,7 @@ def test_defaults_are_the_papers() -> None:
 def test_release_differs_from_scene_to_scene(scene: str, batch: int, points: int) -> None:
     train = config_of(f"scene=dnerf/{scene}", "train=release").train
     assert (train.batch, train.init_points) == (batch, points)
-    assert train.rigid_weight == (1.0 if scene == "lego" else 0.0)
+    assert train.regularization.rigid == (1.0 if scene == "lego" else 0.0)
     schedule = (train.iterations, train.lr.decay_iterations, train.densify.every, train.densify.stop)
     assert schedule == ((20_000, 15_000, 200, 10_000) if scene == "bouncingballs" else (30_000, 30_000, 100, 15_000))
     assert train.init_box == [-1.3, 1.3] and not train.densify.use_time_gradient

@@ -193,8 +193,8 @@ def test_without_moments_a_run_cannot_be_continued(tmp_path) -> None:
         {"batch": 1},
         {"resolution_steps": [ResolutionStep(0.5, 0.5)]},
         {"resolution_scale": 0.5},
-        {"rigid_weight": 1.0},
         {"regularization": RegularizationConfig(rigid=1.0)},
+        {"regularization": RegularizationConfig(rigid=1.0, rigid_every=3, rigid_neighbours=5)},
     ],
 )
 def test_every_option_runs(tmp_path, keys: dict) -> None:

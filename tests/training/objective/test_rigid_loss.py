@@ -13,8 +13,6 @@ from pipeline.training.objective.rigid_loss import (
     FALLOFF,
     FIELDS,
     MIN_MARGINAL,
-    NEIGHBOURS,
-    RIGID_NEIGHBOURS,
     VELOCITY_STEP,
     add_rigid_gradient,
     rigid_loss,
@@ -23,6 +21,7 @@ from rasterizer import Gradients
 from rasterizer.covariance import rotation_4d
 
 TIME, DURATION = 0.4, 1.0
+NEIGHBOURS = 20
 
 
 @pytest.fixture
@@ -50,25 +49,27 @@ def naive(mean, log_scale, quat_left, quat_right, neighbours=NEIGHBOURS) -> torc
 
 def test_the_loss_equals_its_definition(tensors):
     # Both in float64; 1e-20 under the root changes a speed of 1e-5 by 5e-16, and sums differ in order.
-    assert rigid_loss(*tensors.values(), TIME, DURATION).item() == pytest.approx(naive(**tensors).item(), rel=1e-9)
+    assert rigid_loss(*tensors.values(), TIME, DURATION, NEIGHBOURS).item() == pytest.approx(
+        naive(**tensors).item(), rel=1e-9
+    )
 
 
 def test_the_gradient_equals_that_of_the_definition(tensors):
     ours = {name: t.clone().requires_grad_() for name, t in tensors.items()}
     truth = {name: t.clone().requires_grad_() for name, t in tensors.items()}
-    rigid_loss(*ours.values(), TIME, DURATION).backward()
+    rigid_loss(*ours.values(), TIME, DURATION, NEIGHBOURS).backward()
     naive(**truth).backward()
     for name in ("log_scale", "quat_left", "quat_right"):  # the mean enters only through detached positions and p(t)
         torch.testing.assert_close(ours[name].grad, truth[name].grad, rtol=1e-7, atol=1e-12)
 
 
-@pytest.mark.parametrize("neighbours", [NEIGHBOURS, RIGID_NEIGHBOURS])
+@pytest.mark.parametrize("neighbours", [NEIGHBOURS, 8])
 def test_it_is_added_to_the_gradients_with_its_weight(tensors, neighbours):
     gaussians = random_gaussians(60, "full", torch.Generator().manual_seed(7))
     model = Model.from_gaussians(type(gaussians)(**{name: t.float() for name, t in gaussians.tensors().items()}))
     gradients = Gradients.zeros_like(model.gaussians())
     gradients.quat_left.fill_(0.5)
-    loss = add_rigid_gradient(gradients, model, TIME, DURATION, 3.0, threads=1, neighbours=neighbours)
+    loss = add_rigid_gradient(gradients, model, TIME, DURATION, neighbours, weight=3.0)
     truth = {name: t.clone().requires_grad_() for name, t in tensors.items()}
     expected = 3 * naive(**truth, neighbours=neighbours)
     expected.backward()
@@ -85,4 +86,4 @@ def test_equal_velocities_have_no_loss(tensors):
     mean = tensors["mean"][:30].clone()
     mean[:, 3] = TIME
     # 1e-10: the root of 1e-20, which keeps the gradient finite.
-    assert rigid_loss(mean, **same, time=TIME, duration=DURATION).item() <= 1.01e-10
+    assert rigid_loss(mean, **same, time=TIME, duration=DURATION, neighbours=NEIGHBOURS).item() <= 1.01e-10
