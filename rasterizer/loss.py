@@ -1,4 +1,4 @@
-"""The photometric loss of 3D Gaussian Splatting, L1 + D-SSIM, and its gradient, fused in C++."""
+"""The photometric loss of 3D Gaussian Splatting, L1 + D-SSIM, optionally with MSE, and its gradient, fused in C++."""
 
 from __future__ import annotations
 
@@ -14,19 +14,20 @@ from rasterizer.validation import dtype_name
 
 @dataclass(frozen=True)
 class LossValue:
-    """(1-λ) L1 + λ (1-SSIM) of an image against its target."""
+    """(1-λ) L1 + λ (1-SSIM) + μ MSE of an image against its target."""
 
     loss: float
     l1: float
     ssim: float
+    mse: float
     d_image: Tensor  # (3, H, W) share × ∂loss/∂image
 
 
-class L1Ssim:
-    """The loss as a callable, with a fixed λ (`ssim_weight`) and number of threads (0: all cores)."""
+class PhotometricLoss:
+    """The loss as a callable, with fixed λ (`ssim_weight`), μ (`mse_weight`) and number of threads (0: all cores)."""
 
-    def __init__(self, ssim_weight: float = 0.2, threads: int = 0) -> None:
-        self.ssim_weight = ssim_weight
+    def __init__(self, ssim_weight: float = 0.2, mse_weight: float = 0.0, threads: int = 0) -> None:
+        self.ssim_weight, self.mse_weight = ssim_weight, mse_weight
         self.threads = thread_count(threads)
 
     def __call__(self, image: Tensor, target: Tensor, share: float = 1.0) -> LossValue:
@@ -41,20 +42,22 @@ class L1Ssim:
                     f"{name} must be float32 {expected}, got {dtype_name(tensor.dtype)} {list(tensor.shape)}"
                 )
         d_image = torch.empty_like(image)
-        l1, ssim = kernel.l1_ssim(
+        l1, ssim, mse = kernel.photometric_loss(
             image=image.contiguous(),
             target=target.contiguous(),
             gradient=d_image,
             ssim_weight=self.ssim_weight,
+            mse_weight=self.mse_weight,
             share=share,
             threads=self.threads,
         )
-        return LossValue((1 - self.ssim_weight) * l1 + self.ssim_weight * (1 - ssim), l1, ssim, d_image)
+        loss = (1 - self.ssim_weight) * l1 + self.ssim_weight * (1 - ssim) + self.mse_weight * mse
+        return LossValue(loss, l1, ssim, mse, d_image)
 
 
-def l1_ssim(
-    image: Tensor, target: Tensor, ssim_weight: float = 0.2, threads: int = 0
+def photometric_loss(
+    image: Tensor, target: Tensor, ssim_weight: float = 0.2, mse_weight: float = 0.0, threads: int = 0
 ) -> tuple[float, float, float, Tensor]:
-    """(loss, l1, ssim, ∂loss/∂image) of one pair; see `L1Ssim`."""
-    value = L1Ssim(ssim_weight, threads)(image, target)
+    """(loss, l1, ssim, ∂loss/∂image) of one pair; see `PhotometricLoss`."""
+    value = PhotometricLoss(ssim_weight, mse_weight, threads)(image, target)
     return value.loss, value.l1, value.ssim, value.d_image

@@ -149,7 +149,8 @@ class TrainConfig:
     resolution_scale: float = 1.0  # × the size images were read at, throughout; evaluation too
     resolution_steps: list[ResolutionStep] = field(default_factory=list)  # coarse to fine; empty: full size throughout
     time_budget_s: Optional[float] = None  # stop after so many training seconds
-    ssim_weight: float = 0.2  # w of the loss (1 - w) L1 + w (1 - SSIM)
+    ssim_weight: float = 0.2  # w of the loss (1 - w) L1 + w (1 - SSIM) + mse_weight × MSE
+    mse_weight: float = 0.0  # PSNR is the logarithm of MSE; 3DGS and the paper have none
     regularization: RegularizationConfig = field(default_factory=RegularizationConfig)
     depth: DepthConfig = field(default_factory=DepthConfig)
     dropout: float = 0.0  # share of the Gaussians left out of each training view, at random; 0: none
@@ -196,6 +197,7 @@ class TrainConfig:
             "optimiser": one_of("adam", "sparse_adam"),
             "resolution_scale": between("(0, 1]", 0, 1),
             "ssim_weight": between("[0, 1]", 0, 1),
+            "mse_weight": at_least(0),
             "time_budget_s": above(0),
             "eval_every": positive_count(),
             "eval_views": positive_count(),

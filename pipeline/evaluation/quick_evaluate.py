@@ -15,7 +15,7 @@ from pipeline.evaluation.motion.moving_pixels import MovingPixels
 from pipeline.evaluation.renderer import Renderer
 from pipeline.model.model import Model
 from rasterizer import Rasterizer
-from rasterizer.loss import l1_ssim
+from rasterizer.loss import photometric_loss
 
 
 def quick_evaluate(
@@ -36,7 +36,9 @@ def quick_evaluate(
         for index in evenly_spaced(len(views), cfg.train.eval_views):
             target = target_of(views[index], cfg.train.resolution_scale)
             image = renderer.tensor(target.camera, target.time).clamp_(0.0, 1.0)
-            loss, _, ssim, _ = l1_ssim(image, target.image, cfg.train.ssim_weight, rasterizer.threads)
+            loss, _, ssim, _ = photometric_loss(
+                image, target.image, cfg.train.ssim_weight, cfg.train.mse_weight, rasterizer.threads
+            )
             rows.append({"psnr": psnr(image.numpy(), target.image.numpy()), "ssim": ssim, "test_loss": loss})
             if views is scene.test and (mask := moving.of(index)) is not None:
                 render, truth = (pixels.numpy().transpose(1, 2, 0) for pixels in (image, target.image))

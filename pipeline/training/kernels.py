@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from rasterizer import Rasterizer
-from rasterizer.loss import L1Ssim
+from rasterizer.loss import PhotometricLoss
 
 
 class Kernels:
     """Rasterizer and loss; their memory is reused for every view."""
 
-    def __init__(self, ssim_weight: float, threads: int) -> None:
+    def __init__(self, ssim_weight: float, mse_weight: float, threads: int) -> None:
         self.rasterizer = Rasterizer(threads=threads)
-        self.criterion = L1Ssim(ssim_weight, threads)
+        self.criterion = PhotometricLoss(ssim_weight, mse_weight, threads)
         self.threads = threads

@@ -100,7 +100,7 @@ def start(
         BatchSampler(scene.train, cfg.train.sampler, cfg.train.batch, stream(cfg.seed, Stream.BATCHES)),
         split_stream(cfg.seed),
         cfg.seed,
-        Kernels(cfg.train.ssim_weight, threads),
+        Kernels(cfg.train.ssim_weight, cfg.train.mse_weight, threads),
         Gradients.zeros_like(model.gaussians()),
         Stopwatch(start_seconds),
         iteration=start_iteration,

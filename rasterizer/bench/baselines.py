@@ -10,7 +10,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from rasterizer import Gaussians
-from rasterizer.loss import L1Ssim
+from rasterizer.loss import PhotometricLoss
 from rasterizer.reference import rasterize as reference_rasterize
 from rasterizer.timing.frame_time import Time, time_frame
 from rasterizer.timing.workloads import Workload
@@ -20,7 +20,7 @@ def time_loss(pixels: int, repeats: int) -> tuple[Time, Time]:
     """(kernel, torch): loss and gradient of an image of `pixels` × `pixels` on one thread, CPU time."""
     generator = torch.Generator().manual_seed(2)
     image, target = (torch.rand(3, pixels, pixels, generator=generator) for _ in range(2))
-    criterion = L1Ssim(threads=1)
+    criterion = PhotometricLoss(threads=1)
     leaf = image.clone().requires_grad_()
 
     def repeat(run: Callable[[], object], times: int) -> Time:

@@ -213,13 +213,14 @@ void mark_seen(Array<const int32_t> id, Array<uint8_t> seen, int threads) {
     splat::mark_seen(id.data(), static_cast<int64_t>(id.size()), seen.data(), threads);
 }
 
-std::tuple<double, double> l1_ssim(In image, In target, Out gradient, scalar ssim_weight, scalar share,
-                                   int threads, bool copy_background) {
+std::tuple<double, double, double> photometric_loss(In image, In target, Out gradient, scalar ssim_weight,
+                                                    scalar mse_weight, scalar share, int threads,
+                                                    bool copy_background) {
     const int height = static_cast<int>(image.shape(1)), width = static_cast<int>(image.shape(2));
     nb::gil_scoped_release release;
-    const auto value = splat::l1_ssim(image.data(), target.data(), width, height, ssim_weight, share,
-                                      gradient.data(), copy_background, threads);
-    return {value.l1, value.ssim};
+    const auto value = splat::photometric_loss(image.data(), target.data(), width, height, ssim_weight,
+                                               mse_weight, share, gradient.data(), copy_background, threads);
+    return {value.l1, value.ssim, value.mse};
 }
 
 }  // namespace
@@ -285,7 +286,7 @@ NB_MODULE(KERNEL_MODULE_NAME, m) {
         const splat::MachineThroughput rates = splat::measure_throughput();
         return std::tuple{rates.fma_per_second, rates.copy_bytes_per_second};
     });
-    m.def("l1_ssim", &l1_ssim, nb::arg("image"), nb::arg("target"), nb::arg("gradient"),
-          nb::arg("ssim_weight"), nb::arg("share"), nb::arg("threads"),
+    m.def("photometric_loss", &photometric_loss, nb::arg("image"), nb::arg("target"), nb::arg("gradient"),
+          nb::arg("ssim_weight"), nb::arg("mse_weight"), nb::arg("share"), nb::arg("threads"),
           nb::arg("copy_background") = true);  // false, for tests: every block is computed
 }

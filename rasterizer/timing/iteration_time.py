@@ -9,7 +9,7 @@ import torch
 from rasterizer.adam import adam_step, sh_adam_step
 from rasterizer.gaussians import Gaussians
 from rasterizer.gradients import Gradients
-from rasterizer.loss import L1Ssim
+from rasterizer.loss import PhotometricLoss
 from rasterizer.rasterizer import Rasterizer
 from rasterizer.timing.frame_time import Time, clock_for
 from rasterizer.timing.workloads import Workload
@@ -26,7 +26,11 @@ def time_iteration(
     parameters = {name: p.clone() for name, p in workload.gaussians.tensors().items()}
     gaussians = Gaussians.from_tensors(parameters)
     adam = _Adam(parameters, threads)
-    rasterizer, gradients, criterion = Rasterizer(threads), Gradients.zeros_like(gaussians), L1Ssim(threads=threads)
+    rasterizer, gradients, criterion = (
+        Rasterizer(threads),
+        Gradients.zeros_like(gaussians),
+        PhotometricLoss(threads=threads),
+    )
     target = torch.rand(3, workload.camera.height, workload.camera.width, generator=torch.Generator().manual_seed(1))
     spent: dict[str, list[float]] = {"rasterizer": [], "loss": [], "adam": [], "iteration": []}
     for _ in range(repeats):

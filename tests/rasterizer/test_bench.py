@@ -12,7 +12,7 @@ import torch
 
 from rasterizer.bench.baselines import torch_loss
 from rasterizer.kernel_loader import available_isas
-from rasterizer.loss import L1Ssim
+from rasterizer.loss import PhotometricLoss
 from rasterizer.reference import render as reference
 from rasterizer.reference.blend import blending_weights, pixel_centers, splat_alpha
 from rasterizer.timing.frame_time import count_work
@@ -78,7 +78,7 @@ def test_the_torch_baseline_computes_the_same_loss_and_gradient() -> None:
     leaf = image.clone().requires_grad_()
     expected = torch_loss(leaf, target)
     (gradient,) = torch.autograd.grad(expected, leaf)
-    ours = L1Ssim(threads=1)(image, target)
+    ours = PhotometricLoss(threads=1)(image, target)
     assert ours.loss == pytest.approx(expected.item(), abs=1e-5)  # float32 sums over 4800 values
     assert (ours.d_image - gradient).abs().max() < 1e-4 * gradient.abs().max()
 

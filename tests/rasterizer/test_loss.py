@@ -11,11 +11,11 @@ from builders import generator
 from torch import Tensor
 
 from rasterizer.kernel_loader import kernel
-from rasterizer.loss import l1_ssim
+from rasterizer.loss import photometric_loss
 
 
-def plain_loss(image: Tensor, target: Tensor, weight: float) -> tuple[Tensor, Tensor, Tensor]:
-    """(loss, L1, SSIM) of 3D Gaussian Splatting: window 11 × 11, σ = 1.5, zero padding, mean over pixels."""
+def plain_loss(image: Tensor, target: Tensor, weight: float, mse_weight: float = 0.0) -> tuple[Tensor, Tensor, Tensor]:
+    """(loss, L1, SSIM) of 3D Gaussian Splatting and MSE: window 11 × 11, σ = 1.5, zero padding, mean over pixels."""
     offset = torch.arange(11, dtype=torch.float64) - 5
     bell = torch.exp(-0.5 * (offset / 1.5) ** 2)
     window = (bell[:, None] * bell / bell.sum() ** 2).expand(3, 1, 11, 11)
@@ -26,7 +26,7 @@ def plain_loss(image: Tensor, target: Tensor, weight: float) -> tuple[Tensor, Te
     c1, c2 = 0.01**2, 0.03**2
     ssim = ((2 * mu_x * mu_y + c1) * (2 * covariance + c2)) / ((mu_x**2 + mu_y**2 + c1) * (var_x + var_y + c2))
     l1, ssim = (image - target).abs().mean(), ssim.mean()
-    return (1 - weight) * l1 + weight * (1 - ssim), l1, ssim
+    return (1 - weight) * l1 + weight * (1 - ssim) + mse_weight * ((image - target) ** 2).mean(), l1, ssim
 
 
 def pair(size: tuple[int, int], seed: int) -> tuple[Tensor, Tensor]:
@@ -41,13 +41,14 @@ def pair(size: tuple[int, int], seed: int) -> tuple[Tensor, Tensor]:
     return image.contiguous(), target.contiguous()
 
 
+@pytest.mark.parametrize("mse_weight", [0.0, 5.0])
 @pytest.mark.parametrize("weight", [0.2, 0.0, 1.0])
 @pytest.mark.parametrize("size", [(64, 48), (37, 53), (16, 16), (11, 11), (7, 5), (1, 1), (3, 40), (100, 1)])
-def test_loss_and_gradient_match_the_formula(size: tuple[int, int], weight: float):
+def test_loss_and_gradient_match_the_formula(size: tuple[int, int], weight: float, mse_weight: float):
     image, target = pair(size, 1)
-    loss, l1, ssim, d_image = l1_ssim(image, target, weight)
+    loss, l1, ssim, d_image = photometric_loss(image, target, weight, mse_weight)
     leaf = image.double().requires_grad_()
-    expected = plain_loss(leaf, target.double(), weight)
+    expected = plain_loss(leaf, target.double(), weight, mse_weight)
     (gradient,) = torch.autograd.grad(expected[0], leaf)
     # Variances are differences of blurs near 1, with an error of 1e-7 against c2 = 9e-4: 1e-4 in a uniform area, less
     # in the mean.
@@ -59,7 +60,7 @@ def test_loss_and_gradient_match_the_formula(size: tuple[int, int], weight: floa
 
 def test_equal_images_have_zero_loss_and_gradient():
     _, target = pair((33, 41), 2)
-    loss, l1, ssim, d_image = l1_ssim(target, target.clone())
+    loss, l1, ssim, d_image = photometric_loss(target, target.clone())
     assert l1 == 0 and ssim == pytest.approx(1, abs=1e-6) and abs(loss) < 1e-6
     # SSIM is at its maximum; only rounding remains, against 1 / (3 · 33 · 41) = 2.5e-4 for the gradient of L1
     assert d_image.abs().max() < 1e-6
@@ -67,9 +68,9 @@ def test_equal_images_have_zero_loss_and_gradient():
 
 def test_any_number_of_threads_gives_the_same_bits():
     image, target = pair((75, 61), 3)
-    expected = l1_ssim(image, target, threads=1)
+    expected = photometric_loss(image, target, threads=1)
     for threads in (2, 3):
-        found = l1_ssim(image, target, threads=threads)
+        found = photometric_loss(image, target, threads=threads)
         assert found[:3] == expected[:3] and torch.equal(found[3], expected[3])
 
 
@@ -98,9 +99,11 @@ def on_background(size: tuple[int, int], color: tuple[float, float, float], shap
 def test_background_is_copied_to_the_same_bits(size: tuple[int, int], shape: str, color: tuple[float, float, float]):
     image, target = on_background(size, color, shape)
 
-    def run(copy_background: bool, threads: int) -> tuple[tuple[float, float], Tensor]:
+    def run(copy_background: bool, threads: int) -> tuple[tuple[float, float, float], Tensor]:
         gradient = torch.full_like(image, math.nan)
-        value = kernel.l1_ssim(image, target, gradient, 0.2, 1.0, threads, copy_background=copy_background)
+        value = kernel.photometric_loss(
+            image, target, gradient, 0.2, 5.0, 1.0, threads, copy_background=copy_background
+        )
         return value, gradient.view(torch.int32)  # bits: -0 is not 0
 
     expected, expected_gradient = run(copy_background=False, threads=1)
@@ -109,7 +112,7 @@ def test_background_is_copied_to_the_same_bits(size: tuple[int, int], shape: str
         assert value == expected and torch.equal(gradient, expected_gradient)
 
     leaf = image.double().requires_grad_()
-    loss, l1, ssim = plain_loss(leaf, target.double(), 0.2)
+    loss, l1, ssim = plain_loss(leaf, target.double(), 0.2, 5.0)
     (truth,) = torch.autograd.grad(loss, leaf)
     for found, true in zip(expected, (l1, ssim)):
         assert found == pytest.approx(true.item(), rel=2e-5, abs=1e-6)
@@ -127,25 +130,25 @@ def test_what_is_not_background_is_never_skipped():
         leaf = a.double().requires_grad_()
         expected = plain_loss(leaf, b.double(), 0.2)
         (gradient,) = torch.autograd.grad(expected[0], leaf)
-        loss, _, _, d_image = l1_ssim(a, b)
+        loss, _, _, d_image = photometric_loss(a, b)
         assert loss == pytest.approx(expected[0].item(), rel=2e-5, abs=1e-6)
         assert (d_image - gradient).abs().max() <= 2e-4 * gradient.abs().max()
     empty = torch.zeros(3, 64, 64)
     broken = empty.clone()
     broken[2, 40, 40] = math.nan
-    assert math.isnan(l1_ssim(broken, empty)[0]) and math.isnan(l1_ssim(empty, broken)[0])
+    assert math.isnan(photometric_loss(broken, empty)[0]) and math.isnan(photometric_loss(empty, broken)[0])
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])
 def test_a_non_finite_pixel_makes_the_loss_non_finite(value: float):
     image, target = pair((40, 40), 4)
     image[1, 20, 20] = value
-    assert not math.isfinite(l1_ssim(image, target)[0])
+    assert not math.isfinite(photometric_loss(image, target)[0])
 
 
 def test_wrong_shapes_and_types_are_named():
     image, target = pair((20, 20), 5)
     with pytest.raises(ValueError, match="^target must be float32 .*got"):
-        l1_ssim(image, target[:, :10].contiguous())
+        photometric_loss(image, target[:, :10].contiguous())
     with pytest.raises(ValueError, match="^image must be float32 .*got"):
-        l1_ssim(image.double(), target)
+        photometric_loss(image.double(), target)

@@ -1,4 +1,7 @@
-"""The loss of a batch: the mean over its views of (1 - w) L1 + w (1 - SSIM), w = `train.ssim_weight` (3DGS)."""
+"""The loss of a batch: the mean over its views of (1 - w) L1 + w (1 - SSIM) + `mse_weight` × MSE, w = `ssim_weight`.
+
+3DGS and the paper have no MSE. `train.mse_weight` is ours.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +10,10 @@ import math
 import torch
 from torch import Tensor
 
-from rasterizer.loss import L1Ssim, LossValue
+from rasterizer.loss import LossValue, PhotometricLoss
 
 
-def view_loss(criterion: L1Ssim, image: Tensor, target: Tensor, batch: int) -> LossValue:
+def view_loss(criterion: PhotometricLoss, image: Tensor, target: Tensor, batch: int) -> LossValue:
     """The loss of one view of a batch of `batch` views; `d_image` is ∂(batch loss)/∂image. image, target: (3, H, W).
 
     The image is not clamped, so that pixels above 1 have a gradient.

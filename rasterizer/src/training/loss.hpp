@@ -1,4 +1,5 @@
-// The loss (1-λ) L1 + λ (1-SSIM) and its gradient (Wang et al. 2004, as in 3D Gaussian Splatting).
+// The loss (1-λ) L1 + λ (1-SSIM) + μ MSE and its gradient: SSIM (Wang et al. 2004) and λ as in 3D Gaussian
+// Splatting, where μ is 0.
 //
 // SSIM has an 11×11 Gaussian window with σ = 1.5, zero padding, C1 = 0.01², C2 = 0.03². The window is
 // separable: columns are filtered, then rows. With m, n the windowed means of x and y, and s, r those of
@@ -62,17 +63,17 @@ SPLAT_INLINE Float filter_row(const scalar* w, const scalar* centre) {
 }
 
 struct LossValue {
-    double l1, ssim;  // means over pixels and channels
+    double l1, ssim, mse;  // means over pixels and channels
 };
 
 // A band of rows of one channel, and where its results go.
 struct LossBand {
     const scalar *image, *target;  // of the channel
     scalar* gradient;
-    double *row_l1, *row_ssim;  // sums of each row
+    double *row_l1, *row_ssim, *row_square;  // sums of each row
     int width, height, first, last;
-    scalar l1_scale, ssim_scale;  // of the gradient
-    bool copy_background;         // false: every block is computed
+    scalar l1_scale, ssim_scale, mse_scale;  // of the gradient
+    bool copy_background;                    // false: every block is computed
 };
 
 // Scratch rows of one thread, with zeros on both sides: filtering along a row then needs no border case.
@@ -176,7 +177,7 @@ inline void ssim_rows(const LossBand& p, const scalar* w, int row, LossRows& row
     }
 }
 
-// Those of rows [row, row + kRows) that are the band's: the gradient, and the sums of |x - y|.
+// Those of rows [row, row + kRows) that are the band's: the gradient, and the sums of |x - y| and (x - y)².
 inline void gradient_rows(const LossBand& p, const scalar* w, int row, LossRows& rows,
                           LossBackground& background) {
     const scalar* partial[kPartials][kWindow + kRows - 1];
@@ -209,10 +210,10 @@ inline void gradient_rows(const LossBand& p, const scalar* w, int row, LossRows&
         if (is_background && count >= kLanes)
             background.filtered_partial.set({filtered[0][0], filtered[1][0], filtered[2][0]});
     }
-    const Float l1_scale(p.l1_scale), ssim_scale(-p.ssim_scale), two(2.f), zero(0.f);
+    const Float l1_scale(p.l1_scale), ssim_scale(-p.ssim_scale), mse_scale(p.mse_scale), two(2.f), zero(0.f);
     for (int j = 0; j < std::min(kRows, p.last - row); ++j) {
         const size_t at = static_cast<size_t>(row + j) * p.width;
-        Float total(0.f);
+        Float total(0.f), squares(0.f);
         for (int i = 0; i < p.width; i += kLanes) {
             const int count = std::min(kLanes, p.width - i);
             const bool is_background = background.around(i / kLanes);
@@ -227,13 +228,15 @@ inline void gradient_rows(const LossBand& p, const scalar* w, int row, LossRows&
                                  y * filter_row(w, rows.column_filtered(2, j) + i);
             const Float difference = x - y;
             total += abs(difference);
+            squares += difference * difference;
             const Float sign =
                 zero_unless(difference > zero, l1_scale) - zero_unless(difference < zero, l1_scale);
-            const Float gradient = sign + ssim_scale * d_ssim;
+            const Float gradient = sign + ssim_scale * d_ssim + two * mse_scale * difference;
             gradient.store_first(p.gradient + at + i, count);
             if (is_background) background.gradient.set({gradient});
         }
         p.row_l1[row + j] = sum_of_lanes(total);
+        p.row_square[row + j] = sum_of_lanes(squares);
     }
 }
 
@@ -241,8 +244,7 @@ inline void gradient_rows(const LossBand& p, const scalar* w, int row, LossRows&
 inline void loss_band(const LossBand& p, const scalar* w, LossRows& rows) {
     const int end = std::min(p.height, p.last + kWindowReach);
     const int first = std::max(0, p.first - kWindowReach);
-    LossBackground background(p.image, p.target, p.width, p.height, first - kWindowReach,
-                              p.copy_background);
+    LossBackground background(p.image, p.target, p.width, p.height, first - kWindowReach, p.copy_background);
     int next = p.first;
     for (int row = first; row < end; row += kRows) {
         ssim_rows(p, w, row, rows, background);
@@ -254,13 +256,15 @@ inline void loss_band(const LossBand& p, const scalar* w, LossRows& rows) {
     }
 }
 
-// image, target: planes [3, height, width]. gradient = share · ∂ ((1-λ) L1 + λ (1-SSIM)) / ∂ image.
-inline LossValue l1_ssim(const scalar* image, const scalar* target, int width, int height, scalar ssim_weight,
-                         scalar share, scalar* gradient, bool copy_background, int threads) {
+// image, target: planes [3, height, width]. gradient = share · ∂ loss / ∂ image, with λ = ssim_weight and
+// μ = mse_weight.
+inline LossValue photometric_loss(const scalar* image, const scalar* target, int width, int height,
+                                  scalar ssim_weight, scalar mse_weight, scalar share, scalar* gradient,
+                                  bool copy_background, int threads) {
     const auto w = window_weights();
     const size_t plane = static_cast<size_t>(width) * height;
     const scalar scale = share / (3.f * plane);
-    std::vector<double> row_l1(3 * height), row_ssim(3 * height);
+    std::vector<double> row_l1(3 * height), row_ssim(3 * height), row_square(3 * height);
     const int bands = std::clamp(height / 32, 1, threads);  // a band of a channel
 #pragma omp parallel num_threads(threads)
     {
@@ -273,21 +277,25 @@ inline LossValue l1_ssim(const scalar* image, const scalar* target, int width, i
                              gradient + c * plane,
                              &row_l1[c * height],
                              &row_ssim[c * height],
+                             &row_square[c * height],
                              width,
                              height,
                              height * band / bands,
                              height * (band + 1) / bands,
                              (1 - ssim_weight) * scale,
                              ssim_weight * scale,
+                             mse_weight * scale,
                              copy_background};
             loss_band(p, w.data(), rows);
         }
     }
-    LossValue value{0, 0};  // summed row by row: the same bits for any number of threads
+    LossValue value{0, 0, 0};  // summed row by row: the same bits for any number of threads
     for (double v : row_l1) value.l1 += v;
     for (double v : row_ssim) value.ssim += v;
+    for (double v : row_square) value.mse += v;
     value.l1 /= 3.0 * plane;
     value.ssim /= 3.0 * plane;
+    value.mse /= 3.0 * plane;
     return value;
 }
 
