@@ -145,7 +145,7 @@ def test_the_near_plane_is_in_the_scenes_unit(unit: float, visible: bool) -> Non
     """0.2 units are 0.2 or 20 in the world; all Gaussians are nearer than 20."""
     scene, cfg = replace(tiny_scene(), unit=unit), tiny_config()
     model = initialise(scene, cfg, np.random.default_rng(0))
-    batch = Batch(model, scene, cfg, Kernels(0.2, 1), phase(1.0, cfg.train, scene.extent, 3, 2), 1)
+    batch = Batch(model, scene, cfg, Kernels(0.2, 0.0, 1), phase(1.0, cfg.train, scene.extent, 3, 2), 1)
     view = batch.backward(
         DrawnView(target_of(scene.train[0], 1.0), scene.background), Gradients.zeros_like(model.gaussians())
     )

@@ -62,7 +62,7 @@ def test_the_gradient_of_a_batch_is_that_of_image_and_flow() -> None:
     gaussians = random_gaussians(40, "full", torch.Generator().manual_seed(2))  # float64 of float32 values
     model = Model.from_gaussians(gaussians.to(torch.float32))
     target = TrainingViews(scene.train, FlowTargets(scene)).at(1, 1.0)
-    batch = Batch(model, scene, cfg, Kernels(0.0, 1), late, 1)  # without SSIM: L1 alone
+    batch = Batch(model, scene, cfg, Kernels(0.0, 0.0, 1), late, 1)  # without SSIM: L1 alone
     gradients = Gradients.zeros_like(model.gaussians())
     loss = batch.backward(DrawnView(target, scene.background), gradients).loss
 
