@@ -1,9 +1,8 @@
 // The loss (1-λ) L1 + λ (1-SSIM) + μ MSE and its gradient: SSIM (Wang et al. 2004) and λ as in 3D Gaussian
 // Splatting, where μ is 0.
 //
-// SSIM has an 11×11 Gaussian window with σ = 1.5, zero padding, C1 = 0.01², C2 = 0.03². The window is
-// separable: columns are filtered, then rows. With m, n the windowed means of x and y, and s, r those of
-// x²+y² and xy,
+// SSIM has an 11×11 Gaussian window with σ = 1.5 (ssim_window.hpp), zero padding, C1 = 0.01², C2 = 0.03².
+// With m, n the windowed means of x and y, and s, r those of x²+y² and xy,
 //     SSIM = A1 A2 / (B1 B2),  A1 = 2mn + C1,  A2 = 2(r - mn) + C2,  B1 = m² + n² + C1,
 //     B2 = s - m² - n² + C2,
 // and since the window is symmetric, ∂ΣSSIM/∂x = window(∂/∂m) + 2x window(∂/∂s) + y window(∂/∂r).
@@ -14,53 +13,15 @@
 #pragma once
 
 #include <algorithm>
-#include <array>
-#include <cmath>
 #include <vector>
 
 #include "simd/vec.hpp"
 #include "training/loss_background.hpp"
+#include "training/ssim_window.hpp"
 
 namespace splat {
 
-inline constexpr int kWindowReach = 5, kWindow = 2 * kWindowReach + 1;
-// Rows filtered together: 14 rows are then loaded instead of 44.
-inline constexpr int kRows = 4;
 inline constexpr int kMeans = 4, kPartials = 3;
-
-inline std::array<scalar, kWindow> window_weights() {
-    std::array<scalar, kWindow> w{};
-    double total = 0;
-    for (int k = -kWindowReach; k <= kWindowReach; ++k) total += std::exp(-k * k / 4.5);
-    for (int k = -kWindowReach; k <= kWindowReach; ++k)
-        w[k + kWindowReach] = static_cast<scalar>(std::exp(-k * k / 4.5) / total);
-    return w;
-}
-
-// Filters the columns of `maps` maps for kRows rows. at(k, value) gives the maps' values k - kWindowReach
-// rows below the first.
-template <int maps, class At>
-SPLAT_INLINE void filter_columns(const scalar* w, At&& at, Float (&out)[maps][kRows]) {
-    for (auto& map : out)
-        for (auto& row : map) row = 0.f;
-#pragma GCC unroll 14
-    for (int k = 0; k < kWindow + kRows - 1; ++k) {
-        Float value[maps];
-        at(k, value);
-#pragma GCC unroll 4
-        for (int j = 0; j < kRows; ++j)
-            if (k >= j && k - j < kWindow)
-#pragma GCC unroll 4
-                for (int m = 0; m < maps; ++m) out[m][j] += Float(w[k - j]) * value[m];
-    }
-}
-
-SPLAT_INLINE Float filter_row(const scalar* w, const scalar* centre) {
-    Float sum(0.f);
-#pragma GCC unroll 11
-    for (int k = 0; k < kWindow; ++k) sum += Float(w[k]) * Float::load(centre + k - kWindowReach);
-    return sum;
-}
 
 struct LossValue {
     double l1, ssim, mse;  // means over pixels and channels

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 import torch
 from builders import random_gaussians
+from tiny import TinyRun, tiny_config, tiny_scene
 
+from pipeline.config.train_schema import RegularizationConfig
+from pipeline.data.training_views import TrainingViews
+from pipeline.model.initialise import initialise
 from pipeline.model.model import Model
 from pipeline.training.objective.rigid_loss import (
     FALLOFF,
@@ -17,6 +22,8 @@ from pipeline.training.objective.rigid_loss import (
     add_rigid_gradient,
     rigid_loss,
 )
+from pipeline.training.state import start
+from pipeline.training.step import draw_batch
 from rasterizer import Gradients
 from rasterizer.covariance import rotation_4d
 
@@ -87,3 +94,16 @@ def test_equal_velocities_have_no_loss(tensors):
     mean[:, 3] = TIME
     # 1e-10: the root of 1e-20, which keeps the gradient finite.
     assert rigid_loss(mean, **same, time=TIME, duration=DURATION, neighbours=NEIGHBOURS).item() <= 1.01e-10
+
+
+@pytest.mark.parametrize("every", [1, 3, 4])
+def test_it_takes_every_so_many_training_views(tmp_path, every):
+    cfg = tiny_config(batch=2, regularization=RegularizationConfig(rigid=1.0, rigid_every=every))
+    scene = tiny_scene()
+    views = TrainingViews(scene.train)
+    state = start(initialise(scene, cfg, np.random.default_rng(0)), scene, cfg, TinyRun(tmp_path), 0, 0.0)
+    found = []
+    for _ in range(12):
+        phase = state.begin_iteration(scene, cfg)
+        found += [view.rigid for view in draw_batch(state, views, phase, scene, cfg)]
+    assert found == [i % every == 0 for i in range(1, 25)]
