@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -11,23 +11,22 @@ import cv2
 import numpy as np
 
 from datasets.cameras.lens import Undistortion, undistort
-from datasets.canonical import canonical_space
 from datasets.clip.choose import Choice, choose
+from datasets.clip.scene import playback_rate, scene_of_views
 from datasets.clip.survey import MOST_SURVEYED, survey
-from datasets.composition import BLACK, chosen_downscale, reduced_camera
+from datasets.composition import chosen_downscale, reduced_camera
 from datasets.files.errors import SceneError
 from datasets.layouts.photographs import ordinal
 from datasets.plenoptic.decode import reduce_image
 from datasets.plenoptic.unsynchronised import covering
 from datasets.plenoptic.videos import FOOTAGE_SUFFIXES
-from datasets.scene import Scene, View, camera_extent, make_camera, validate_scene
+from datasets.scene import Scene, View, make_camera
 from datasets.video_files.decode import IMAGE_RATE, Frame, image_frames, image_paths, video_frames
 from datasets.video_files.probe import Header, probe
 from rasterizer.camera import Camera
 
 FEWEST_FRAMES = 12  # with fewer neither motion nor a held-out frame can be told
 SFM_SIDE = 1024  # pixels: the longer side of the images that structure from motion gets is not longer
-PLAYBACK_RATES = (5.0, 60.0)  # frames a second of rendered videos
 
 Log = Callable[[str], None]
 
@@ -80,23 +79,14 @@ class Clip:
             image = undistort(frame.image, lens) if lens else frame.image
             camera, image = self.training_view(cameras[frame.name], image)
             views[split].append(View(camera, frame.time - kept[0].time, image, f"{split}/{frame.name}"))
-        train = [view.camera for view in views["train"]]
-        space = canonical_space(train, unit)
-        return validate_scene(
-            Scene(
-                name=self.options.name,
-                train=tuple(views["train"]),
-                test=tuple(views["test"]),
-                duration=kept[-1].time - kept[0].time,
-                time_start=0.0,
-                background=BLACK,
-                extent=camera_extent(train),
-                init_box=space.inverse.box((-1.2, 1.2)),
-                source=self.source,
-                unit=unit or space.unit,
-                playback_rate=playback_rate([frame.time for frame in kept]),
-                test_split=f"every {ordinal(self.options.test_every)} frame",
-            )
+        return scene_of_views(
+            views,
+            name=self.options.name,
+            source=self.source,
+            duration=kept[-1].time - kept[0].time,
+            unit=unit,
+            rate=playback_rate([frame.time for frame in kept]),
+            test_split=f"every {ordinal(self.options.test_every)} frame",
         )
 
     def training_view(self, camera: Camera, image: np.ndarray) -> tuple[Camera, np.ndarray]:
@@ -107,11 +97,6 @@ class Clip:
             return small, reduce_image(image, further)
         width, height = (max(1, side // self.downscale) for side in self.size)
         return camera.resized(width, height), cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
-
-
-def playback_rate(times: Sequence[float]) -> float:
-    """Frames a second at which frames of these times (seconds, ascending) last as long as they did."""
-    return float(np.clip((len(times) - 1) / max(times[-1] - times[0], 1e-3), *PLAYBACK_RATES))
 
 
 def is_clip(path: Path) -> bool:

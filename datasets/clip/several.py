@@ -8,16 +8,15 @@ from pathlib import Path
 
 from datasets.cameras.color import ColorCorrection
 from datasets.cameras.lens import Undistortion, undistort
-from datasets.canonical import canonical_space
-from datasets.clip.footage import FEWEST_FRAMES, Clip, ClipFrame, ClipOptions, playback_rate, survey_clip
+from datasets.clip.footage import FEWEST_FRAMES, Clip, ClipFrame, ClipOptions, survey_clip
+from datasets.clip.scene import playback_rate, scene_of_views
 from datasets.clip.still import stands_still
-from datasets.composition import BLACK
 from datasets.files.errors import SceneError
 from datasets.layouts.photographs import ordinal
 from datasets.plenoptic.sync import select_cameras
 from datasets.plenoptic.unsynchronised import offsets_of
 from datasets.plenoptic.videos import VideoFile, find_footage, probe
-from datasets.scene import Scene, View, camera_extent, validate_scene
+from datasets.scene import Scene, View
 from rasterizer.camera import Camera
 
 
@@ -109,24 +108,16 @@ class ClipSet:
                 pose, image = camera.clip.training_view(poses[camera.photograph(frame)], image)
                 name = f"{split}/{camera.name}_{frame.name.rpartition('_')[2]}"
                 views[split].append(View(pose, camera.time(frame) - start, image, name))
-        train = [view.camera for view in views["train"]]
         longest = max(self.cameras, key=lambda camera: len(kept[camera.name]))
-        return validate_scene(
-            Scene(
-                name=self.options.name,
-                train=tuple(views["train"]),
-                test=tuple(views["test"]),
-                duration=end - start,
-                time_start=0.0,
-                background=BLACK,
-                extent=camera_extent(train),
-                init_box=canonical_space(train, unit).inverse.box((-1.2, 1.2)),
-                source=self.source,
-                unit=unit,
-                playback_rate=playback_rate([frame.time for frame in kept[longest.name]]),
-                test_split=self._split(),
-                cameras_move=True,
-            )
+        return scene_of_views(
+            views,
+            name=self.options.name,
+            source=self.source,
+            duration=end - start,
+            unit=unit,
+            rate=playback_rate([frame.time for frame in kept[longest.name]]),
+            test_split=self._split(),
+            cameras_move=True,
         )
 
     def _held_out(self, camera: MovingCamera, count: int) -> Sequence[int]:
