@@ -116,6 +116,7 @@ class RegularizationConfig:
     rigid: float = 0.0  # towards neighbours that move alike: × the release's rigid loss (rigid_loss.py)
     rigid_every: int = 1  # training views; the rigid loss is that of every such view, × this
     rigid_neighbours: int = 20  # nearest Gaussians that a Gaussian is compared with
+    still_lifetime: float = 0.0  # Gaussians of a larger st do not move (still_gaussians.py); × duration; 0: all may
     flow: float = 0.0  # towards the optical flow measured in videos: × mean error, image widths (flow_loss.py)
 
     def __post_init__(self) -> None:

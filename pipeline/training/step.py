@@ -26,6 +26,7 @@ from pipeline.training.objective.losses import view_loss
 from pipeline.training.objective.random_background import over_random_background
 from pipeline.training.objective.regularization import add_regularization_gradients
 from pipeline.training.objective.rigid_loss import add_rigid_gradient
+from pipeline.training.objective.still_gaussians import hold_still
 from pipeline.training.schedule import Phase
 from pipeline.training.state import TrainState
 from rasterizer import Gradients, Request, ViewGradient
@@ -198,7 +199,12 @@ def render_batch(state: TrainState, drawn: Sequence[DrawnView], phase: Phase, sc
 def optimiser_step(
     state: TrainState, batch: Batch, phase: Phase, scene: Scene, regularization: RegularizationConfig
 ) -> None:
-    """Add the gradients of the regularization and do one step of Adam. regularization: of `relative_to_data`."""
+    """Add the gradients of the regularization, do one step of Adam, and hold long-lived Gaussians still.
+
+    regularization: of `relative_to_data`.
+    """
     add_regularization_gradients(state.gradients, state.model, regularization, scene)
     rows = trainable_rows(state.model, phase.sphere, batch.visible)
     state.optimiser.step(state.gradients, phase.lr, rows, batch.d_environment_map)
+    if regularization.still_lifetime > 0 and state.model.kind.motion == "full":
+        hold_still(state.model, regularization.still_lifetime * scene.duration)

@@ -19,6 +19,7 @@ from pipeline.model.model import Model
 from rasterizer import Gradients
 
 TILT_SOFTENING = 1e-3  # radians: smooths the norm at zero tilt
+UNTILTED = torch.tensor([1.0, 1.0, 1.0, -1.0])  # × ql is the qr without tilt
 
 
 def relative_to_data(cfg: RegularizationConfig, scene: Scene) -> RegularizationConfig:
@@ -89,5 +90,5 @@ def tilt_gradient(quat_left: Tensor, quat_right: Tensor) -> tuple[Tensor, Tensor
 
 
 def _difference(quat_left: Tensor, quat_right: Tensor) -> Tensor:
-    untilted = F.normalize(quat_left, dim=1) * quat_left.new_tensor([1.0, 1.0, 1.0, -1.0])
+    untilted = F.normalize(quat_left, dim=1) * UNTILTED.to(quat_left.dtype)
     return F.normalize(quat_right, dim=1) - untilted

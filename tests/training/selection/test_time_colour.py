@@ -74,11 +74,11 @@ def test_the_standard_error_is_over_poses(gains: list[float], poses: str, mean: 
     assert mean_and_error(np.array(gains), poses) == (mean, error)
 
 
-def test_a_gain_must_exceed_two_standard_errors_and_the_minimum() -> None:
-    assert Selection(0.41, 0.2, 6, 1.0).kept
-    assert not Selection(0.39, 0.2, 6, 1.0).kept
-    assert Selection(0.21, 0.01, 6, 1.0).kept
-    assert not Selection(0.19, 0.01, 6, 1.0).kept
+def test_a_gain_must_exceed_its_standard_error_and_the_minimum() -> None:
+    assert Selection(0.21, 0.2, 6, 1.0).kept
+    assert not Selection(0.19, 0.2, 6, 1.0).kept
+    assert Selection(0.11, 0.01, 6, 1.0).kept
+    assert not Selection(0.09, 0.01, 6, 1.0).kept
     assert not Selection(-0.3, 0.1, 6, 1.0).kept
 
 

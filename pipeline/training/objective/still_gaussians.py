@@ -1,0 +1,28 @@
+"""Long-lived Gaussians stand still: a constraint on the rotation, not in the paper.
+
+What a Gaussian shows for most of the duration is background or a resting object. Its velocity fits the noise of single
+views. 3D-4DGS (Oh et al., 2025) turns such Gaussians into static ones for good; here one that comes to live shorter may
+move again.
+"""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+
+from pipeline.model.model import Model
+from pipeline.training.objective.regularization import UNTILTED
+
+
+def hold_still(model: Model, lifetime: float) -> None:
+    """Set the tilt of the Gaussians with st > `lifetime`, in units of time, to zero, in place; they stop moving.
+
+    Done after each step of Adam, this is projected gradient descent: (ql, qr) is replaced by the nearest pair of unit
+    quaternions without tilt, up to the sign of qr, which the covariance does not have.
+    """
+    log_scale, left, right = (model.parameters[key] for key in ("log_scale", "quat_left", "quat_right"))
+    (long_lived,) = torch.nonzero(log_scale[:, 3].exp() > lifetime, as_tuple=True)
+    of_left, of_right = F.normalize(left[long_lived], dim=1), F.normalize(right[long_lived], dim=1) * UNTILTED
+    same_sign = (of_left * of_right).sum(dim=1, keepdim=True) >= 0
+    nearest = F.normalize(of_left + torch.where(same_sign, of_right, -of_right), dim=1)
+    left[long_lived], right[long_lived] = nearest, nearest * UNTILTED
