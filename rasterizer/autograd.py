@@ -69,17 +69,19 @@ def rasterize(
     sh_degree: int | None = None,
     fourier_order: int | None = None,
     threads: int = 0,
+    marginal_offset: float = 0.0,
 ) -> RenderOutput:
     """Render 4D Gaussians (contiguous float32) from `camera` at `time`; differentiable in all parameters.
 
     time, duration, flow_dt: in the unit of μt. background: RGB. outputs: names among "color", "alpha", "depth", "flow",
     "stats"; only these are computed. flow_dt: δ of the optical flow. near: near plane, world units. sh_degree,
     fourier_order: use the coefficients up to these; None: all. threads: 0 for all cores; never changes the bits.
+    marginal_offset: temporal marginals are those of time + this, all else is that of time (docs/method.md 2.8).
 
     `rasterizer.reference.rasterize` is the same function in plain PyTorch. Raises ValueError for wrong shapes or types,
     for values that are not finite or out of range, and where float32 overflows.
     """
-    request = Request(camera, time, duration, background, outputs, flow_dt, near, sh_degree, fourier_order)
+    request = Request(camera, time, duration, background, outputs, flow_dt, near, sh_degree, fourier_order, marginal_offset)
     check_layout(gaussians)
     check_finite(gaussians)
     images = _Rasterize.apply(request, threads, *(getattr(gaussians, name) for name in _FIELDS))

@@ -78,6 +78,7 @@ class Rasterizer:
                 list(camera.position),
             ),
             time=request.time,
+            marginal_offset=request.marginal_offset,
             duration=request.duration,
             near=request.near,
             background=list(request.background),

@@ -32,11 +32,16 @@ class Request:
     near: float = 0.2  # near plane: world units along the optical axis
     sh_degree: int | None = None  # use the coefficients up to this degree; None: all stored ones
     fourier_order: int | None = None  # likewise
+    # p is evaluated at time + this; means, covariances and colours at time. Training alone uses it (docs/method.md 2.8)
+    marginal_offset: float = 0.0
 
     def __post_init__(self) -> None:
         time, duration, near = (as_float(value) for value in (self.time, self.duration, self.near))
+        offset = as_float(self.marginal_offset)
         if not math.isfinite(time):
             raise ValueError(f"time must be finite, got {short_repr(self.time)}")
+        if not abs(offset) <= MAX_FLOAT32:
+            raise ValueError(f"marginal_offset must be finite, got {short_repr(self.marginal_offset)}")
         if not (math.isfinite(duration) and duration > 0):
             raise ValueError(f"duration must be finite and > 0, got {short_repr(self.duration)}")
         if duration < MIN_DURATION:
@@ -50,6 +55,7 @@ class Request:
         # Scalars of any type are accepted and stored as floats; duplicate outputs are dropped.
         for name, value in (
             ("time", time),
+            ("marginal_offset", offset),
             ("duration", duration),
             ("near", near),
             ("background", background),

@@ -21,6 +21,7 @@ class Stream(IntEnum):
     SENSITIVITY = 3  # signs of the estimate of image sensitivity; by iteration
     ERROR_POINTS = 4  # where and when the error is; by iteration
     DROPOUT = 5  # which Gaussians are left out of a view; by iteration
+    MARGINAL = 6  # by how much the times of the temporal marginals are shifted; by iteration
 
 
 def stream(seed: int, purpose: Stream, *moment: int) -> np.random.Generator:

@@ -40,6 +40,7 @@ class DrawnView:
     background: Color  # that its image is composed over
     dropped: Tensor | None = None  # (N,) bool, Gaussians that are left out of it; None: none
     rigid: bool = False  # whether the rigid loss takes this view's time
+    marginal_offset: float = 0.0  # its temporal marginals are those of its time + this
 
 
 @dataclass(frozen=True)
@@ -83,6 +84,7 @@ class Batch:
             near=cfg.scene.near * scene.unit,
             sh_degree=self._phase.sh_degree,
             fourier_order=self._phase.fourier_order,
+            marginal_offset=view.marginal_offset,
         )
         rendered = render(rasterizer, model, request)
         truth = target.image
@@ -163,6 +165,10 @@ def draw_batch(state: TrainState, views: TrainingViews, phase: Phase, scene: Sce
     if share > 0:
         rng = stream(cfg.seed, Stream.DROPOUT, state.iteration)
         drawn = [replace(view, dropped=draw_dropped(len(state.model), share, rng)) for view in drawn]
+    if cfg.train.marginal_jitter > 0:
+        width = cfg.train.marginal_jitter * scene.duration
+        offsets = stream(cfg.seed, Stream.MARGINAL, state.iteration).uniform(-width, width, len(drawn))
+        drawn = [replace(view, marginal_offset=offset) for view, offset in zip(drawn, offsets.tolist())]
     rules = cfg.train.regularization
     if rules.rigid > 0 and state.model.kind.motion == "full":
         before = (state.iteration - 1) * cfg.train.batch  # training views

@@ -33,7 +33,7 @@ def away_from_discontinuities(gaussians: Gaussians, request: Request, margin: fl
     Exactly coincident means stay: both programs then compute equal depths and keep the order of the rows. Margins of
     lengths are relative to the distance from the camera, as rounding is; margins of slopes to fields of view below 1.
     """
-    sliced = reference.slice_in_time(gaussians, request.time)
+    sliced = reference.slice_in_time(gaussians, request.time, request.marginal_offset)
     mean_cam = reference.world_to_camera(sliced.mean, request.camera)
     raised = gaussians.sh.clone()
     raised[:, 0] += 1e3  # lifts every colour above its clamp at zero; subtracted again below

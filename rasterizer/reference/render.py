@@ -44,12 +44,13 @@ class Slice:
     variance_t: Tensor | None  # (N,) Σtt; None for a static model
 
 
-def slice_in_time(gaussians: Gaussians, time: float) -> Slice:
+def slice_in_time(gaussians: Gaussians, time: float, marginal_offset: float = 0.0) -> Slice:
     """Condition the 4D Gaussians on the time (docs/method.md 1.1).
 
     p(t) = exp(-½ (t-μt)²/Σtt) and μ(t) = μ_xyz + Σ_xyz,t Σtt⁻¹ (t-μt). The textbook form of the conditional
     covariance, Σ_xyz - Σ_xyz,t Σtt⁻¹ Σ_t,xyz, cancels catastrophically for fast motion. With m_t the time row of M and
     v = m_t/|m_t| it equals A Aᵀ with A = M_xyz (I - v vᵀ), which is positive semi-definite by construction.
+    marginal_offset: p alone is that of time + this (docs/method.md 2.8).
     """
     axes = scaled_axes(gaussians)
     if gaussians.motion == "static":
@@ -64,7 +65,7 @@ def slice_in_time(gaussians: Gaussians, time: float) -> Slice:
     return Slice(
         mean=gaussians.mean[:, :3] + velocity * elapsed[:, None],
         factor=space - along_v[:, :, None] * v[:, None, :],
-        marginal=torch.exp(-0.5 * (elapsed / sigma_t) ** 2),
+        marginal=torch.exp(-0.5 * ((elapsed + marginal_offset) / sigma_t) ** 2),
         velocity=velocity,
         variance_t=sigma_t**2,
     )
@@ -128,7 +129,7 @@ def ellipse(projected_factor: Tensor) -> Tensor:
 @torch.no_grad()
 def blending_order(gaussians: Gaussians, request: Request, min_marginal: float = MIN_MARGINAL) -> Tensor:
     """Rows (V,) of the Gaussians with p(t) >= min_marginal and depth z > near, nearest first; equal depths by row."""
-    sliced = slice_in_time(gaussians, request.time)
+    sliced = slice_in_time(gaussians, request.time, request.marginal_offset)
     depth = world_to_camera(sliced.mean, request.camera)[:, 2]
     in_view = torch.nonzero((sliced.marginal >= min_marginal) & (depth > request.near)).squeeze(1)
     return in_view[torch.argsort(depth[in_view], stable=True)]
@@ -166,7 +167,7 @@ def make_splats(gaussians: Gaussians, request: Request, min_marginal: float = MI
     """Slice, project and colour the Gaussians in view; features: the requested ones, in the order of FEATURES."""
     index = blending_order(gaussians, request, min_marginal)
     gaussians = gaussians.rows(index)
-    sliced = slice_in_time(gaussians, request.time)
+    sliced = slice_in_time(gaussians, request.time, request.marginal_offset)
     mean_cam = world_to_camera(sliced.mean, request.camera)
     features = [mean_cam[:, :0]]  # no channels: torch.cat needs a tensor even if only alpha is requested
     if "color" in request.outputs:
@@ -197,12 +198,13 @@ def rasterize(
     near: float = 0.2,
     sh_degree: int | None = None,
     fourier_order: int | None = None,
+    marginal_offset: float = 0.0,
 ) -> RenderOutput:
     """Render the Gaussians; arguments as `rasterizer.Request`, result as `rasterizer.RenderOutput`.
 
     Raises ValueError for a parameter or argument that is not finite, out of range or missing.
     """
-    request = Request(camera, time, duration, background, outputs, flow_dt, near, sh_degree, fourier_order)
+    request = Request(camera, time, duration, background, outputs, flow_dt, near, sh_degree, fourier_order, marginal_offset)
     request.check_against(gaussians)
     check_finite(gaussians)
     sums, transmittance = blend(make_splats(gaussians, request), camera)

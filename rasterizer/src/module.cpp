@@ -86,7 +86,7 @@ using CameraDouble = splat::CameraOf<double>;
 CameraDouble camera_from(int width, int height, const std::vector<double>& intrinsics,
                          Array<const double> world_to_cam, const std::vector<double>& position) {
     CameraDouble c{width, height, intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3], {}, {}, {},
-                   0.0,   0.0};
+                   0.0,   0.0,    0.0};
     for (int i = 0; i < 3; ++i) {
         for (int j = 0; j < 3; ++j) c.rotation[i][j] = world_to_cam.data()[4 * i + j];
         c.position[i] = position[i];
@@ -97,11 +97,12 @@ CameraDouble camera_from(int width, int height, const std::vector<double>& intri
 // Python's Frame: the state of one view, with the rendered images, which the backward pass reads.
 class FrameBinding {
 public:
-    void set_view(const CameraDouble& camera, double time, double duration, scalar near_plane,
-                  const std::vector<scalar>& background, scalar flow_dt, int sh_degree, int fourier_order,
-                  std::tuple<bool, bool, bool> extras, bool differentiable, int threads) {
+    void set_view(const CameraDouble& camera, double time, double marginal_offset, double duration,
+                  scalar near_plane, const std::vector<scalar>& background, scalar flow_dt, int sh_degree,
+                  int fourier_order, std::tuple<bool, bool, bool> extras, bool differentiable, int threads) {
         state_.camera_double = camera;
         state_.camera_double.time = time;
+        state_.camera_double.marginal_offset = marginal_offset;
         state_.camera = splat::rounded(state_.camera_double);
         state_.settings = {duration,
                            near_plane,
@@ -241,9 +242,10 @@ NB_MODULE(KERNEL_MODULE_NAME, m) {
     nb::class_<CameraDouble>(m, "Camera").def_static("make", &camera_from);
     nb::class_<FrameBinding>(m, "Frame")
         .def(nb::init<>())
-        .def("set_view", &FrameBinding::set_view, nb::arg("camera"), nb::arg("time"), nb::arg("duration"),
-             nb::arg("near"), nb::arg("background"), nb::arg("flow_dt"), nb::arg("sh_degree"),
-             nb::arg("fourier_order"), nb::arg("extras"), nb::arg("differentiable"), nb::arg("threads"))
+        .def("set_view", &FrameBinding::set_view, nb::arg("camera"), nb::arg("time"), nb::arg("marginal_offset"),
+             nb::arg("duration"), nb::arg("near"), nb::arg("background"), nb::arg("flow_dt"),
+             nb::arg("sh_degree"), nb::arg("fourier_order"), nb::arg("extras"),
+             nb::arg("differentiable"), nb::arg("threads"))
         .def("render", &FrameBinding::render, nb::arg("model"), nb::arg("color").none(),
              nb::arg("alpha").none(), nb::arg("depth").none(), nb::arg("flow").none(),
              nb::arg("stats").none())

@@ -47,6 +47,7 @@ struct CameraOf {
     Scalar rotation[3][3];  // world to camera
     Scalar position[3], position_low[3];
     Scalar time, time_low;
+    Scalar marginal_offset;  // p is that of time + this
 };
 using Camera = CameraOf<scalar>;
 
@@ -61,7 +62,8 @@ inline Camera rounded(const CameraOf<double>& c) {
              {},
              {},
              0.f,
-             0.f};
+             0.f,
+             static_cast<scalar>(c.marginal_offset)};
     auto split = [](double x, scalar& high, scalar& low) {
         high = static_cast<scalar>(x);
         low = static_cast<scalar>(x - static_cast<double>(high));

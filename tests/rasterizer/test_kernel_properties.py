@@ -26,6 +26,7 @@ from builders import (
 from rasterizer import Camera, Gaussians, rasterize
 from rasterizer.reference import render as reference
 from rasterizer.reference.discontinuities import away_from_discontinuities, smooth_pixels
+from rasterizer.reference.render import slice_in_time
 
 IMAGE_TOLERANCE = 3e-5
 
@@ -133,6 +134,23 @@ def test_rotating_the_world_with_the_camera_changes_nothing(motion: str):
     smooth = smooth_pixels(gaussians, request)
     assert ((after.color - before.color).abs() * smooth).max() < IMAGE_TOLERANCE
     assert ((after.depth - before.depth).abs() * smooth).max() < IMAGE_TOLERANCE * before.depth.max()
+
+
+@pytest.mark.parametrize("motion", ["full", "separable"])
+def test_marginals_of_a_later_time_are_those_of_gaussians_moved_back_along_their_paths(motion: str):
+    """A Gaussian whose μt is earlier by δ, and its position with it by velocity · δ, is on the same path."""
+    offset, request = 0.15, make_request()
+    gaussians = random_gaussians(50, motion, generator(17), fourier_order=0)  # colours do not depend on t - μt
+    gaussians = away_from_discontinuities(gaussians, replace(request, marginal_offset=offset))
+    velocity = slice_in_time(gaussians, request.time).velocity
+    earlier = gaussians.mean - offset * torch.cat([velocity, torch.ones(len(gaussians), 1, dtype=torch.float64)], dim=1)
+    moved = replace(gaussians, mean=earlier)
+    smooth = smooth_pixels(moved, request)
+    before = render(rasterize, gaussians.to(torch.float32), replace(request, marginal_offset=offset))
+    after = render(rasterize, moved.to(torch.float32), request)
+    unshifted = render(rasterize, gaussians.to(torch.float32), request)
+    assert ((after.color - before.color).abs() * smooth).max() < IMAGE_TOLERANCE
+    assert (after.color - unshifted.color).abs().max() > 0.05  # the offset matters
 
 
 @pytest.mark.parametrize("motion", ["full", "separable"])

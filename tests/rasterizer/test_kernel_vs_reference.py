@@ -83,6 +83,13 @@ def test_core_all_outputs_together(motion: str):
     check_against_reference(random_gaussians(70, motion, generator(2)), request)
 
 
+@pytest.mark.parametrize("offset", [-0.3, 0.15])
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_temporal_marginals_of_another_time(motion: str, offset: float):
+    request = make_request(outputs=outputs_of(motion), flow_dt=0.2, marginal_offset=offset)
+    check_against_reference(random_gaussians(70, motion, generator(2)), request)
+
+
 @pytest.mark.parametrize("sh_degree", [0, 1, 2, 3])
 @pytest.mark.parametrize(
     ("motion", "fourier_order"), [(m, order) for m in MOTIONS for order in range(1 if m == "static" else 3)]

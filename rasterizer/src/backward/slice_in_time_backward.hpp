@@ -31,9 +31,10 @@ SPLAT_INLINE StoredGradient<motion, Real> slice_in_time_backward(const Slice<mot
     for (int i = 0; i < 3; ++i) out.mean[i] = d.mean[i];
     if constexpr (motion == Motion::kFull) {
         const Real(&m_t)[4] = g.axes[3];
-        // A = M - h m_tᵀ,  μ(t) = μ + h dt,  h = u / Σtt,  u = M_xyz m_t,  ln p = -½ dt² / Σtt
-        Real d_axes[4][4], d_dt = d.dt - d.log_marginal * g.dt * g.inverse_var;
-        Real d_var = d.var_t + d.log_marginal * Real(0.5f) * (g.dt * g.inverse_var) * (g.dt * g.inverse_var);
+        // A = M - h m_tᵀ,  μ(t) = μ + h dt,  h = u / Σtt,  u = M_xyz m_t,  ln p = -½ dt_marginal² / Σtt
+        const Real relative = g.dt_marginal * g.inverse_var;
+        Real d_axes[4][4], d_dt = d.dt - d.log_marginal * relative;
+        Real d_var = d.var_t + d.log_marginal * Real(0.5f) * relative * relative;
         for (int j = 0; j < 4; ++j) d_axes[3][j] = 0.f;
         for (int i = 0; i < 3; ++i) {
             Real d_h = d.mean[i] * g.dt + d.velocity[i];
@@ -72,9 +73,9 @@ SPLAT_INLINE StoredGradient<motion, Real> slice_in_time_backward(const Slice<mot
         rotation_3d_backward(g.left, dR, d_left);
         normalise_backward(g.left, d_left, out.quat_left);
         if constexpr (motion == Motion::kSeparable) {
-            out.mean[3] = d.log_marginal * g.dt * g.inverse_var - d.dt;
-            Real d_var =
-                d.var_t + d.log_marginal * Real(0.5f) * (g.dt * g.inverse_var) * (g.dt * g.inverse_var);
+            const Real relative = g.dt_marginal * g.inverse_var;
+            out.mean[3] = d.log_marginal * relative - d.dt;
+            Real d_var = d.var_t + d.log_marginal * Real(0.5f) * relative * relative;
             out.log_scale[3] = Real(2.f) * d_var * g.var_t;
         }
     }

@@ -53,7 +53,7 @@ inline int cull_in_time(const Parameters& p, uint32_t first, uint32_t last, cons
             var_t = s * s;
         }
         var_t += var_t * Float(kVarianceSlack) + sum_scale2 * Float(kScaleSlack);
-        const Float dt = (Float(c.time) - mean[3]) + Float(c.time_low);
+        const Float dt = ((Float(c.time) - mean[3]) + Float(c.time_low)) + Float(c.marginal_offset);
         unsigned in_time = bits(dt * dt <= max(var_t, kMinTimeVariance) * Float(kMinusTwoLnMinMarginal));
         if (last - base < kLanes) in_time &= (1u << (last - base)) - 1;
         n += compress_store_words(ids, in_time, candidates + n);

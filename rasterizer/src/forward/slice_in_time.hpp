@@ -59,6 +59,7 @@ struct Slice {
     Real scale[4];
     Real axes[4][4];                // M; 3×3 unless motion is full
     Real dt;                        // t - μt
+    Real dt_marginal;               // the same for p, t + marginal_offset - μt
     Real var_t, inverse_var;        // Σtt and its inverse
     Real log2_marginal;             // log2 p(t)
     Real velocity[3];               // h; full motion only
@@ -97,7 +98,8 @@ SPLAT_INLINE Slice<motion, Real> slice_in_time(const Stored<motion, Real>& s,
     } else {
         g.dt = (Real(c.time) - s.mean[3]) + Real(c.time_low);
         g.inverse_var = Real(1.f) / g.var_t;
-        g.log2_marginal = g.dt * g.dt * g.inverse_var * Real(-0.5f * kLog2E);
+        g.dt_marginal = g.dt + Real(c.marginal_offset);
+        g.log2_marginal = g.dt_marginal * g.dt_marginal * g.inverse_var * Real(-0.5f * kLog2E);
     }
     Real v[4];
     if constexpr (motion == Motion::kFull)
