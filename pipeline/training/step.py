@@ -23,6 +23,7 @@ from pipeline.training.objective.depth_loss import DepthGradient, sky_loss, spar
 from pipeline.training.objective.dropout import draw_dropped, without
 from pipeline.training.objective.flow_loss import flow_loss
 from pipeline.training.objective.losses import view_loss
+from pipeline.training.objective.marginal_jitter import draw_offsets
 from pipeline.training.objective.random_background import over_random_background
 from pipeline.training.objective.regularization import add_regularization_gradients
 from pipeline.training.objective.rigid_loss import add_rigid_gradient
@@ -165,10 +166,9 @@ def draw_batch(state: TrainState, views: TrainingViews, phase: Phase, scene: Sce
     if share > 0:
         rng = stream(cfg.seed, Stream.DROPOUT, state.iteration)
         drawn = [replace(view, dropped=draw_dropped(len(state.model), share, rng)) for view in drawn]
-    if cfg.train.marginal_jitter > 0:
-        width = cfg.train.marginal_jitter * scene.duration
-        offsets = stream(cfg.seed, Stream.MARGINAL, state.iteration).uniform(-width, width, len(drawn))
-        drawn = [replace(view, marginal_offset=offset) for view, offset in zip(drawn, offsets.tolist())]
+    if (jitter := cfg.train.marginal_jitter) > 0:
+        offsets = draw_offsets(len(drawn), jitter, scene, stream(cfg.seed, Stream.MARGINAL, state.iteration))
+        drawn = [replace(view, marginal_offset=offset) for view, offset in zip(drawn, offsets, strict=True)]
     rules = cfg.train.regularization
     if rules.rigid > 0 and state.model.kind.motion == "full":
         before = (state.iteration - 1) * cfg.train.batch  # training views
