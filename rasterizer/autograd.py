@@ -81,7 +81,9 @@ def rasterize(
     `rasterizer.reference.rasterize` is the same function in plain PyTorch. Raises ValueError for wrong shapes or types,
     for values that are not finite or out of range, and where float32 overflows.
     """
-    request = Request(camera, time, duration, background, outputs, flow_dt, near, sh_degree, fourier_order, marginal_offset)
+    request = Request(
+        camera, time, duration, background, outputs, flow_dt, near, sh_degree, fourier_order, marginal_offset
+    )
     check_layout(gaussians)
     check_finite(gaussians)
     images = _Rasterize.apply(request, threads, *(getattr(gaussians, name) for name in _FIELDS))

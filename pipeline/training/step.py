@@ -166,8 +166,9 @@ def draw_batch(state: TrainState, views: TrainingViews, phase: Phase, scene: Sce
     if share > 0:
         rng = stream(cfg.seed, Stream.DROPOUT, state.iteration)
         drawn = [replace(view, dropped=draw_dropped(len(state.model), share, rng)) for view in drawn]
-    if (jitter := cfg.train.marginal_jitter) > 0:
-        offsets = draw_offsets(len(drawn), jitter, scene, stream(cfg.seed, Stream.MARGINAL, state.iteration))
+    if (jitter := cfg.train.marginal_jitter) > 0 and state.model.kind.motion == "full":
+        rng = stream(cfg.seed, Stream.MARGINAL, state.iteration)
+        offsets = draw_offsets(len(drawn), jitter, state.model, scene, rng)
         drawn = [replace(view, marginal_offset=offset) for view, offset in zip(drawn, offsets, strict=True)]
     rules = cfg.train.regularization
     if rules.rigid > 0 and state.model.kind.motion == "full":

@@ -204,7 +204,9 @@ def rasterize(
 
     Raises ValueError for a parameter or argument that is not finite, out of range or missing.
     """
-    request = Request(camera, time, duration, background, outputs, flow_dt, near, sh_degree, fourier_order, marginal_offset)
+    request = Request(
+        camera, time, duration, background, outputs, flow_dt, near, sh_degree, fourier_order, marginal_offset
+    )
     request.check_against(gaussians)
     check_finite(gaussians)
     sums, transmittance = blend(make_splats(gaussians, request), camera)
