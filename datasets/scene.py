@@ -114,7 +114,8 @@ class Scene:
     @property
     def frame_spacing(self) -> float:
         """Mean difference of consecutive training times; the duration if there is only one time."""
-        return self.duration / max(1, len(self.train_times) - 1)
+        times = self.train_times
+        return (times[-1] - times[0]) / (len(times) - 1) if len(times) > 1 else self.duration
 
     @property
     def several_cameras(self) -> bool:

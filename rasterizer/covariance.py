@@ -36,6 +36,16 @@ def rotation_4d(quat_left: Tensor, quat_right: Tensor) -> Tensor:
     return left @ right
 
 
+def time_row(quat_left: Tensor, quat_right: Tensor) -> Tensor:
+    """The last row of R = L(ql) R(qr), (N, 4): how far each axis of the ellipsoid reaches into time."""
+    a, b, c, d = normalise_quaternion(quat_left).unbind(-1)
+    p, q, r, s = normalise_quaternion(quat_right).unbind(-1)
+    return torch.stack([
+        d * p - c * q + b * r + a * s, a * r - b * s - c * p - d * q,
+        b * p - a * q - c * s - d * r, a * p + b * q + c * r - d * s,
+    ], dim=-1)  # fmt: skip
+
+
 def rotation_3d(quat: Tensor) -> Tensor:
     """Rotation matrices (N, 3, 3) of quaternions (N, 4) in the order w, x, y, z, as in 3D Gaussian Splatting."""
     w, x, y, z = normalise_quaternion(quat).unbind(-1)
@@ -59,3 +69,14 @@ def scaled_axes(gaussians: Gaussians) -> Tensor:
             rotation = F.pad(rotation, (0, 1, 0, 1))
             rotation = rotation + torch.diag(rotation.new_tensor([0, 0, 0, 1]))
     return rotation * gaussians.log_scale.exp()[:, None, :]
+
+
+def temporal_deviation(gaussians: Gaussians) -> Tensor:
+    """√Σtt, the standard deviation of the temporal marginal of each Gaussian of a dynamic model: (N,), units of time.
+
+    Σtt = Σ_j (R_tj s_j)²; without 4D rotation it is st². A strong rotation turns a long spatial axis into time.
+    """
+    scales = gaussians.log_scale.exp()
+    if gaussians.quat_right is None:
+        return scales[:, 3]
+    return (time_row(gaussians.quat_left, gaussians.quat_right) * scales).norm(dim=1)

@@ -8,7 +8,7 @@ import torch
 from pipeline.evaluation.renderer import Renderer
 from pipeline.figures.figure import Figure, canvas, png_of
 from pipeline.presentation.theme import LIGHT
-from rasterizer.covariance import scaled_axes
+from rasterizer.covariance import temporal_deviation
 from rasterizer.reference.blend import MIN_MARGINAL
 
 STEPS = 200
@@ -38,7 +38,7 @@ def growth_figure(renderer: Renderer) -> Figure:
 def counts(renderer: Renderer, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(alive at any time from the first of `times` to each, alive at each), both (T,)."""
     gaussians = renderer.model.gaussians()
-    reach = scaled_axes(gaussians)[:, 3].norm(dim=1) * float(np.sqrt(-2 * np.log(MIN_MARGINAL)))
+    reach = temporal_deviation(gaussians) * float(np.sqrt(-2 * np.log(MIN_MARGINAL)))
     first, last = gaussians.mean[:, 3] - reach, gaussians.mean[:, 3] + reach
     begun = torch.sort(first).values.numpy()
     ended = torch.sort(last).values.numpy()

@@ -49,6 +49,13 @@ def test_scene_of_one_time_is_static() -> None:
     assert scene(train=(view("a", -1.0, 0.3), view("b", 1.0, 0.3)), test=(view("c", 0.0, 0.3),)).is_static
 
 
+def test_frame_spacing_is_that_of_the_training_times_even_if_the_duration_is_longer() -> None:
+    times = (0.2, 0.3, 0.3, 0.6)
+    views = tuple(view(str(i), float(i), time) for i, time in enumerate(times))
+    assert scene(train=views).frame_spacing == pytest.approx(0.2)
+    assert scene(train=views[:1], duration=0.5).frame_spacing == 0.5
+
+
 def test_extent_is_that_of_3dgs() -> None:
     cameras = [camera_at(0, 0, 0), camera_at(3, 0, 0), camera_at(0, 3, 0)]  # centre (1, 1, 0), largest distance √5
     assert camera_extent(cameras) == pytest.approx(1.1 * 5**0.5, rel=1e-12)

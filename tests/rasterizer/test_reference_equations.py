@@ -16,7 +16,14 @@ import torch
 from builders import generator, off_centre_camera, quaternion_product, random_gaussians
 
 from rasterizer.camera import Camera
-from rasterizer.covariance import normalise_quaternion, rotation_3d, rotation_4d, scaled_axes
+from rasterizer.covariance import (
+    normalise_quaternion,
+    rotation_3d,
+    rotation_4d,
+    scaled_axes,
+    temporal_deviation,
+    time_row,
+)
 from rasterizer.gaussians import Gaussians
 from rasterizer.reference import render as reference
 from rasterizer.reference.sh import sh_basis
@@ -50,6 +57,18 @@ def test_rotation_4d_multiplies_by_quaternions_on_both_sides():
     expected = quaternion_product(quaternion_product(unit(left), vector), unit(right))
     rotated = (rotation_4d(left, right) @ vector[:, :, None])[:, :, 0]
     torch.testing.assert_close(rotated, expected, rtol=1e-12, atol=1e-12)
+
+
+def test_time_row_is_the_last_row_of_the_rotation():
+    left, right = torch.randn(2, 20, 4, generator=generator(3), dtype=torch.float64)
+    torch.testing.assert_close(time_row(left, right), rotation_4d(left, right)[:, 3], rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("motion", ["full", "separable"])
+def test_temporal_deviation_is_the_square_root_of_the_covariance(motion):
+    gaussians = random_gaussians(30, motion, generator(4))
+    expected = covariance_4d(gaussians)[:, 3, 3].sqrt()
+    torch.testing.assert_close(temporal_deviation(gaussians), expected, rtol=1e-12, atol=0)
 
 
 def test_rotation_3d_conjugates_by_the_quaternion():

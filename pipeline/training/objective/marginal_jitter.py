@@ -17,7 +17,7 @@ import torch
 
 from datasets.scene import Scene
 from pipeline.model.model import Model
-from rasterizer.covariance import scaled_axes
+from rasterizer.covariance import temporal_deviation
 
 # With the jitter a quarter to a third of the Gaussians live so short on synthetic/burst, which it harms, 0.09 on wheel
 # and at most 0.08 on D-NeRF's scenes, while they are densified (results/measured/motion/motion.md).
@@ -29,7 +29,7 @@ def short_lived_share(model: Model, scene: Scene) -> float:
     """The share of Gaussians with √Σtt < the mean spacing of the training times; of about SAMPLE of them, evenly
     spread over the rows."""
     gaussians = model.gaussians().rows(torch.arange(0, len(model), max(1, len(model) // SAMPLE)))
-    return (scaled_axes(gaussians)[:, 3].norm(dim=1) < scene.frame_spacing).float().mean().item()
+    return (temporal_deviation(gaussians) < scene.frame_spacing).float().mean().item()
 
 
 def draw_offsets(count: int, jitter: float, model: Model, scene: Scene, rng: np.random.Generator) -> list[float]:

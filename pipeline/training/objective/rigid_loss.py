@@ -13,7 +13,7 @@ from torch import Tensor
 
 from pipeline.model.model import Model
 from rasterizer import Gradients
-from rasterizer.covariance import rotation_4d
+from rasterizer.covariance import rotation_4d, time_row
 
 FALLOFF = 100.0  # weight exp(-100 d²), d in world units: 1/e at 0.1
 MIN_MARGINAL = 0.7  # only Gaussians with temporal marginal p(t) above this
@@ -62,7 +62,7 @@ def rigid_loss(
 @torch.no_grad()
 def _moving_at(mean: Tensor, log_scale: Tensor, quat_left: Tensor, quat_right: Tensor, time: float) -> Tensor:
     """(N,) bool: p(t) > MIN_MARGINAL. Most are not, and need no gradient."""
-    axes = rotation_4d(quat_left, quat_right)[:, 3] * log_scale.exp()  # the last row of M = R diag(s)
+    axes = time_row(quat_left, quat_right) * log_scale.exp()  # the last row of M = R diag(s)
     return torch.exp(-0.5 * (time - mean[:, 3]) ** 2 / (axes * axes).sum(dim=1)) > MIN_MARGINAL
 
 
