@@ -164,6 +164,7 @@ class TrainConfig:
     envmap_until: int = 5000  # iterations for which the environment map or the cube map is trained
     cubemap_resolution: int = 128  # texels along a side of the cube map's faces
     optimiser: str = "adam"  # adam (dense, the paper's) | sparse_adam (Gaussians of the batch's views only)
+    separate_tilt: bool = False  # Adam's coordinates of 4D rotations: spatial rotation and tilt, not both quaternions
     sh_degree_every: int = 1000  # iterations between increases of the SH degree, up to 3; 0: 3 from the start
     # Iterations from which Fourier order 1 and 2 are trained; empty: from the start
     fourier_at: list[int] = field(default_factory=lambda: [4000, 5000])

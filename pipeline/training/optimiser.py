@@ -10,9 +10,12 @@ import torch
 from torch import Tensor
 
 from pipeline.model.model import Model
+from pipeline.model.tilt import left_and_right, spatial_and_tilt
 from pipeline.training.schedule import LearningRate
 from rasterizer import Gradients
 from rasterizer.adam import adam_step, sh_adam_step
+
+QUATERNIONS = ("quat_left", "quat_right")
 
 
 class Adam:
@@ -21,11 +24,17 @@ class Adam:
 
     The step count of the bias correction is global, as in 3DGS: a new Gaussian starts with zero moments and the
     correction of the current step.
+
+    With `separate_tilt`, the coordinates of 4D rotations are spatial rotation and tilt (pipeline/model/tilt.py), whose
+    moments are those under "quat_left" and "quat_right". Adam divides each coordinate of the gradient by its own size.
+    A tilt moves a Gaussian by its lifetime, a spatial rotation by its size only: in each component of the quaternions
+    the former hides the latter.
     """
 
-    def __init__(self, model: Model, threads: int = 1) -> None:
+    def __init__(self, model: Model, threads: int = 1, separate_tilt: bool = False) -> None:
         self.model = model
         self.threads = threads
+        self.separate_tilt = separate_tilt and model.kind.motion == "full"
         self.step_count = 0
         self.first = {name: torch.zeros_like(p) for name, p in model.parameters.items()}
         self.second = {name: torch.zeros_like(p) for name, p in model.parameters.items()}
@@ -46,6 +55,8 @@ class Adam:
         for name, parameter in self.model.parameters.items():
             moments = self.first[name], self.second[name]
             rate = learning_rates[name]
+            if self.separate_tilt and name in QUATERNIONS:
+                continue
             if name == "sh":
                 assert isinstance(rate, tuple)
                 sh_adam_step(
@@ -56,12 +67,26 @@ class Adam:
                 rate = rate[: parameter.shape[1]]  # a static mean has no column for time
             gradient = getattr(gradients, name)
             adam_step(parameter, gradient, *moments, rate, self.step_count, sparse_rows=rows, threads=self.threads)
+        if self.separate_tilt:
+            self._rotate(gradients, learning_rates, rows)
         if d_environment_map is not None:
             assert self.model.environment_map is not None and self.environment_map_moments is not None
             image, rate = self.model.environment_map.image, learning_rates["environment_map"]
             first, second = (moment.view(-1) for moment in self.environment_map_moments)
             gradient = d_environment_map.view(-1)
             adam_step(image.view(-1), gradient, first, second, rate, self.step_count, threads=self.threads)
+
+    def _rotate(self, gradients: Gradients, learning_rates: dict[str, LearningRate], rows: Tensor | None) -> None:
+        """The step of both quaternions, in the coordinates spatial rotation and tilt."""
+        assert gradients.quat_right is not None
+        steps = []
+        for name, gradient in zip(QUATERNIONS, spatial_and_tilt(gradients.quat_left, gradients.quat_right)):
+            step, moments = torch.zeros_like(gradient), (self.first[name], self.second[name])
+            rate = learning_rates[name]
+            adam_step(step, gradient, *moments, rate, self.step_count, sparse_rows=rows, threads=self.threads)
+            steps.append(step)
+        for name, change in zip(QUATERNIONS, left_and_right(*steps)):
+            self.model.parameters[name] += change
 
     def keep(self, mask: Tensor) -> None:
         """Remove the Gaussians where `mask` (N,) bool is False, with their moments; the others keep their order."""

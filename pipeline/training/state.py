@@ -94,7 +94,7 @@ def start(
         model = saved.model
     state = TrainState(
         model,
-        Adam(model, threads),
+        Adam(model, threads, cfg.train.separate_tilt),
         Statistics(len(model)),
         # One random stream per purpose, so that the draws of one never shift those of another.
         BatchSampler(scene.train, cfg.train.sampler, cfg.train.batch, stream(cfg.seed, Stream.BATCHES)),

@@ -9,17 +9,16 @@ from __future__ import annotations
 from dataclasses import replace
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from datasets.scene import Scene
 from pipeline.config.train_schema import RegularizationConfig
 from pipeline.data.covered_share import covered_share
 from pipeline.model.model import Model
+from pipeline.model.tilt import UNTILTED
 from rasterizer import Gradients
 
 TILT_SOFTENING = 1e-3  # radians: smooths the norm at zero tilt
-UNTILTED = torch.tensor([1.0, 1.0, 1.0, -1.0])  # × ql is the qr without tilt
 
 
 def relative_to_data(cfg: RegularizationConfig, scene: Scene) -> RegularizationConfig:
@@ -70,16 +69,6 @@ def opacity_weight(model: Model, cfg: RegularizationConfig, scene: Scene) -> Ten
     return (cfg.opacity_views / views_in_lifetime).clamp_(max=1.0)
 
 
-def tilt(quat_left: Tensor, quat_right: Tensor) -> Tensor:
-    """(N,) 2 sin(θ/2), where θ is the angle by which the rotation tilts the time axis into space; (N, 4) quaternions.
-
-    With v = (x, y, z, t) = x + yi + zj + tk rotated to ql v qr (docs/method.md 1), the time axis is fixed if ql k qr =
-    k, which holds for qr = (a, b, c, -d) and ql = (a, b, c, d), both of unit length. The tilt is the distance of qr
-    from that. A Gaussian much longer in time than in space moves with velocity tan θ.
-    """
-    return _difference(quat_left, quat_right).norm(dim=1)
-
-
 def tilt_gradient(quat_left: Tensor, quat_right: Tensor) -> tuple[Tensor, Tensor]:
     """∂ Σ √(tilt² + ε²) / ∂(quat_left, quat_right), (N, 4) each.
 
@@ -93,8 +82,3 @@ def tilt_gradient(quat_left: Tensor, quat_right: Tensor) -> tuple[Tensor, Tensor
     of_left = torch.addcmul(right.neg(), cosine, left).div_(norm_left * length).mul_(UNTILTED.to(quat_left.dtype))
     of_right = torch.addcmul(left.neg(), cosine, right).div_(norm_right * length)
     return of_left, of_right
-
-
-def _difference(quat_left: Tensor, quat_right: Tensor) -> Tensor:
-    untilted = F.normalize(quat_left, dim=1) * UNTILTED.to(quat_left.dtype)
-    return F.normalize(quat_right, dim=1) - untilted

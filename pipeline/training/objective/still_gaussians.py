@@ -11,7 +11,7 @@ import torch
 import torch.nn.functional as F
 
 from pipeline.model.model import Model
-from pipeline.training.objective.regularization import UNTILTED
+from pipeline.model.tilt import UNTILTED
 
 
 def hold_still(model: Model, lifetime: float) -> None:

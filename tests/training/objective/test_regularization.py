@@ -1,4 +1,4 @@
-"""Regularization: gradients against autograd, closed forms, and the tilt of the rotation."""
+"""Regularization: gradients against autograd, and closed forms."""
 
 from __future__ import annotations
 
@@ -12,15 +12,14 @@ from tiny import tiny_scene
 
 from pipeline.config.train_schema import RegularizationConfig
 from pipeline.model.model import Model
+from pipeline.model.tilt import tilt
 from pipeline.training.objective.regularization import (
     TILT_SOFTENING,
     add_regularization_gradients,
     opacity_weight,
     relative_to_data,
-    tilt,
 )
 from rasterizer import Gradients
-from rasterizer.covariance import rotation_4d
 
 SCENE = tiny_scene(views=51)  # one view at each of 51 times in one second
 
@@ -91,22 +90,6 @@ def test_empty_background_takes_no_part_in_the_balance_of_loss_and_regularizatio
     cfg = RegularizationConfig(motion=1.0, opacity=1.0)
     whole, part = relative_to_data(cfg, SCENE), relative_to_data(cfg, replace(SCENE, train=framed))
     assert (part.motion, part.opacity) == pytest.approx((whole.motion / 4, whole.opacity / 4))
-
-
-def test_tilt_is_twice_the_sine_of_half_the_angle_of_the_time_axis():
-    rng = torch.Generator().manual_seed(0)
-    left, right = (torch.randn(50, 4, generator=rng, dtype=torch.float64) for _ in range(2))
-    along = rotation_4d(left, right)[:, 3, 3]  # cos θ of the time axis
-    # 1e-12: float64 rounding
-    torch.testing.assert_close(tilt(left, right) ** 2, 2 - 2 * along, rtol=1e-12, atol=1e-12)
-
-
-def test_a_rotation_of_space_alone_has_no_tilt():
-    left = torch.randn(50, 4, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
-    right = left * torch.tensor([1.0, 1.0, 1.0, -1.0])
-    rotation = rotation_4d(left, right)
-    torch.testing.assert_close(rotation[:, 3], torch.tensor([0.0, 0, 0, 1]).double().expand(50, 4), atol=1e-14, rtol=0)
-    assert tilt(left, right).max() < 1e-14
 
 
 def test_without_weights_there_are_no_gradients():

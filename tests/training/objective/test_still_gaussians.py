@@ -13,8 +13,8 @@ from pipeline.config.random_streams import Stream, stream
 from pipeline.config.train_schema import RegularizationConfig
 from pipeline.model.initialise import initialise
 from pipeline.model.model import Model
+from pipeline.model.tilt import tilt
 from pipeline.training.loop import train
-from pipeline.training.objective.regularization import tilt
 from pipeline.training.objective.still_gaussians import hold_still
 from pipeline.training.run_log import temporary_run
 from rasterizer.covariance import scaled_axes
