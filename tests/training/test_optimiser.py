@@ -84,7 +84,7 @@ def test_the_columns_of_the_mean_have_their_own_rates() -> None:
 
 
 def test_separate_tilt_is_adam_on_spatial_rotation_and_tilt() -> None:
-    """Against torch.optim.Adam on both coordinates, in float64, and with the gradient of the quaternions by autograd."""
+    """Against torch.optim.Adam on both coordinates, float64; the gradient with respect to them is by autograd."""
     model, rng = random_model(KIND, 20), torch.Generator().manual_seed(0)
     start = [model.parameters[name].double() for name in QUATERNIONS]
     spatial, tilted = (part.requires_grad_() for part in spatial_and_tilt(*start))
