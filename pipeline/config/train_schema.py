@@ -18,8 +18,10 @@ class LearningRates:
 
     mean: float = 1.6e-4  # of μ_xyz at the start; × extent
     mean_final: float = 1.6e-6  # of μ_xyz after `decay_iterations`, log-linear; × extent
-    mean_time: float = 1.6e-4  # of μt; × extent, constant
-    decay_iterations: int = 30_000  # from `mean` to `mean_final`
+    mean_time: float = 1.6e-4  # of μt at the start; × extent
+    # Of μt after `decay_iterations`, log-linear; × extent; None: constant, as in the paper's and the release's schedule
+    mean_time_final: Optional[float] = None
+    decay_iterations: int = 30_000  # from `mean` to `mean_final`, and of μt
     sh_dc: float = 2.5e-3  # of the coefficient that is constant in time and direction
     sh_rest: float = 1.25e-4  # of all other coefficients
     sh_time: Optional[float] = None  # of coefficients that vary with time alone (degree 0); None: sh_rest

@@ -87,11 +87,13 @@ def learning_rates(clock: float, fraction: float, cfg: LearningRates, extent: fl
     """Learning rates of every field and of the environment map at `clock`, after `fraction` of the schedule.
 
     extent: world units; it multiplies the positional rates. The mean's columns are x, y, z, with log-linear decay over
-    `decay_iterations`, and t, constant as in the release and also multiplied by the extent.
+    `decay_iterations`, and t, constant as in the release or with a decay of its own, also multiplied by the extent.
     """
     decay = cfg.final_factor ** max(0.0, (fraction - cfg.decay_start) / (1 - cfg.decay_start))
-    xyz = log_linear(cfg.mean, cfg.mean_final, clock / cfg.decay_iterations) * extent * decay
-    t = cfg.mean_time * extent * decay
+    position = clock / cfg.decay_iterations
+    xyz = log_linear(cfg.mean, cfg.mean_final, position) * extent * decay
+    last = cfg.mean_time if cfg.mean_time_final is None else cfg.mean_time_final
+    t = log_linear(cfg.mean_time, last, position) * extent * decay
     rotation = cfg.rotation * decay
     return {
         "mean": (xyz, xyz, xyz, t),

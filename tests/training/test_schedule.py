@@ -21,6 +21,12 @@ def test_the_rate_of_positions_is_log_linear_and_that_of_time_constant() -> None
         assert t == pytest.approx(1.6e-4 * EXTENT, rel=1e-12)
 
 
+def test_the_rate_of_times_has_a_decay_of_its_own_where_one_is_set() -> None:
+    cfg = LearningRates(mean_time=4e-4, mean_time_final=1e-6)
+    for now, expected in [(0, 4e-4), (15_000, 2e-5), (30_000, 1e-6), (40_000, 1e-6)]:
+        assert learning_rates(now, 0.0, cfg, EXTENT)["mean"][3] == pytest.approx(expected * EXTENT, rel=1e-12)
+
+
 def test_rates_without_decay() -> None:
     r = learning_rates(12_345, 0.4, LearningRates(), EXTENT)
     assert (r["log_scale"], r["quat_left"], r["quat_right"], r["opacity_logit"]) == ((5e-3,) * 4, 1e-3, 1e-3, 5e-2)
