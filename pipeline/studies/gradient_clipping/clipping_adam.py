@@ -23,9 +23,16 @@ class ClippingAdam(Adam):
     """
 
     def __init__(
-        self, model: Model, threads: int, threshold: float, norms: list[dict[str, float]], concentration: list[float]
+        self,
+        model: Model,
+        threads: int = 1,
+        separate_tilt: bool = False,
+        *,
+        threshold: float,
+        norms: list[dict[str, float]],
+        concentration: list[float],
     ) -> None:
-        super().__init__(model, threads)
+        super().__init__(model, threads, separate_tilt)
         self._threshold, self._norms, self._concentration = threshold, norms, concentration
 
     def step(
