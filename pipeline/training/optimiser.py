@@ -26,9 +26,8 @@ class Adam:
     correction of the current step.
 
     With `separate_tilt`, the coordinates of 4D rotations are spatial rotation and tilt (pipeline/model/tilt.py), whose
-    moments are those under "quat_left" and "quat_right". Adam divides each coordinate of the gradient by its own size.
-    A tilt moves a Gaussian by its lifetime, a spatial rotation by its size only: in each component of the quaternions
-    the former hides the latter.
+    moments are those under "quat_left" and "quat_right". Adam divides each coordinate of the gradient by its own size,
+    and that of the tilt is larger (docs/method.md 2.9): in the quaternions' components it would slow down the other.
     """
 
     def __init__(self, model: Model, threads: int = 1, separate_tilt: bool = False) -> None:
