@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 import torch
 from torch import Tensor
@@ -37,36 +38,24 @@ class Target:
 def target_of(view: View, scale: float) -> Target:
     """The view at `scale` of its size (see camera_at), reduced by area average."""
     camera = camera_at(view.camera, scale)
-    planes = np.asarray(view.image).transpose(2, 0, 1)
+    planes = np.asarray(view.image)
     if view.coverage is not None:
-        planes = np.concatenate([planes, view.coverage[None]])
-    planes = np.ascontiguousarray(planes, dtype=np.float32) / np.float32(255)
-    if camera is not view.camera:
-        height, width = planes.shape[1:]
-        planes = area_weights(height, camera.height) @ planes @ area_weights(width, camera.width).T
+        planes = np.dstack([planes, view.coverage])
+    planes = area_average(planes, camera) / np.float32(255)
     mask = None if view.mask is None else _reduced_mask(view.mask, camera)
-    channels = torch.from_numpy(np.ascontiguousarray(planes))
+    channels = torch.from_numpy(np.ascontiguousarray(planes.transpose(2, 0, 1)))
     alpha = channels[3:] if view.coverage is not None else None
     return Target(view.name, view.time, camera, channels[:3], alpha, mask=mask, sky=_sky(view, camera))
 
 
 def _sky(view: View, camera: Camera) -> Tensor | None:
     """(1, H, W) share of sky of each pixel of `camera`, area average; None where it is unknown."""
-    if view.sky is None:
-        return None
-    sky = view.sky.astype(np.float32)
-    if camera is not view.camera:
-        sky = area_weights(sky.shape[0], camera.height) @ sky @ area_weights(sky.shape[1], camera.width).T
-    return torch.from_numpy(np.ascontiguousarray(sky))[None]
+    return None if view.sky is None else torch.from_numpy(area_average(view.sky, camera))[None]
 
 
 def _reduced_mask(mask: np.ndarray, camera: Camera) -> Tensor:
     """(H, W) bool at the camera's size: pixels all of whose parts count."""
-    height, width = mask.shape
-    planes = mask.astype(np.float32)
-    if (width, height) != (camera.width, camera.height):
-        planes = area_weights(height, camera.height) @ planes @ area_weights(width, camera.width).T
-    return torch.from_numpy(planes > 1 - 1e-3)
+    return torch.from_numpy(area_average(mask, camera) > 1 - 1e-3)
 
 
 def camera_at(camera: Camera, scale: float) -> Camera:
@@ -82,12 +71,9 @@ def evenly_spaced(count: int, chosen: int) -> list[int]:
     return np.unique(np.linspace(0, count - 1, chosen).round().astype(int)).tolist()
 
 
-def area_weights(pixels: int, fewer: int) -> np.ndarray:
-    """Weights (fewer, pixels) float32 of an area average: the share of old pixels in each new one. Rows sum to 1."""
-    edges = np.arange(fewer + 1) * (pixels / fewer)  # of the new pixels, in units of old ones
-    old = np.arange(pixels)
-    overlap = np.minimum(edges[1:, None], old + 1) - np.maximum(edges[:-1, None], old)
-    return (np.maximum(overlap, 0.0) * (fewer / pixels)).astype(np.float32)
+def area_average(planes: np.ndarray, camera: Camera) -> np.ndarray:
+    """(H, W) or (H, W, C) of any type, averaged over the area of each pixel of `camera`, float32; H, W not smaller."""
+    return cv2.resize(planes.astype(np.float32), (camera.width, camera.height), interpolation=cv2.INTER_AREA)
 
 
 class TrainingViews:

@@ -94,8 +94,6 @@ def train(
             phase = state.begin_iteration(scene, cfg)
             batch = render_batch(state, draw_batch(state, views, phase, scene, cfg), phase, scene, cfg)
             optimiser_step(state, batch, phase, scene, regularization)
-            for event in refine(state, phase, refinement_views, scene, cfg):
-                run.log(event)
 
             if state.iteration % PROGRESS_EVERY == 0:
                 _report_progress(state, batch, phase, progress, run)
@@ -103,8 +101,12 @@ def train(
                     with state.stopwatch.paused():
                         watcher.see(state.model, state.iteration, batch.loss, psnr(batch.last.image, batch.last.target))
             finished = state.is_finished(cfg.train)
+            # Before refinement, whose new and split Gaussians no step has fitted yet; the last model is not refined.
             if finished or state.iteration % cfg.train.eval_every == 0:
                 _evaluate(state, phase, evaluate_fn, progress, run, finished)
+            if not finished:
+                for event in refine(state, phase, refinement_views, scene, cfg):
+                    run.log(event)
             if finished or state.iteration % cfg.train.checkpoint_every == 0:
                 save(state, run, keep_moments=cfg.train.checkpoint_keep_moments or not finished)
             interruption.raise_if_lost()

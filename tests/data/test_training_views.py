@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from tiny import tiny_scene
 
-from pipeline.data.training_views import TrainingViews, area_weights, target_of
+from pipeline.data.training_views import TrainingViews, area_average, target_of
+from rasterizer import Camera
 
 
 def test_coarser_views_are_averaged_over_areas() -> None:
@@ -14,7 +15,10 @@ def test_coarser_views_are_averaged_over_areas() -> None:
     expected = view.image.reshape(16, 2, 16, 2, 3).mean(axis=(1, 3)).transpose(2, 0, 1) / 255
     np.testing.assert_allclose(half.image.numpy(), expected, atol=1e-6)  # float32 of values up to 1
     assert (half.camera.width, half.camera.fx, half.camera.cx) == (16, 20.0, 8.0)
-    np.testing.assert_allclose(area_weights(3, 2), [[2 / 3, 1 / 3, 0], [0, 1 / 3, 2 / 3]], atol=1e-7)
+    thirds = np.array([[2, 1, 0], [0, 1, 2]]) / 3  # shares of three old pixels in two new ones
+    old = np.array([[0.0, 8.0, 4.0], [2.0, 5.0, 1.0], [9.0, 3.0, 7.0]])
+    new = area_average(old, Camera(2, 2, 1.0, 1.0, 1.0, 1.0, np.eye(4)))
+    np.testing.assert_allclose(new, thirds @ old @ thirds.T, atol=1e-6)
     whole = target_of(view, 1.0)
     np.testing.assert_array_equal(whole.image.numpy() * 255, view.image.transpose(2, 0, 1))
 

@@ -13,7 +13,6 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import torch
 from scipy.ndimage import uniform_filter
@@ -22,7 +21,7 @@ from torch import Tensor
 from datasets.scene import Scene, View
 from pipeline.config.schema import Config
 from pipeline.config.train_schema import TrainConfig
-from pipeline.data.training_views import Target, camera_at
+from pipeline.data.training_views import Target, target_of
 from pipeline.model.initialise import SH_C0
 from pipeline.model.model import Model
 from pipeline.model.render import render_image
@@ -193,10 +192,7 @@ class ErrorSampler:
 
 def reduced(view: View) -> Target:
     """The view at IMAGE_SIDE pixels of its longer side, or as it is."""
-    camera = camera_at(view.camera, min(1.0, IMAGE_SIDE / max(view.camera.width, view.camera.height)))
-    image = cv2.resize(np.asarray(view.image), (camera.width, camera.height), interpolation=cv2.INTER_AREA)
-    planes = torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1))).float().div_(255)
-    return Target(view.name, view.time, camera, planes)
+    return target_of(view, min(1.0, IMAGE_SIDE / max(view.camera.width, view.camera.height)))
 
 
 def quantile_of_known(values: np.ndarray, quantile: float) -> np.ndarray:
