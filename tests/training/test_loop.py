@@ -106,6 +106,17 @@ def test_logs_and_checkpoint_of_a_run(uninterrupted: Path) -> None:
     assert fake_evaluate(saved.best_model, None)["psnr"] == best["psnr"]
 
 
+def test_models_are_evaluated_before_they_are_densified(tmp_path) -> None:
+    """Cloned and split Gaussians that no step has fitted would lower the PSNR; at the end they would stay unfitted."""
+    train_tiny(tmp_path, tiny_config(30))
+    run = TinyRun(tmp_path)
+    densified = {row["iteration"]: row["n_gaussians"] for row in run.rows("log.jsonl") if row["event"] == "densify"}
+    evaluated = {row["iteration"]: row["n_gaussians"] for row in run.rows("error_vs_time.jsonl")}
+    assert set(densified) == {10, 20} and densified[10] != evaluated[10]
+    assert (evaluated[20], evaluated[30]) == (densified[10], densified[20])
+    assert len(checkpoint.load_model(tmp_path / checkpoint.FILE_NAME)) == evaluated[30]
+
+
 def test_the_run_is_a_function_of_the_seed(uninterrupted: Path, tmp_path) -> None:
     train_tiny(tmp_path / "again")
     assert_same_state(uninterrupted, tmp_path / "again")
