@@ -48,6 +48,8 @@ class DensifyConfig:
     space_gradient: float = 2e-4  # threshold of the spatial indicator; NDC units, mean per view
     use_time_gradient: bool = True  # False: as the release, which computes the temporal indicator and never uses it
     time_gradient: float = 1e-4  # threshold of the temporal indicator |∂L/∂μt|, time in units of the duration
+    # A clone and its original have opacity 1 - √(1 - α), so that both together look as one did. False: as in the paper
+    correct_clones: bool = False
     # False: every split shrinks the temporal scale too, as in the paper. True: only splits by the temporal indicator do
     split_by_cause: bool = False
     split_scale: float = 0.01  # × extent: Gaussians up to this scale are cloned, larger ones split
@@ -62,7 +64,10 @@ class DensifyConfig:
     prune_scale: float = 0.1  # largest spatial scale; × extent
     # Gaussians of the lowest image sensitivity are pruned, together this share of the total sensitivity; 0: none
     prune_sensitivity: float = 0.0
-    prune_sensitivity_every: int = 500  # iterations between prunings by sensitivity
+    prune_sensitivity_every: int = 500  # iterations between prunings by sensitivity, and by visibility
+    # Gaussians of which less than this share reaches the camera in every training view, because others hide them, are
+    # pruned (pipeline/training/density/visibility_pruning.py); 0: none
+    prune_hidden: float = 0.0
     # Gaussians added where and when the error is (pipeline/training/density/error_sampling.py): at most so many
     error_points: int = 0
     error_points_share: float = 1.0  # and at most this × the number that there are
@@ -80,6 +85,7 @@ class DensifyConfig:
             "opacity_reset_every": at_least(0).but("0: never"),
             "opacity_reset_to": between("(0, 1)", 0, 1),
             "prune_sensitivity": between("[0, 1)", 0, 1).but("0: nothing"),
+            "prune_hidden": between("[0, 1)", 0, 1).but("0: nothing"),
             "prune_sensitivity_every": positive_count(),
             "error_points": at_least(0).but("0: none"),
             "error_points_share": above(0),

@@ -127,7 +127,8 @@ public:
     void backward(const Model& model, std::optional<In> color, std::optional<In> alpha,
                   std::optional<In> depth, std::optional<In> flow, std::optional<In> stats, Out mean,
                   Out log_scale, Out quat_left, std::optional<Out> quat_right, Out opacity_logit,
-                  Array<int32_t> id, Out mean2d, Out mean_t, Out radius, Out color_gradient) {
+                  Array<int32_t> id, Out mean2d, Out mean_t, Out radius, Out unoccluded,
+                  Out color_gradient) {
         const splat::InputPlanes d{pointer(color), pointer(alpha), pointer(depth), pointer(flow),
                                    pointer(stats)};
         const splat::InputPlanes rendered{pointer(rendered_[0]), pointer(rendered_[1]), pointer(rendered_[2]),
@@ -135,6 +136,7 @@ public:
         const splat::ParameterGradients out{mean.data(), log_scale.data(), quat_left.data(),
                                             pointer(quat_right), opacity_logit.data()};
         const splat::ViewGradient view{id.data(), mean2d.data(), mean_t.data(), radius.data(),
+                                       unoccluded.data(),
                                        reinterpret_cast<splat::ColorGradient*>(color_gradient.data())};
         nb::gil_scoped_release release;
         splat::render_backward(state_, model.motion(), model.parameters(), rendered, d, out, view);
@@ -253,7 +255,7 @@ NB_MODULE(KERNEL_MODULE_NAME, m) {
              nb::arg("d_alpha").none(), nb::arg("d_depth").none(), nb::arg("d_flow").none(),
              nb::arg("d_stats").none(), nb::arg("mean"), nb::arg("log_scale"), nb::arg("quat_left"),
              nb::arg("quat_right").none(), nb::arg("opacity_logit"), nb::arg("id"), nb::arg("mean2d"),
-             nb::arg("mean_t"), nb::arg("radius"), nb::arg("color_gradient"))
+             nb::arg("mean_t"), nb::arg("radius"), nb::arg("unoccluded"), nb::arg("color_gradient"))
         .def_prop_ro("visible", &FrameBinding::visible)
         .def_prop_ro("in_time", &FrameBinding::in_time)
         .def_prop_ro("entries", &FrameBinding::entries)

@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from pipeline.config.train_schema import DensifyConfig
@@ -94,12 +95,23 @@ def split_rows(
         rows["mean"] = rows["mean"] + (axes @ noise[:, :, None])[:, :, 0]
         shrunk = dims
     else:
-        time_row = torch.nn.functional.normalize(axes[:, 3], dim=1)  # v of docs/method.md 1.1
+        time_row = F.normalize(axes[:, 3], dim=1)  # v of docs/method.md 1.1
         noise = noise - time_row * (time_row * noise).sum(dim=1, keepdim=True)  # (I - v vᵀ) ε
         rows["mean"][:, :3] += (axes[:, :3] @ noise[:, :, None])[:, :, 0]
         shrunk = 3
     rows["log_scale"][:, :shrunk] -= torch.log(torch.tensor(cfg.split_shrink))
     return rows
+
+
+def halved_opacity(logit: Tensor) -> Tensor:
+    """The logit of 1 - √(1 - α): two Gaussians of this opacity in one place let as much light through as one of α does,
+    at their centre.
+
+    Without it each clone makes its surroundings more opaque (Bulò, Porzi & Kontschieder, ECCV 2024).
+    """
+    # With β = 1 - α: logit = log((1 - √β) / √β); √β = exp(½ log β) without cancellation for any α.
+    half_log = 0.5 * F.logsigmoid(-logit)
+    return torch.log(-torch.expm1(half_log)) - half_log
 
 
 def to_prune(
@@ -132,6 +144,9 @@ def densify(
     """
     model = optimiser.model
     growth = choose_growth(model, statistics, cfg, extent, time_split)
+    if cfg.correct_clones:
+        logit = model.parameters["opacity_logit"]
+        logit[growth.clone] = halved_opacity(logit[growth.clone])
     clones = {name: p[growth.clone] for name, p in model.parameters.items()}
     if cfg.split_by_cause:
         parts = [

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from datasets.scene import Scene, View
 from pipeline.config.random_streams import Stream, stream
 from pipeline.config.schema import Config
-from pipeline.training.density import densification, error_sampling, sensitivity_pruning
+from pipeline.training.density import densification, error_sampling, sensitivity_pruning, visibility_pruning
 from pipeline.training.density.error_sampling import ErrorSampler
 from pipeline.training.schedule import Phase
 from pipeline.training.state import TrainState
@@ -18,7 +18,7 @@ from pipeline.training.state import TrainState
 class RefinementViews:
     """The training views as refinement uses them."""
 
-    scoring: Sequence[View]  # sensitivity is measured on these
+    scoring: Sequence[View]  # sensitivity and visibility are measured on these
     errors: ErrorSampler
 
     @classmethod
@@ -27,8 +27,10 @@ class RefinementViews:
 
 
 def refine(state: TrainState, phase: Phase, views: RefinementViews, scene: Scene, cfg: Config) -> list[dict]:
-    """Densify, prune by sensitivity, add Gaussians by error and reset opacities in the iterations scheduled for it.
-    Returns the events as rows of log.jsonl."""
+    """Densify, prune by sensitivity and visibility, add Gaussians by error and reset opacities, each when it is due.
+
+    Returns the events as rows of log.jsonl.
+    """
     events = []
     rules = cfg.train.densify
     if densification.due(state.iteration, phase.clock, rules):
@@ -53,6 +55,13 @@ def refine(state: TrainState, phase: Phase, views: RefinementViews, scene: Scene
         events.append({
             "event": "prune_sensitivity", "iteration": state.iteration, "pruned": pruned,
             "n_gaussians": len(state.model),
+        })  # fmt: skip
+    if visibility_pruning.due(state.iteration, cfg):
+        visible = visibility_pruning.visibility(state.model, views.scoring, scene, cfg, phase.resolution, state.threads)
+        pruned = visibility_pruning.prune_hidden(state.optimiser, visible, rules.prune_hidden)
+        state.reset_statistics()
+        events.append({
+            "event": "prune_hidden", "iteration": state.iteration, "pruned": pruned, "n_gaussians": len(state.model),
         })  # fmt: skip
     # After pruning, which makes room below max_gaussians and would remove most of them at once.
     if cfg.ablation.time_split and error_sampling.due(state.iteration, phase.clock, cfg.train):

@@ -83,12 +83,15 @@ def scoring_views(scene: Scene) -> list[View]:
 
 
 def due(iteration: int, cfg: TrainConfig) -> bool:
+    return cfg.densify.prune_sensitivity > 0 and scheduled(iteration, cfg)
+
+
+def scheduled(iteration: int, cfg: TrainConfig) -> bool:
     """Every `prune_sensitivity_every` iterations, also after the last densification, except for the last period, in
     which the remaining Gaussians could not adapt."""
     rules = cfg.densify
     return (
-        rules.prune_sensitivity > 0
-        and iteration > rules.start
+        iteration > rules.start
         and iteration % rules.prune_sensitivity_every == 0
         and iteration + rules.prune_sensitivity_every <= cfg.iterations
     )

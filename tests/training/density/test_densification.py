@@ -14,6 +14,7 @@ from pipeline.training.density.densification import (
     choose_growth,
     densify,
     due,
+    halved_opacity,
     opacity_reset_due,
     reset_opacity,
     split_rows,
@@ -21,7 +22,7 @@ from pipeline.training.density.densification import (
 )
 from pipeline.training.density.statistics import Statistics
 from pipeline.training.optimiser import Adam
-from rasterizer import Camera, ViewGradient
+from rasterizer import Camera, Rasterizer, Request, ViewGradient
 from rasterizer.covariance import rotation_4d
 
 EXTENT = 5.0  # clones up to a scale of 0.05, splits above
@@ -63,7 +64,7 @@ def test_indicators_against_a_naive_sum() -> None:
         ]
         statistics.begin()
         for ids, g2, gt, r in by_view:
-            view = ViewGradient(torch.tensor(ids, dtype=torch.int32), g2, gt, r)
+            view = ViewGradient(torch.tensor(ids, dtype=torch.int32), g2, gt, r, torch.zeros(4))
             statistics.add_view(view, Camera(width, height, 1, 1, 0, 0, np.eye(4)), duration)
         statistics.end(batch)
         for i in range(count):
@@ -279,3 +280,35 @@ def test_when_densification_and_opacity_resets_are_due() -> None:
     assert [i for i in range(1, 16_000) if due(i, float(i), cfg)] == list(range(600, 15_000, 100))
     assert [i for i in range(1, 31_000) if opacity_reset_due(i, float(i), cfg)] == [3000, 6000, 9000, 12_000]
     assert not due(600, 15_000.0, cfg), "the clock of a time budget ends densification"
+
+
+def test_corrected_clones_let_as_much_light_through_as_one() -> None:
+    opacity = torch.tensor([1e-6, 0.005, 0.1, 0.5, 0.9, 0.99, 1 - 1e-9], dtype=torch.float64)
+    half = torch.sigmoid(halved_opacity(torch.logit(opacity)))
+    torch.testing.assert_close((1 - half) ** 2, 1 - opacity, rtol=1e-6, atol=0)  # 1 - 1e-9 has 7 digits of 1 - α
+
+
+def test_corrected_clones_hardly_change_the_image() -> None:
+    """Every Gaussian is cloned. Without the correction the image becomes more opaque."""
+    camera = Camera(32, 32, 40.0, 40.0, 16.0, 16.0, np.eye(4))
+    change = {}
+    for correct in (True, False):
+        model = model_of([0.04] * 9)
+        row, column = torch.meshgrid(torch.arange(3), torch.arange(3), indexing="ij")  # 7.5 σ apart
+        model.parameters["mean"][:, 0], model.parameters["mean"][:, 1] = (
+            0.3 * row.ravel() - 0.3,
+            0.3 * column.ravel() - 0.3,
+        )
+        model.parameters["mean"][:, 2] = 2.0
+        rules = DensifyConfig(correct_clones=correct, prune_big_after=100)
+
+        def image(model: Model = model) -> torch.Tensor:
+            return Rasterizer(threads=1).render(model.gaussians(), Request(camera, 0.0)).color.clone()
+
+        before = image()
+        densify(Adam(model), statistics_of([1.0] * 9, [0.0] * 9), 10, rules, EXTENT, True, torch.Generator())
+        assert len(model) == 18
+        change[correct] = (image() - before).abs().max().item()
+    # The pair is exact where alpha is h = 1 - √½ or 0, its Gaussians' peak and outside; in between, at a share G of the
+    # peak, it has 1 - (1 - hG)² - ½G = (2h - ½) (G - G²), at most a quarter of 0.086. Colours are 0.5.
+    assert change[True] < 0.5 * (2 * (1 - 0.5**0.5) - 0.5) / 4 + 1e-3 < 0.05 < change[False]

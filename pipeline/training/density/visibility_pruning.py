@@ -1,0 +1,71 @@
+"""Pruning by visibility: Gaussians that others hide in every training view are removed.
+
+No image determines what is behind an opaque surface. Gaussians there show through it a little, and fill in for what
+dropout leaves out. A camera on another side sees them whole.
+
+The visibility of a Gaussian in a view is Σ α' T / Σ α' over the pixels: the share of it that reaches the camera. The
+numerator is the derivative of the sum of all pixels by its colour. The denominator has a closed form.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from datasets.scene import Scene, View
+from pipeline.config.schema import Config
+from pipeline.data.training_views import camera_at
+from pipeline.model.model import Model
+from pipeline.training.density import sensitivity_pruning
+from pipeline.training.optimiser import Adam
+from rasterizer import Gradients, Rasterizer, Request
+
+SCALE = 0.5  # × the resolution that is trained at: for run time
+MIN_UNOCCLUDED = 0.1  # Σ α' of a Gaussian in a view: of less, too few pixels tell
+
+
+def due(iteration: int, cfg: Config) -> bool:
+    """In the iterations of pruning by sensitivity."""
+    return cfg.train.densify.prune_hidden > 0 and sensitivity_pruning.scheduled(iteration, cfg.train)
+
+
+def visibility(
+    model: Model, views: Sequence[View], scene: Scene, cfg: Config, resolution: float, threads: int
+) -> Tensor:
+    """(N,) the largest visibility in any of `views`, about 0 to 1; 1 where no view tells. resolution: × their size.
+
+    All Gaussians are rendered grey: a black one's colour is clamped at zero and would have no derivative.
+    """
+    grey = replace(model.gaussians(), sh=torch.zeros(len(model), 1, 3))
+    gradients, rasterizer = Gradients.zeros_like(grey), Rasterizer(threads=threads)
+    largest, known = torch.zeros(len(model)), torch.zeros(len(model), dtype=torch.bool)
+    for view in views:
+        camera = camera_at(view.camera, SCALE * resolution)
+        rasterizer.render(grey, Request(camera, view.time, scene.duration, near=cfg.scene.near * scene.unit))
+        gradients.views.clear()
+        seen = rasterizer.backward(gradients, d_color=torch.ones(3, camera.height, camera.width))
+        tells = seen.unoccluded > MIN_UNOCCLUDED
+        rows, unoccluded = seen.visible[tells].long(), seen.unoccluded[tells]
+        weight = gradients.views[0].gradient[tells, 0]
+        largest[rows] = torch.maximum(largest[rows], weight / unoccluded)
+        known[rows] = True
+    return torch.where(known, largest, 1.0)
+
+
+def prune_hidden(optimiser: Adam, visible: Tensor, least: float) -> int:
+    """Remove the Gaussians with `visible` (N,) < `least`, except for the sphere around the scene. Returns how many.
+
+    A pruning of all Gaussians is skipped.
+    """
+    model, hidden = optimiser.model, visible < least
+    if model.sphere is not None:
+        hidden &= ~model.sphere
+    count = int(hidden.sum())
+    if count == len(model):
+        return 0
+    if count:
+        optimiser.keep(~hidden)
+    return count
