@@ -19,17 +19,23 @@ FOLDER_VARIABLE = "RASTERIZER_KERNELS"
 
 
 def available_isas() -> list[str]:
-    """Instruction sets that this processor supports, best first: v4, v3, v2 (x86-64 levels), or plain."""
-    return _cpu.supported_levels()
+    """Instruction sets that this processor supports and a kernel was built for, best first: v4, v3, v2 (x86-64
+    levels), or plain. A checkout has those of the machine that built it, a wheel has all."""
+    return [isa for isa in _cpu.supported_levels() if importlib.util.find_spec(f"{__package__}._kernel_{isa}")]
 
 
 def load_kernel(isa: str | None = None) -> ModuleType:
-    """The kernel compiled for `isa`; None: the best one. Raises ValueError when the processor lacks it."""
+    """The kernel compiled for `isa`; None: the best one. Raises ValueError when there is no such kernel or the
+    processor cannot run it, ImportError when there is none at all."""
     isas = available_isas()
+    if not isas:
+        raise ImportError("no compiled kernel that this processor can run: `make clean build` compiles one")
     if isa is None:
         isa = isas[0]
     if isa not in isas:
-        raise ValueError(f"{ISA_VARIABLE}: expected one of {', '.join(isas)} (what this processor has), found {isa!r}")
+        raise ValueError(
+            f"{ISA_VARIABLE}: expected one of {', '.join(isas)} (built, and what this processor has), found {isa!r}"
+        )
     return importlib.import_module(f"rasterizer._kernel_{isa}")
 
 
