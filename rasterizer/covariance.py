@@ -57,18 +57,23 @@ def rotation_3d(quat: Tensor) -> Tensor:
 
 
 def scaled_axes(gaussians: Gaussians) -> Tensor:
-    """M = R diag(s) with Σ = M Mᵀ (docs/method.md 1): (N, 4, 4), or (N, 3, 3) for a static model.
+    """M with Σ = M Mᵀ (docs/method.md 1): (N, 4, 4), or (N, 3, 3) for a static model. M = R diag(s).
 
-    Without 4D rotation, R rotates space only: Σ is block diagonal and the Gaussians do not move.
+    Without 4D rotation, R rotates space only: Σ is block diagonal and the Gaussians do not move. With velocities v, the
+    last column of M is st (v, 1).
     """
     if gaussians.quat_right is not None:
         rotation = rotation_4d(gaussians.quat_left, gaussians.quat_right)
     else:
         rotation = rotation_3d(gaussians.quat_left)
-        if gaussians.motion == "separable":
+        if gaussians.motion != "static":
             rotation = F.pad(rotation, (0, 1, 0, 1))
             rotation = rotation + torch.diag(rotation.new_tensor([0, 0, 0, 1]))
-    return rotation * gaussians.log_scale.exp()[:, None, :]
+    axes = rotation * gaussians.log_scale.exp()[:, None, :]
+    if gaussians.velocity is not None:
+        moved = gaussians.velocity * gaussians.log_scale[:, 3:].exp()
+        axes = axes + F.pad(moved[:, :, None], (3, 0, 0, 1))
+    return axes
 
 
 def temporal_deviation(gaussians: Gaussians) -> Tensor:

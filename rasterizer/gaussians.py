@@ -8,10 +8,11 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
-Motion = Literal["static", "separable", "full"]
+Motion = Literal["static", "separable", "velocity", "full"]
 
 SH_DEGREES = {1: 0, 4: 1, 9: 2, 16: 3}  # degree l by number of spherical harmonics (l+1)²
 MAX_FOURIER_ORDER = 2
+OPTIONAL = ("quat_right", "velocity")  # fields that some of the models lack
 # ((l+1)², n+1) by number of stored coefficients (n+1)(l+1)², n the Fourier order; all twelve products differ.
 SH_LAYOUTS = {count * orders: (count, orders) for count in SH_DEGREES for orders in range(1, MAX_FOURIER_ORDER + 2)}
 
@@ -24,6 +25,8 @@ class Gaussians:
 
     - full 4D: `mean` (N, 4), `log_scale` (N, 4), `quat_left` and `quat_right` (N, 4), R = L(ql) R(qr);
     - separable (no 4D rotation): `mean`, `log_scale` (N, 4), `quat_left` a 3D rotation (w, x, y, z), `quat_right` None;
+    - velocity: as separable, and `velocity` (N, 3). The same 4D Gaussians as full in other parameters: the covariance
+      of the slice at any time, the standard deviation in time, and what μ(t) moves in a unit of time;
     - static (ordinary 3D Gaussian Splatting): `mean`, `log_scale` (N, 3), `quat_left` a 3D rotation, `quat_right` None.
     """
 
@@ -33,11 +36,12 @@ class Gaussians:
     quat_right: Tensor | None  # (N, 4) or None
     opacity_logit: Tensor  # (N,); opacity = sigmoid
     sh: Tensor  # (N, (n+1)(l+1)², 3), Fourier order major
+    velocity: Tensor | None = None  # (N, 3) world units per unit of time, or None
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
             value = getattr(self, name)
-            if not isinstance(value, Tensor) and not (name == "quat_right" and value is None):
+            if not isinstance(value, Tensor) and not (name in OPTIONAL and value is None):
                 raise ValueError(f"{name} must be a tensor, got {type(value).__name__}")
         n = self.mean.shape[0] if self.mean.ndim == 2 else -1
         dims = self.mean.shape[1] if self.mean.ndim == 2 else -1
@@ -48,6 +52,10 @@ class Gaussians:
             if dims == 3:
                 raise ValueError("quat_right must be None when mean is [N, 3] (static), got a tensor")
             expected["quat_right"] = [n, 4]
+        if self.velocity is not None:
+            if dims == 3 or self.quat_right is not None:
+                raise ValueError("velocity must be None when mean is [N, 3] (static) or quat_right given, got a tensor")
+            expected["velocity"] = [n, 3]
         for name, shape in expected.items():
             found = list(getattr(self, name).shape)
             if found != shape:
@@ -62,7 +70,7 @@ class Gaussians:
 
     @classmethod
     def from_tensors(cls, tensors: dict[str, Tensor]) -> Gaussians:
-        """From tensors by field name; `quat_right` may be missing."""
+        """From tensors by field name; `quat_right` and `velocity` may be missing."""
         fields: dict[str, Any] = {"quat_right": None, **tensors}
         return cls(**fields)
 
@@ -78,16 +86,18 @@ class Gaussians:
 
     @property
     def motion(self) -> Motion:
-        """Which of the three models it is."""
+        """Which of the four models it is."""
         if self.mean.shape[1] == 3:
             return "static"
+        if self.velocity is not None:
+            return "velocity"
         return "separable" if self.quat_right is None else "full"
 
     def __len__(self) -> int:
         return self.mean.shape[0]
 
     def tensors(self) -> dict[str, Tensor]:
-        """The parameters by field name, without `quat_right` where it is None."""
+        """The parameters by field name, without those that are None."""
         named = {name: getattr(self, name) for name in self.__dataclass_fields__}
         return {name: tensor for name, tensor in named.items() if tensor is not None}
 

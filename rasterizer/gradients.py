@@ -83,6 +83,7 @@ class Gradients:
     quat_right: Tensor | None  # (N, 4)
     opacity_logit: Tensor  # (N,)
     sh_shape: torch.Size
+    velocity: Tensor | None = None  # (N, 3)
     views: list[ViewColors] = field(default_factory=list)
 
     @classmethod
@@ -93,7 +94,7 @@ class Gradients:
 
     def dense(self) -> dict[str, Tensor]:
         """All gradients except SH, by parameter name."""
-        names = ("mean", "log_scale", "quat_left", "quat_right", "opacity_logit")
+        names = ("mean", "log_scale", "quat_left", "quat_right", "velocity", "opacity_logit")
         named = {name: getattr(self, name) for name in names}
         return {name: tensor for name, tensor in named.items() if tensor is not None}
 

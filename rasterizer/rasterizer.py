@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from rasterizer.cores import thread_count
-from rasterizer.gaussians import SH_LAYOUTS, Gaussians
+from rasterizer.gaussians import OPTIONAL, SH_LAYOUTS, Gaussians
 from rasterizer.gradients import Gradients, ViewColors, ViewGradient
 from rasterizer.kernel_loader import kernel
 from rasterizer.render_output import OUTPUT_CHANNELS, RenderOutput
@@ -25,6 +25,7 @@ from rasterizer.validation import as_float, check_layout, dtype_name, is_integer
 STAGES = ("preprocess", "sort", "intersect_tiles", "blend", "blend_backward", "preprocess_backward")
 _EXTRAS = ("depth", "flow", "stats")  # outputs that preprocess computes per Gaussian only on request
 MAX_THREADS = 1024
+MISSING: dict[str, Any] = dict.fromkeys(OPTIONAL)  # to the kernel, None
 
 
 class Rasterizer:
@@ -55,9 +56,7 @@ class Rasterizer:
         self.fourier_order = gaussians.fourier_order if request.fourier_order is None else int(request.fourier_order)
         coefficients, orders = SH_LAYOUTS[gaussians.sh.shape[1]]
         detached = {name: tensor.detach() for name, tensor in gaussians.tensors().items()}
-        self._model = self._kernel.Model(
-            **{"quat_right": None, **detached}, coefficients=coefficients, stored_order=orders - 1
-        )
+        self._model = self._kernel.Model(**{**MISSING, **detached}, coefficients=coefficients, stored_order=orders - 1)
         self._set_view(request)
         size = request.camera.height, request.camera.width
         images = {name: self._empty(OUTPUT_CHANNELS[name], *size) for name in request.outputs}
@@ -125,7 +124,7 @@ class Rasterizer:
         self._state.backward(
             self._model,
             **d_images,
-            **{"quat_right": None, **gradients.dense()},
+            **{**MISSING, **gradients.dense()},
             id=out.visible,
             mean2d=out.mean2d,
             mean_t=out.mean_t,

@@ -15,7 +15,7 @@ from rasterizer.gaussians import Gaussians, Motion
 from rasterizer.render_output import OUTPUT_CHANNELS, OUTPUT_NAMES, RenderOutput
 from rasterizer.request import Request
 
-MOTIONS = ("full", "separable", "static")
+MOTIONS = ("full", "velocity", "separable", "static")
 
 
 def outputs_of(motion: Motion) -> tuple[str, ...]:
@@ -43,7 +43,8 @@ def random_gaussians(
     """n Gaussians in the cube [-1, 1]³ with μt in [-0.1, 1.1]: float64 tensors of float32 values.
 
     log_scale, opacity_logit: ranges. Quaternions are not normalised. In the full model qr is near the conjugate of ql,
-    so that speeds are about 1. A static model has Fourier order 0 whatever `fourier_order` is.
+    so that speeds are about 1, as those of the velocity model. A static model has Fourier order 0 whatever
+    `fourier_order` is.
     """
     fourier_order = 0 if motion == "static" else fourier_order
     normal = lambda *shape: torch.randn(shape, generator=rng, dtype=torch.float64)  # noqa: E731
@@ -57,7 +58,8 @@ def random_gaussians(
         right = left * torch.tensor([1, -1, -1, -1]) + 0.3 * normal(n, 4)
     sh = normal(n, fourier_order + 1, (sh_degree + 1) ** 2, 3) * 0.2
     sh[:, 0, 0] *= 4
-    gaussians = Gaussians(mean, scale, left, right, uniform((n,), *opacity_logit, rng), sh.flatten(1, 2))
+    velocity = normal(n, 3) if motion == "velocity" else None
+    gaussians = Gaussians(mean, scale, left, right, uniform((n,), *opacity_logit, rng), sh.flatten(1, 2), velocity)
     return gaussians.to(torch.float32).to(torch.float64)
 
 
@@ -157,5 +159,6 @@ def rotated_world(gaussians: Gaussians, camera: Camera, left: Tensor) -> tuple[G
         x, y, z, w = Rotation.from_matrix(rotation[:3, :3].numpy()).as_quat()
         quat_left = quaternion_product(torch.tensor([w, x, y, z], dtype=mean.dtype), gaussians.quat_left)
         quat_right = None
-    rotated = replace(gaussians, mean=mean, quat_left=quat_left, quat_right=quat_right)
+    velocity = None if gaussians.velocity is None else gaussians.velocity @ rotation[:3, :3].T.to(mean.dtype)
+    rotated = replace(gaussians, mean=mean, quat_left=quat_left, quat_right=quat_right, velocity=velocity)
     return rotated, replace(camera, world_to_cam=camera.world_to_cam @ rotation.T.numpy())

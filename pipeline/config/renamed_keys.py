@@ -36,6 +36,8 @@ ADDED: dict[str, Any] = {
     "train.regularization.still_lifetime": 0.0,
     "train.mse_weight": 0.0,
     "train.separate_tilt": False,
+    "train.explicit_velocity": False,
+    "train.lr.velocity": 1.0,
     "train.lr.mean_time_final": None,
     "train.densify.error_points": 0,
     "train.densify.error_points_share": 1.0,

@@ -29,6 +29,7 @@ class LearningRates:
     opacity: float = 5e-2  # of the logit
     scale: float = 5e-3  # of the log scales, all four
     rotation: float = 1e-3  # of both quaternions
+    velocity: float = 1.0  # with `explicit_velocity`: of what a Gaussian moves in one st; × the rate of μ_xyz
     environment_map: float = 2.5e-3  # of the environment map's texels
     final_factor: float = 1.0  # every learning rate × this at the end, log-linear
     decay_start: float = 0.0  # fraction of the schedule after which the decay to `final_factor` begins
@@ -173,6 +174,7 @@ class TrainConfig:
     cubemap_resolution: int = 128  # texels along a side of the cube map's faces
     optimiser: str = "adam"  # adam (dense, the paper's) | sparse_adam (Gaussians of the batch's views only)
     separate_tilt: bool = False  # Adam's coordinates of 4D rotations: spatial rotation and tilt, not both quaternions
+    explicit_velocity: bool = False  # train velocities, spatial covariances and lifetimes instead of 4D rotations
     sh_degree_every: int = 1000  # iterations between increases of the SH degree, up to 3; 0: 3 from the start
     # Iterations from which Fourier order 1 and 2 are trained; empty: from the start
     fourier_at: list[int] = field(default_factory=lambda: [4000, 5000])

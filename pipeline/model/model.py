@@ -1,7 +1,8 @@
 """The trained model: one float32 tensor per field of docs/method.md 1, and its background model.
 
 `ModelKind` determines which tensors there are and their shapes: a static model stores no time, a model without 4D
-rotation no right quaternion, a model without Fourier orders no coefficients for them. With a background model there is
+rotation no right quaternion, a model without Fourier orders no coefficients for them. With motion "velocity" there are
+velocities in place of a 4D rotation (velocities.py). With a background model there is
 also the label of the Gaussians on the sphere around the scene (sphere.py), the environment map (environment_map.py) or,
 in its place, the cube map (cube_map.py).
 """
@@ -27,7 +28,7 @@ GLOBAL_TENSORS = ("environment",)  # of `Model.state()`: not one row per Gaussia
 class ModelKind:
     """Motion, Fourier order and SH degree, which determine the shapes of a model's tensors."""
 
-    motion: Motion  # static: 3D; separable: 4D without rotation into time; full: 4D
+    motion: Motion  # static: 3D; separable: 4D without rotation into time; full: 4D; velocity: the same, in training
     fourier_order: int  # 0 to 2; 0 when static
     sh_degree: int  # 0 to 3
 
@@ -35,6 +36,11 @@ class ModelKind:
     def dims(self) -> int:
         """3 (xyz) or 4 (xyzt)."""
         return 3 if self.motion == "static" else 4
+
+    @property
+    def moves(self) -> bool:
+        """Whether its Gaussians have velocities."""
+        return self.motion in ("full", "velocity")
 
     @property
     def coefficients(self) -> int:
@@ -53,6 +59,8 @@ class ModelKind:
         }
         if self.motion != "full":
             del shapes["quat_right"]
+        if self.motion == "velocity":
+            shapes["velocity"] = (3,)
         return shapes
 
 
@@ -118,6 +126,7 @@ class Model:
             log_scale=p["log_scale"],
             quat_left=p["quat_left"],
             quat_right=p.get("quat_right"),
+            velocity=p.get("velocity"),
             opacity_logit=p["opacity_logit"],
             sh=p["sh"],
         )

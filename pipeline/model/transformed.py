@@ -31,13 +31,13 @@ def in_canonical(model: Model, canonical: Canonical) -> Model:
         mean = torch.cat([mean, time], dim=1)
     p["mean"] = mean.to(torch.float32)
     if model.kind.motion == "full" and canonical.scale != canonical.time_scale:
-        p |= _rotated(scales[:, None] * scaled_axes(model.gaussians().to(torch.float64)))
+        p |= rotations_of(scales[:, None] * scaled_axes(model.gaussians().to(torch.float64)))
     else:
         p["log_scale"] = (p["log_scale"].double() + scales.log()).to(torch.float32)
     return Model(model.kind, p, model.sphere, model.environment_map)
 
 
-def _rotated(factor: Tensor) -> dict[str, Tensor]:
+def rotations_of(factor: Tensor) -> dict[str, Tensor]:
     """log_scale, quat_left and quat_right (N, 4) of the covariances F Fᵀ, from F (N, 4, 4) float64."""
     axes, scale, _ = np.linalg.svd(factor.numpy())
     axes[:, :, 3] *= np.linalg.det(axes)[:, None]  # a rotation, not a reflection

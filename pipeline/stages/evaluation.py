@@ -10,6 +10,7 @@ from pipeline.data.prepare import Prepared
 from pipeline.evaluation.evaluate import Evaluation, evaluate, evaluate_with_images
 from pipeline.evaluation.outlook import outlook, path_angles
 from pipeline.model.model import Model
+from pipeline.model.velocities import in_rotations
 from pipeline.runs.run_folder import RunFolder, now, write_csv
 from pipeline.stages.decisions import MOTION, TIME_COLOUR, as_decided, motion_of, time_colour_of
 from pipeline.stages.stage import Log
@@ -22,11 +23,12 @@ def evaluate_model(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> 
     scene, cfg = data.scene, as_decided(cfg, data, folder)
     trained = folder.values_of("train")
     saved = checkpoints.load(folder.checkpoint)
-    final = evaluate_with_images(saved.model, scene, cfg, thread_count(cfg.threads), folder.renders)
+    model = in_rotations(saved.model)
+    final = evaluate_with_images(model, scene, cfg, thread_count(cfg.threads), folder.renders)
     best, best_metrics = None, None
     if cfg.evaluate.best_on_test and saved.best is not None and saved.best_model is not None:
         is_final = saved.best["iteration"] == saved.iteration
-        best = final if is_final else evaluate(saved.best_model, scene, cfg, thread_count(cfg.threads))
+        best = final if is_final else evaluate(in_rotations(saved.best_model), scene, cfg, thread_count(cfg.threads))
         best_metrics = {**best.metrics, "iteration": saved.best["iteration"]}
 
     selection, decided = time_colour_of(folder), motion_of(folder)
@@ -37,10 +39,10 @@ def evaluate_model(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> 
         "final": final.metrics,
         "best_on_test": best_metrics,
         **({} if scene.test_split is None else {"test_split": scene.test_split}),
-        "model": asdict(saved.model.kind),  # as trained: selection may have left out what `ablation` has
+        "model": asdict(model.kind),  # as trained: selection may have left out what `ablation` has
         **({} if decided is None else {MOTION: {**asdict(decided), "dynamic": decided.dynamic}}),
         TIME_COLOUR: None if selection is None else {**asdict(selection), "kept": selection.kept},
-        **({"outlook": _outlook(final, saved.model, data)} if data.is_clip else {}),
+        **({"outlook": _outlook(final, model, data)} if data.is_clip else {}),
         "note": final.note(), "n_alive_mean": final.n_alive_mean, "n_test_views": len(scene.test), **trained,
     })  # fmt: skip
     return {"psnr": final.metrics["psnr"]}

@@ -25,6 +25,7 @@ from torch import Tensor
 from datasets.files.atomic_write import atomic_file
 from datasets.files.errors import DataError
 from pipeline.model.model import Model, ModelKind
+from pipeline.model.velocities import in_rotations
 from pipeline.training.density.statistics import Statistics
 from rasterizer.gaussians import MAX_FOURIER_ORDER, SH_DEGREES, Motion
 
@@ -92,11 +93,11 @@ def load(path: Path) -> Checkpoint:
 
 
 def load_model(path: Path) -> Model:
-    """Only the model of a checkpoint; Adam's moments are not read."""
+    """Only the model of a checkpoint, in rotations; Adam's moments are not read."""
     header, tensors = _read(path, lambda name: name.startswith("model."))
     state = {name.removeprefix("model."): tensor for name, tensor in tensors.items()}
     with _naming(path):
-        return _model(header, state)
+        return in_rotations(_model(header, state))
 
 
 def _assemble(header: dict, tensors: dict[str, Tensor]) -> Checkpoint:

@@ -17,6 +17,7 @@ from pipeline.data.optical_flow import FlowTargets
 from pipeline.data.sfm.depth_targets import PointDepths
 from pipeline.data.training_views import TrainingViews
 from pipeline.model.model import Model
+from pipeline.model.velocities import in_rotations
 from pipeline.terminal import interruption
 from pipeline.training.density.refinement import RefinementViews, refine
 from pipeline.training.objective.losses import psnr
@@ -43,7 +44,7 @@ class Progress:
 
 @dataclass(frozen=True)
 class TrainResult:
-    """The trained model and its statistics; the run folder's checkpoint has the same."""
+    """The trained model, in rotations, and its statistics; the run folder's checkpoint has the same."""
 
     model: Model
     iteration: int
@@ -73,14 +74,16 @@ def train(
     start_seconds: float = 0.0,
     watcher: Watcher | None = None,
 ) -> TrainResult:
-    """Train `model` (in place) on `scene.train`, or continue from the run folder's checkpoint if `cfg.resume`.
+    """Train `model` on `scene.train`, or continue from the run folder's checkpoint if `cfg.resume`.
+
+    `model` is changed in place, unless with `train.explicit_velocity`.
 
     evaluate_fn: called every `train.eval_every` iterations and at the end; its time is not training time.
     start_iteration, start_seconds: iterations and training seconds before a new run, for an already trained model.
     Raises finite_checks.NonFiniteError, with the last checkpoint kept, and ValueError for a checkpoint of another run.
     """
     state = start(model, scene, cfg, run, start_iteration, start_seconds)
-    flows = FlowTargets(scene) if cfg.train.regularization.flow > 0 and state.model.kind.motion == "full" else None
+    flows = FlowTargets(scene) if cfg.train.regularization.flow > 0 and state.model.kind.moves else None
     depths = _depths(scene, cfg)
     regularization = relative_to_data(cfg.train.regularization, scene)
     if state.iteration == start_iteration:
@@ -110,8 +113,9 @@ def train(
             if finished or state.iteration % cfg.train.checkpoint_every == 0:
                 save(state, run, keep_moments=cfg.train.checkpoint_keep_moments or not finished)
             interruption.raise_if_lost()
+    best = None if state.best_model is None else in_rotations(state.best_model)
     return TrainResult(
-        state.model, state.iteration, state.stopwatch.seconds, state.best, state.best_model, state.optimiser.bytes
+        in_rotations(state.model), state.iteration, state.stopwatch.seconds, state.best, best, state.optimiser.bytes
     )
 
 

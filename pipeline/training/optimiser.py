@@ -16,6 +16,7 @@ from rasterizer import Gradients
 from rasterizer.adam import adam_step, sh_adam_step
 
 QUATERNIONS = ("quat_left", "quat_right")
+SHORTEST_LIFETIME = 1e-6  # units of time, a divisor: steps of velocities stay finite
 
 
 class Adam:
@@ -28,6 +29,8 @@ class Adam:
     With `separate_tilt`, the coordinates of 4D rotations are spatial rotation and tilt (pipeline/model/tilt.py), whose
     moments are those under "quat_left" and "quat_right". Adam divides each coordinate of the gradient by its own size,
     and that of the tilt is larger (docs/method.md 2.9): in the quaternions' components it would slow down the other.
+
+    The rate of velocities is that of the displacement in a Gaussian's lifetime, √Σtt: what lives short may be fast.
     """
 
     def __init__(self, model: Model, threads: int = 1, separate_tilt: bool = False) -> None:
@@ -65,7 +68,10 @@ class Adam:
             if isinstance(rate, tuple):
                 rate = rate[: parameter.shape[1]]  # a static mean has no column for time
             gradient = getattr(gradients, name)
-            adam_step(parameter, gradient, *moments, rate, self.step_count, sparse_rows=rows, threads=self.threads)
+            stepped = torch.zeros_like(parameter) if name == "velocity" else parameter
+            adam_step(stepped, gradient, *moments, rate, self.step_count, sparse_rows=rows, threads=self.threads)
+            if name == "velocity":  # stepped: a displacement in a lifetime
+                parameter += stepped / self.model.parameters["log_scale"][:, 3:].exp().clamp_min(SHORTEST_LIFETIME)
         if self.separate_tilt:
             self._rotate(gradients, learning_rates, rows)
         if d_environment_map is not None:

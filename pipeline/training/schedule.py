@@ -100,6 +100,7 @@ def learning_rates(clock: float, fraction: float, cfg: LearningRates, extent: fl
         "log_scale": (cfg.scale * decay,) * 4,
         "quat_left": rotation,
         "quat_right": rotation,
+        "velocity": cfg.velocity * xyz,
         "opacity_logit": cfg.opacity * decay,
         "sh": tuple(rate * decay for rate in sh_learning_rates(cfg)),
         "environment_map": cfg.environment_map * decay,

@@ -13,6 +13,7 @@ from pipeline.config.train_schema import TrainConfig
 from pipeline.model.cube_map import CubeMap
 from pipeline.model.environment_map import EnvironmentMap
 from pipeline.model.model import Model
+from pipeline.model.velocities import in_velocities
 from pipeline.training import checkpoint as checkpoints
 from pipeline.training import finite_checks
 from pipeline.training.density.statistics import Statistics
@@ -80,6 +81,8 @@ def start(
     if not cfg.resume:
         path.unlink(missing_ok=True)  # otherwise a later resume would continue the replaced run
     saved = checkpoints.load(path) if path.exists() else None
+    if cfg.train.explicit_velocity:
+        model = in_velocities(model)
     if cfg.effective_background_model == "envmap":  # init.ply has no environment map
         model.environment_map = EnvironmentMap.grey(cfg.train.envmap_height)
     if cfg.effective_background_model == "cubemap":  # nor a cube map

@@ -166,12 +166,12 @@ def draw_batch(state: TrainState, views: TrainingViews, phase: Phase, scene: Sce
     if share > 0:
         rng = stream(cfg.seed, Stream.DROPOUT, state.iteration)
         drawn = [replace(view, dropped=draw_dropped(len(state.model), share, rng)) for view in drawn]
-    if (jitter := cfg.train.marginal_jitter) > 0 and state.model.kind.motion == "full":
+    if (jitter := cfg.train.marginal_jitter) > 0 and state.model.kind.moves:
         rng = stream(cfg.seed, Stream.MARGINAL, state.iteration)
         offsets = draw_offsets(len(drawn), jitter, state.model, scene, rng)
         drawn = [replace(view, marginal_offset=offset) for view, offset in zip(drawn, offsets, strict=True)]
     rules = cfg.train.regularization
-    if rules.rigid > 0 and state.model.kind.motion == "full":
+    if rules.rigid > 0 and state.model.kind.moves:
         before = (state.iteration - 1) * cfg.train.batch  # training views
         drawn = [replace(view, rigid=(before + i) % rules.rigid_every == 0) for i, view in enumerate(drawn, 1)]
     return drawn
@@ -213,5 +213,5 @@ def optimiser_step(
     add_regularization_gradients(state.gradients, state.model, regularization, scene)
     rows = trainable_rows(state.model, phase.sphere, batch.visible)
     state.optimiser.step(state.gradients, phase.lr, rows, batch.d_environment_map)
-    if regularization.still_lifetime > 0 and state.model.kind.motion == "full":
+    if regularization.still_lifetime > 0 and state.model.kind.moves:
         hold_still(state.model, regularization.still_lifetime * scene.duration)

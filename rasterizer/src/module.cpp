@@ -58,7 +58,7 @@ T* pointer(const std::optional<Array<T>>& a) {
 // The stored model; keeps its arrays alive.
 struct Model {
     In mean, log_scale, quat_left;
-    std::optional<In> quat_right;
+    std::optional<In> quat_right, velocity;
     In opacity_logit;
     Array<const splat::ShStored> sh;
     int coefficients, stored_order;
@@ -73,6 +73,7 @@ struct Model {
                 log_scale.data(),
                 quat_left.data(),
                 pointer(quat_right),
+                pointer(velocity),
                 opacity_logit.data(),
                 sh.data(),
                 coefficients,
@@ -126,15 +127,15 @@ public:
     }
     void backward(const Model& model, std::optional<In> color, std::optional<In> alpha,
                   std::optional<In> depth, std::optional<In> flow, std::optional<In> stats, Out mean,
-                  Out log_scale, Out quat_left, std::optional<Out> quat_right, Out opacity_logit,
-                  Array<int32_t> id, Out mean2d, Out mean_t, Out radius, Out unoccluded,
+                  Out log_scale, Out quat_left, std::optional<Out> quat_right, std::optional<Out> velocity,
+                  Out opacity_logit, Array<int32_t> id, Out mean2d, Out mean_t, Out radius, Out unoccluded,
                   Out color_gradient) {
         const splat::InputPlanes d{pointer(color), pointer(alpha), pointer(depth), pointer(flow),
                                    pointer(stats)};
         const splat::InputPlanes rendered{pointer(rendered_[0]), pointer(rendered_[1]), pointer(rendered_[2]),
                                           pointer(rendered_[3]), pointer(rendered_[4])};
         const splat::ParameterGradients out{mean.data(), log_scale.data(), quat_left.data(),
-                                            pointer(quat_right), opacity_logit.data()};
+                                            pointer(quat_right), pointer(velocity), opacity_logit.data()};
         const splat::ViewGradient view{id.data(), mean2d.data(), mean_t.data(), radius.data(),
                                        unoccluded.data(),
                                        reinterpret_cast<splat::ColorGradient*>(color_gradient.data())};
@@ -235,12 +236,12 @@ NB_MODULE(KERNEL_MODULE_NAME, m) {
         .def(
             "__init__",
             [](Model* self, In mean, In log_scale, In quat_left, std::optional<In> quat_right,
-               In opacity_logit, Array<const splat::ShStored> sh, int coefficients, int stored_order) {
-                new (self) Model{mean,          log_scale, quat_left,    quat_right,
+               std::optional<In> velocity, In opacity_logit, Array<const splat::ShStored> sh, int coefficients, int stored_order) {
+                new (self) Model{mean,          log_scale, quat_left,    quat_right,  velocity,
                                  opacity_logit, sh,        coefficients, stored_order};
             },
             nb::arg("mean"), nb::arg("log_scale"), nb::arg("quat_left"), nb::arg("quat_right").none(),
-            nb::arg("opacity_logit"), nb::arg("sh"), nb::arg("coefficients"), nb::arg("stored_order"));
+            nb::arg("velocity").none(), nb::arg("opacity_logit"), nb::arg("sh"), nb::arg("coefficients"), nb::arg("stored_order"));
     nb::class_<CameraDouble>(m, "Camera").def_static("make", &camera_from);
     nb::class_<FrameBinding>(m, "Frame")
         .def(nb::init<>())
@@ -254,7 +255,7 @@ NB_MODULE(KERNEL_MODULE_NAME, m) {
         .def("backward", &FrameBinding::backward, nb::arg("model"), nb::arg("d_color").none(),
              nb::arg("d_alpha").none(), nb::arg("d_depth").none(), nb::arg("d_flow").none(),
              nb::arg("d_stats").none(), nb::arg("mean"), nb::arg("log_scale"), nb::arg("quat_left"),
-             nb::arg("quat_right").none(), nb::arg("opacity_logit"), nb::arg("id"), nb::arg("mean2d"),
+             nb::arg("quat_right").none(), nb::arg("velocity").none(), nb::arg("opacity_logit"), nb::arg("id"), nb::arg("mean2d"),
              nb::arg("mean_t"), nb::arg("radius"), nb::arg("unoccluded"), nb::arg("color_gradient"))
         .def_prop_ro("visible", &FrameBinding::visible)
         .def_prop_ro("in_time", &FrameBinding::in_time)

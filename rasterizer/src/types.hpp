@@ -21,8 +21,8 @@ inline constexpr int kBlocks = 16;
 // The kind of model. Each kind is compiled separately, without code for what it lacks.
 enum class Motion {
     kStatic,     // no time: 3D Gaussian Splatting
-    kSeparable,  // a temporal marginal, but no 4D rotation: nothing moves
-    kFull,       // 4D rotation: Gaussians move
+    kSeparable,  // a temporal marginal and no 4D rotation; moves with a velocity of its own, if it has one
+    kFull,       // 4D rotation, which makes Gaussians move
 };
 
 // The stored parameters (before activation), row-major.
@@ -32,6 +32,7 @@ struct Parameters {
     const scalar* log_scale;      // [N, 4], static [N, 3]
     const scalar* quat_left;      // [N, 4]
     const scalar* quat_right;     // [N, 4], full motion only
+    const scalar* velocity;       // [N, 3], separable motion; null: nothing moves
     const scalar* opacity_logit;  // [N]
     const ShStored* sh;           // [N, (stored_order + 1) · coefficients, 3]
     int coefficients;             // per Fourier order: 1, 4, 9 or 16
@@ -154,6 +155,7 @@ struct ParameterGradients {
     scalar* log_scale;
     scalar* quat_left;
     scalar* quat_right;
+    scalar* velocity;
     scalar* opacity_logit;
 };
 

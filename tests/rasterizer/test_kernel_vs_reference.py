@@ -207,6 +207,17 @@ def test_every_other_instruction_set_passes_them_too(isa: str):
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-1000:]
 
 
+@pytest.mark.parametrize("speed", [1.0, 1e3, 1e5])
+def test_gaussians_that_come_from_far_with_a_velocity(speed: float):
+    """μ(t) is in view, μ is speed × |t - μt| away: their sum in float32 would be off by 6e-8 of that, here up to 6e-3,
+    which is 0.1 px. Images and gradients have the tolerances of all other tests."""
+    gaussians = random_gaussians(40, "velocity", generator(12))
+    request = make_request(outputs=outputs_of("velocity"), flow_dt=0.05 / speed)
+    gaussians.velocity.mul_(speed)
+    gaussians.mean[:, :3] -= gaussians.velocity * (request.time - gaussians.mean[:, 3:])
+    check_against_reference(gaussians.to(torch.float32).to(torch.float64), request)
+
+
 def test_a_large_temporal_scale_with_4d_rotation():
     """The naive M_xyz - velocity m_t cancels here: entries of 1e5 whose difference is 0.1.
 

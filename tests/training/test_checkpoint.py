@@ -8,13 +8,16 @@ import os
 import numpy as np
 import pytest
 import torch
+from builders import random_gaussians
 from tiny import random_model
 
 from pipeline.model.environment_map import EnvironmentMap
-from pipeline.model.model import ModelKind
+from pipeline.model.model import Model, ModelKind
+from pipeline.model.velocities import in_velocities
 from pipeline.training import checkpoint
 from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.density.statistics import Statistics
+from rasterizer.covariance import scaled_axes
 
 RNG_STATE = json.dumps(np.random.default_rng(4).bit_generator.state)
 
@@ -96,6 +99,20 @@ def test_load_model(tmp_path) -> None:
     saved = example()
     checkpoint.save(tmp_path / "c", saved)
     assert_same(checkpoint.load_model(tmp_path / "c").parameters, saved.model.parameters)
+
+
+def test_what_was_trained_in_velocities_is_read_in_rotations(tmp_path) -> None:
+    """By all but the training itself, which continues in velocities."""
+    gaussians = random_gaussians(7, "full", torch.Generator().manual_seed(1)).to(torch.float32)
+    rotations = Model.from_gaussians(gaussians)
+    changes = {"model": in_velocities(rotations), "moments": None, "best": None, "best_model": None}
+    checkpoint.save(tmp_path / "c", example(**changes))
+    assert checkpoint.load(tmp_path / "c").model.kind.motion == "velocity"
+    loaded = checkpoint.load_model(tmp_path / "c")
+    assert loaded.kind == rotations.kind
+    covariances = [axes @ axes.mT for axes in (scaled_axes(model.gaussians()) for model in (rotations, loaded))]
+    # float32 parameters twice; a covariance is at most 1 here
+    torch.testing.assert_close(*covariances, rtol=0, atol=1e-5)
 
 
 @pytest.mark.parametrize("dies_in", ["save_file", "fsync", "replace"])

@@ -13,7 +13,7 @@ import torch
 from shell import FORKING
 from tiny import TinyRun, fake_evaluate, tiny_config, tiny_scene, train_in_process, train_tiny
 
-from pipeline.config.schema import AblationConfig
+from pipeline.config.schema import AblationConfig, Config
 from pipeline.config.train_schema import RegularizationConfig, ResolutionStep
 from pipeline.model.initialise import initialise
 from pipeline.model.model import Model
@@ -127,24 +127,41 @@ def test_the_run_is_a_function_of_the_seed(uninterrupted: Path, tmp_path) -> Non
     assert len(models[0]) != len(models[1]) or not torch.equal(*(m.parameters["mean"] for m in models))
 
 
-@pytest.mark.parametrize("stop", [14, 31])
-def test_resuming_between_checkpoints(uninterrupted: Path, tmp_path, stop: int, monkeypatch) -> None:
-    """Interrupted in iteration `stop`, after rows later than the last checkpoint were logged."""
+def interrupted_in(iteration: int, path: Path, monkeypatch, cfg: Config | None = None) -> None:
     original = finite_checks.check_gradients
 
-    def die(gradients, iteration, *rest) -> None:
-        original(gradients, iteration, *rest)
-        if iteration == stop:
+    def die(gradients, reached, *rest) -> None:
+        original(gradients, reached, *rest)
+        if reached == iteration:
             raise KeyboardInterrupt
 
     monkeypatch.setattr(finite_checks, "check_gradients", die)
     with pytest.raises(KeyboardInterrupt):
-        train_tiny(tmp_path)
+        train_tiny(path, cfg)
     monkeypatch.undo()
+
+
+@pytest.mark.parametrize("stop", [14, 31])
+def test_resuming_between_checkpoints(uninterrupted: Path, tmp_path, stop: int, monkeypatch) -> None:
+    """Interrupted in iteration `stop`, after rows later than the last checkpoint were logged."""
+    interrupted_in(stop, tmp_path, monkeypatch)
     train_tiny(tmp_path)
     assert_same_state(uninterrupted, tmp_path)
     for name in ("error_vs_time.jsonl", "log.jsonl"):
         assert without_seconds(TinyRun(tmp_path).rows(name)) == without_seconds(TinyRun(uninterrupted).rows(name))
+
+
+def test_training_in_velocities_learns_resumes_and_ends_in_rotations(tmp_path, monkeypatch) -> None:
+    """The disc of the scene moves. An interrupted training is the same to the bit."""
+    cfg = tiny_config(120, eval_every=60, checkpoint_every=30, explicit_velocity=True)
+    first, last = batch_losses(tmp_path / "whole", tiny_scene(), cfg)
+    assert last < 0.5 * first, "noise between batches is much less than half"
+    interrupted_in(75, tmp_path / "parts", monkeypatch, cfg)
+    model = train_tiny(tmp_path / "parts", cfg).model
+    assert_same_state(tmp_path / "whole", tmp_path / "parts")
+    trained = checkpoint.load(tmp_path / "parts" / checkpoint.FILE_NAME).model
+    assert (trained.kind.motion, model.kind.motion) == ("velocity", "full")
+    assert trained.parameters["velocity"].norm(dim=1).max() > 0.1  # the disc moves by 1.2 units in the duration
 
 
 @pytest.mark.parametrize("background_model", ["none", "sphere", "envmap"])
@@ -198,6 +215,7 @@ def test_without_moments_a_run_cannot_be_continued(tmp_path) -> None:
 @pytest.mark.parametrize(
     "keys",
     [
+        {"explicit_velocity": True, "regularization": RegularizationConfig(rigid=1.0, motion=1.0, still_lifetime=0.3)},
         {"sampler": "views_at_one_time"},
         {"sampler": "times_of_one_view"},
         {"optimiser": "sparse_adam"},

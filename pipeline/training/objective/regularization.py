@@ -39,6 +39,9 @@ def relative_to_data(cfg: RegularizationConfig, scene: Scene) -> RegularizationC
 def add_regularization_gradients(gradients: Gradients, model: Model, cfg: RegularizationConfig, scene: Scene) -> None:
     """Add ∂/∂parameters of the terms on motion and opacity to `gradients`, in place."""
     p, share = model.parameters, 1.0 / len(model)
+    if cfg.motion > 0 and model.kind.motion == "velocity":
+        assert gradients.velocity is not None
+        gradients.velocity.add_(speed_gradient(p["velocity"]), alpha=cfg.motion * share)
     if cfg.motion > 0 and model.kind.motion == "full":
         left, right = tilt_gradient(p["quat_left"], p["quat_right"])
         gradients.quat_left.add_(left, alpha=cfg.motion * share)
@@ -67,6 +70,12 @@ def opacity_weight(model: Model, cfg: RegularizationConfig, scene: Scene) -> Ten
         return 1.0
     views_in_lifetime = torch.exp(model.parameters["log_scale"][:, 3]).mul_(views / scene.duration)
     return (cfg.opacity_views / views_in_lifetime).clamp_(max=1.0)
+
+
+def speed_gradient(velocity: Tensor) -> Tensor:
+    """∂ Σ 2 sin(θ/2) / ∂velocity, (N, 3), with the angle θ = arctan √(|v|² + ε²) of the path to the time axis."""
+    speed = torch.sqrt((velocity * velocity).sum(dim=1, keepdim=True) + TILT_SOFTENING**2)
+    return velocity / speed * torch.cos(0.5 * torch.atan(speed)) / (1 + speed * speed)
 
 
 def tilt_gradient(quat_left: Tensor, quat_right: Tensor) -> tuple[Tensor, Tensor]:

@@ -20,32 +20,22 @@ MIN_MARGINAL = 0.7  # only Gaussians with temporal marginal p(t) above this
 # Velocities are displacements per this fraction of the duration; the release uses 0.1 with D-NeRF's duration of 1.
 VELOCITY_STEP = 0.1
 
-FIELDS = ("mean", "log_scale", "quat_left", "quat_right")  # that the loss depends on
+# That the loss depends on; a model has one of the last two, and without 4D rotation neither.
+FIELDS = ("mean", "log_scale", "quat_left", "quat_right", "velocity")
 
 
-def rigid_loss(
-    mean: Tensor,
-    log_scale: Tensor,
-    quat_left: Tensor,
-    quat_right: Tensor,
-    time: float,
-    duration: float,
-    neighbours: int,
-    threads: int = 1,
-) -> Tensor:
+def rigid_loss(fields: dict[str, Tensor], time: float, duration: float, neighbours: int, threads: int = 1) -> Tensor:
     """Mean of exp(-100 d²) |u_i - u_j| over the Gaussians i with p(t) > MIN_MARGINAL and their neighbours j; scalar.
 
     u = Σ_xyz,t / Σtt × 0.1 duration is the displacement of the conditional mean in a tenth of the duration
-    (docs/method.md 1.1). d is the distance at `time`, constant in the gradient. All four tensors are (N, 4).
+    (docs/method.md 1.1). d is the distance at `time`, constant in the gradient. fields: the parameters among FIELDS.
     """
-    moving = _moving_at(mean, log_scale, quat_left, quat_right, time)
-    mean, log_scale, quat_left, quat_right = (t[moving] for t in (mean, log_scale, quat_left, quat_right))
+    moving = _moving_at(fields, time)
+    fields = {name: tensor[moving] for name, tensor in fields.items()}
+    mean = fields["mean"]
     if len(mean) < 2:
         return mean.new_zeros(())
-    axes = rotation_4d(quat_left, quat_right) * log_scale.exp()[:, None, :]  # M = R diag(s)
-    time_row = axes[:, 3]
-    variance = (time_row * time_row).sum(dim=1)  # Σtt
-    velocity = (axes[:, :3] @ time_row[:, :, None])[:, :, 0] / variance[:, None]
+    velocity = _velocity(fields)
     position = (mean[:, :3] + velocity * (time - mean[:, 3:])).detach()
     step = velocity * (VELOCITY_STEP * duration)
 
@@ -59,23 +49,34 @@ def rigid_loss(
     return (weight * relative_speed).mean()
 
 
+def _velocity(fields: dict[str, Tensor]) -> Tensor:
+    """(N, 3) Σ_xyz,t / Σtt, world units per unit of time."""
+    if "velocity" in fields:
+        return fields["velocity"]
+    axes = rotation_4d(fields["quat_left"], fields["quat_right"]) * fields["log_scale"].exp()[:, None, :]  # M
+    row = axes[:, 3]
+    variance = (row * row).sum(dim=1)  # Σtt
+    return (axes[:, :3] @ row[:, :, None])[:, :, 0] / variance[:, None]
+
+
 @torch.no_grad()
-def _moving_at(mean: Tensor, log_scale: Tensor, quat_left: Tensor, quat_right: Tensor, time: float) -> Tensor:
+def _moving_at(fields: dict[str, Tensor], time: float) -> Tensor:
     """(N,) bool: p(t) > MIN_MARGINAL. Most are not, and need no gradient."""
-    axes = time_row(quat_left, quat_right) * log_scale.exp()  # the last row of M = R diag(s)
-    return torch.exp(-0.5 * (time - mean[:, 3]) ** 2 / (axes * axes).sum(dim=1)) > MIN_MARGINAL
+    scales = fields["log_scale"].exp()
+    axes = scales[:, 3:] if "velocity" in fields else time_row(fields["quat_left"], fields["quat_right"]) * scales
+    return torch.exp(-0.5 * (time - fields["mean"][:, 3]) ** 2 / (axes * axes).sum(dim=1)) > MIN_MARGINAL
 
 
 def add_rigid_gradient(
     gradients: Gradients, model: Model, time: float, duration: float, neighbours: int, weight: float, threads: int = 1
 ) -> float:
     """Add weight × ∂(rigid loss)/∂parameters to `gradients`, in place; returns weight × loss."""
-    leaves = {name: model.parameters[name].detach().requires_grad_() for name in FIELDS}
+    leaves = {name: p.detach().requires_grad_() for name, p in model.parameters.items() if name in FIELDS}
     with torch.enable_grad():
-        loss = weight * rigid_loss(**leaves, time=time, duration=duration, neighbours=neighbours, threads=threads)
+        loss = weight * rigid_loss(leaves, time, duration, neighbours, threads)
     if not loss.requires_grad:
         return 0.0
-    for name, grad in zip(FIELDS, torch.autograd.grad(loss, list(leaves.values()), allow_unused=True)):
+    for name, grad in zip(leaves, torch.autograd.grad(loss, list(leaves.values()), allow_unused=True)):
         if grad is not None:
             getattr(gradients, name).add_(grad)
     return loss.item()

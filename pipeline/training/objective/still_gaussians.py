@@ -15,13 +15,16 @@ from pipeline.model.tilt import UNTILTED
 
 
 def hold_still(model: Model, lifetime: float) -> None:
-    """Set the tilt of the Gaussians with st > `lifetime`, in units of time, to zero, in place; they stop moving.
+    """Set the velocity or tilt of the Gaussians with st > `lifetime`, in units of time, to zero, in place.
 
     Done after each step of Adam, this is projected gradient descent: (ql, qr) is replaced by the nearest pair of unit
     quaternions without tilt, up to the sign of qr, which the covariance does not have.
     """
-    log_scale, left, right = (model.parameters[key] for key in ("log_scale", "quat_left", "quat_right"))
-    (long_lived,) = torch.nonzero(log_scale[:, 3].exp() > lifetime, as_tuple=True)
+    (long_lived,) = torch.nonzero(model.parameters["log_scale"][:, 3].exp() > lifetime, as_tuple=True)
+    if model.kind.motion == "velocity":
+        model.parameters["velocity"][long_lived] = 0.0
+        return
+    left, right = model.parameters["quat_left"], model.parameters["quat_right"]
     of_left, of_right = F.normalize(left[long_lived], dim=1), F.normalize(right[long_lived], dim=1) * UNTILTED
     same_sign = (of_left * of_right).sum(dim=1, keepdim=True) >= 0
     nearest = F.normalize(of_left + torch.where(same_sign, of_right, -of_right), dim=1)

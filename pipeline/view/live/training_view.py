@@ -6,6 +6,7 @@ import time
 
 from datasets.scene import Scene
 from pipeline.model.model import Model
+from pipeline.model.velocities import in_rotations
 from pipeline.view.live.feed import Feed
 from pipeline.view.pack import pack
 
@@ -37,6 +38,6 @@ class TrainingView:
 
     def _pack(self, model: Model, iteration: int) -> None:
         begun = time.perf_counter()
-        self._feed.offer(iteration, pack(model, self._scene, COMPRESSION))
+        self._feed.offer(iteration, pack(in_rotations(model), self._scene, COMPRESSION))
         now = time.perf_counter()
         self._next = now + max(SECONDS, (now - begun) / LARGEST_SHARE)

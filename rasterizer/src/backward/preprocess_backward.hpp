@@ -21,7 +21,7 @@ struct ViewGradient {
     ColorGradient* color;
 };
 
-SPLAT_INLINE void add_to_rows3(scalar* rows, const uint32_t* ids, int count, const Float (&column)[4]) {
+SPLAT_INLINE void add_to_rows3(scalar* rows, const uint32_t* ids, int count, const Float* column) {
     alignas(64) scalar lane[3][16];
     for (int k = 0; k < 3; ++k) column[k].store(lane[k]);
     for (int l = 0; l < count; ++l)
@@ -103,6 +103,7 @@ inline void preprocess_backward_lanes(const ViewState& view, const Parameters& p
         d_stored.quat_left[k] = d_gaussian.value[d_gaussian.kLeft + k];
         d_stored.quat_right[k] = d_gaussian.value[d_gaussian.kRight + k];
     }
+    for (int k = 0; k < 3; ++k) d_stored.velocity[k] = d_gaussian.value[d_gaussian.kVelocity + k];
     const Float d_mean2d[2] = {d_gaussian.value[d_gaussian.kMean2d],
                                d_gaussian.value[d_gaussian.kMean2d + 1]};
     const Float offset[3] = {d_gaussian.value[d_gaussian.kOffset], d_gaussian.value[d_gaussian.kOffset + 1],
@@ -123,6 +124,8 @@ inline void preprocess_backward_lanes(const ViewState& view, const Parameters& p
     }
     add_to_rows4(out.quat_left, ids, count, d_stored.quat_left);
     if constexpr (motion == Motion::kFull) add_to_rows4(out.quat_right, ids, count, d_stored.quat_right);
+    if constexpr (motion == Motion::kSeparable)
+        if (out.velocity) add_to_rows3(out.velocity, ids, count, d_stored.velocity);
     alignas(64) scalar lane[16];
     d_opacity.store(lane);
     for (int l = 0; l < count; ++l) out.opacity_logit[ids[l]] += lane[l];

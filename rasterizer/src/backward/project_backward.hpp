@@ -18,7 +18,16 @@ struct SplatGradient {
 // ∂L/∂ the stored parameters and mean2d; with them the offset μ(t) - camera position.
 template <class Real>
 struct GaussianGradient {
-    enum Field { kMean, kLogScale = 4, kLeft = 8, kRight = 12, kMean2d = 16, kOffset = 18, kFields = 21 };
+    enum Field {
+        kMean,
+        kLogScale = 4,
+        kLeft = 8,
+        kRight = 12,
+        kVelocity = 16,
+        kMean2d = 19,
+        kOffset = 21,
+        kFields = 24
+    };
     Real value[kFields];
 };
 
@@ -47,9 +56,9 @@ SPLAT_INLINE GaussianGradient<Real> project_backward(const Slice<motion, Real>& 
     Real d_mean_flow[3] = {Real(0.f), Real(0.f), Real(0.f)};
     for (auto& v : d_slice.velocity) v = Real(0.f);
     if (s.flow) {
-        if constexpr (motion == Motion::kFull) {
+        if constexpr (kMoves<motion>) {
             const Real d_flow[2] = {gradient[extra], gradient[extra + 1]};
-            flow_backward<Real>(flow_of<Real>(g, p, c, s.flow_dt, s.near_plane), c, s.flow_dt, d_flow,
+            flow_backward<Real>(flow_of(g, p, c, s.flow_dt, s.near_plane), c, s.flow_dt, d_flow,
                                 d.pixel, d_mean_flow, d_slice.velocity);
         }
         extra += 2;
@@ -71,7 +80,10 @@ SPLAT_INLINE GaussianGradient<Real> project_backward(const Slice<motion, Real>& 
         out.value[out.kLeft + i] = stored.quat_left[i];
         if constexpr (motion == Motion::kFull) out.value[out.kRight + i] = stored.quat_right[i];
     }
-    for (int i = 0; i < 3; ++i) out.value[out.kOffset + i] = g.offset[i];
+    for (int i = 0; i < 3; ++i) {
+        if constexpr (motion == Motion::kSeparable) out.value[out.kVelocity + i] = stored.velocity[i];
+        out.value[out.kOffset + i] = g.offset[i];
+    }
     return out;
 }
 

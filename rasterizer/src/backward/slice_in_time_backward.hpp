@@ -21,7 +21,7 @@ struct SliceGradient {
 // ∂L/∂ the stored parameters, opacity and SH apart.
 template <Motion motion, class Real>
 struct StoredGradient {
-    Real mean[4], log_scale[4], quat_left[4], quat_right[4];
+    Real mean[4], log_scale[4], quat_left[4], quat_right[4], velocity[3];
 };
 
 template <Motion motion, class Real>
@@ -74,7 +74,12 @@ SPLAT_INLINE StoredGradient<motion, Real> slice_in_time_backward(const Slice<mot
         normalise_backward(g.left, d_left, out.quat_left);
         if constexpr (motion == Motion::kSeparable) {
             const Real relative = g.dt_marginal * g.inverse_var;
-            out.mean[3] = d.log_marginal * relative - d.dt;
+            Real d_dt = d.dt - d.log_marginal * relative;
+            for (int i = 0; i < 3; ++i) {  // μ(t) = μ + h dt
+                d_dt += d.mean[i] * g.velocity[i];
+                out.velocity[i] = d.mean[i] * g.dt + d.velocity[i];
+            }
+            out.mean[3] = -d_dt;
             Real d_var = d.var_t + d.log_marginal * Real(0.5f) * relative * relative;
             out.log_scale[3] = Real(2.f) * d_var * g.var_t;
         }

@@ -10,6 +10,7 @@ namespace splat {
 // - The displacement h (t - μt) is off by 6e-8 of its worst case over the axes' directions. It is weighted by
 //   kMotionWeight, or all Gaussians would need double in scenes whose unit of time is much longer than that
 //   of length. kLifetimeWeight standard deviations are added to |t - μt|: gradients depend on h at μt too.
+//   A velocity that is stored has no worst case: its displacement counts in full.
 // - Σtt, and p(t) with it, is inaccurate where the axes are kMinTimeRatio of their worst case in time.
 // - μ(t) - camera has an error of 6e-8 of itself, so mean2d has one of 1e-7 focal lengths. With kMaxFocal
 //   pixels, a strong telephoto lens, images are off by 4e-4, gradients by 2e-3 of the largest.
@@ -34,6 +35,10 @@ SPLAT_INLINE Mask needs_double(const Slice<motion, Float>& g, const EwaProjectio
         extent += (time_extent + space_extent) * time_shift * Float(kMotionWeight) +
                   g.scale[3] * time_tilt2 * g.inverse_var;
         accurate = time_extent * g.inverse_var * Float(kMinTimeRatio) <= Float(1.f);
+    }
+    if constexpr (motion == Motion::kSeparable) {
+        const Float speed = max(max(abs(g.velocity[0]), abs(g.velocity[1])), abs(g.velocity[2]));
+        extent += speed * abs(g.dt);
     }
     // Written so that NaN and infinity count as not accurate.
     accurate = accurate & (extent * pixels_per_unit <= Float(kMaxExtentPixels));
@@ -80,9 +85,9 @@ SPLAT_INLINE ProjectedGaussian<Real> projected_gaussian(const Slice<motion, Real
     for (int i = 0; i < 3; ++i) v[out.kOffset + i] = g.offset[i];
     v[out.kVarianceT] = motion == Motion::kStatic ? Real(0.f) : g.var_t;
     v[out.kFlow] = v[out.kFlow + 1] = Real(0.f);
-    if constexpr (motion == Motion::kFull) {
+    if constexpr (kMoves<motion>) {
         if (s.flow) {
-            const Flow<Real> flow = flow_of<Real>(g, p, c, s.flow_dt, s.near_plane);
+            const Flow<Real> flow = flow_of(g, p, c, s.flow_dt, s.near_plane);
             v[out.kFlow] = flow.pixel[0], v[out.kFlow + 1] = flow.pixel[1];
         }
     }

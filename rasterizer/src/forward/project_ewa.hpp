@@ -95,9 +95,8 @@ struct Flow {
     Real later_cam[3], later_normalised[2], later_inverse_z;
     MaskOf<Real> valid;
 };
-template <class Real>
-SPLAT_INLINE Flow<Real> flow_of(const Slice<Motion::kFull, Real>& g,
-                                const EwaProjection<Motion::kFull, Real>& p,
+template <Motion motion, class Real>
+SPLAT_INLINE Flow<Real> flow_of(const Slice<motion, Real>& g, const EwaProjection<motion, Real>& p,
                                 const CameraOf<ScalarOf<Real>>& c, scalar flow_dt, scalar near_plane) {
     Flow<Real> f;
     Real later[3];
@@ -105,10 +104,13 @@ SPLAT_INLINE Flow<Real> flow_of(const Slice<Motion::kFull, Real>& g,
     world_to_camera<Real>(c, later, f.later_cam);
     f.valid = f.later_cam[2] > Real(near_plane);
     f.later_inverse_z = Real(1.f) / select(f.valid, f.later_cam[2], Real(1.f));
+    // What stands still has no flow, not that of rounding.
+    const MaskOf<Real> moves =
+        f.valid & (abs(g.velocity[0]) + abs(g.velocity[1]) + abs(g.velocity[2]) > Real(0.f));
     const ScalarOf<Real> focal[2] = {c.fx, c.fy};
     for (int a = 0; a < 2; ++a) {
         f.later_normalised[a] = f.later_cam[a] * f.later_inverse_z;
-        f.pixel[a] = zero_unless(f.valid, Real(focal[a]) * (f.later_normalised[a] - p.normalised[a]));
+        f.pixel[a] = zero_unless(moves, Real(focal[a]) * (f.later_normalised[a] - p.normalised[a]));
     }
     return f;
 }

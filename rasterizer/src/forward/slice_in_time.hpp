@@ -4,7 +4,7 @@
 //     Σtt = |m_t|²,   h = Σ_xyz,t / Σtt,   μ(t) = μ_xyz + h (t - μt),   Σ(t) = A Aᵀ,   A = M_xyz - h m_tᵀ.
 // Equivalently A = M_xyz (I - v vᵀ) with v = m_t/|m_t|. The textbook form Σ_xyz - Σ_xyz,t Σ_t,xyz / Σtt
 // suffers from cancellation in float32. p may be that of a later time, t + marginal_offset: training moves
-// Gaussians along their paths with it.
+// Gaussians along their paths with it. Without 4D rotation, A = R diag(s) of space, Σtt = st², and h is stored.
 #pragma once
 
 #include "forward/quaternion.hpp"
@@ -15,10 +15,14 @@ namespace splat {
 template <Motion motion>
 inline constexpr int kAxes = motion == Motion::kFull ? 4 : 3;
 
+// Whether the motion has a velocity.
+template <Motion motion>
+inline constexpr bool kMoves = motion != Motion::kStatic;
+
 // The stored parameters of sixteen Gaussians, or of one in double.
 template <Motion motion, class Real>
 struct Stored {
-    Real mean[4], log_scale[4], quat_left[4], quat_right[4], opacity_logit;
+    Real mean[4], log_scale[4], quat_left[4], quat_right[4], velocity[3], opacity_logit;
 
     SPLAT_INLINE static Stored load(const Parameters& p, const uint32_t* ids) {
         Stored s;
@@ -36,6 +40,8 @@ struct Stored {
         }
         load_rows4(p.quat_left, ids, s.quat_left);
         if constexpr (motion == Motion::kFull) load_rows4(p.quat_right, ids, s.quat_right);
+        if constexpr (motion == Motion::kSeparable)
+            for (int i = 0; i < 3; ++i) s.velocity[i] = p.velocity ? gather(p.velocity, 3, i) : Float(0.f);
         s.opacity_logit = gather(p.opacity_logit, 1, 0);
         return s;
     }
@@ -49,6 +55,8 @@ struct Stored {
             s.quat_left[i] = lane_of(quat_left[i], l);
             if constexpr (motion == Motion::kFull) s.quat_right[i] = lane_of(quat_right[i], l);
         }
+        if constexpr (motion == Motion::kSeparable)
+            for (int i = 0; i < 3; ++i) s.velocity[i] = lane_of(velocity[i], l);
         return s;
     }
 };
@@ -63,7 +71,7 @@ struct Slice {
     Real dt_marginal;               // the same for p, t + marginal_offset - μt
     Real var_t, inverse_var;        // Σtt and its inverse
     Real log2_marginal;             // log2 p(t)
-    Real velocity[3];               // h; full motion only
+    Real velocity[3];               // h; not of static motion
     Real offset[3];                 // μ(t) - camera position
     Real factor[3][kAxes<motion>];  // A
 };
@@ -123,6 +131,10 @@ SPLAT_INLINE Slice<motion, Real> slice_in_time(const Stored<motion, Real>& s,
                 g.factor[i][k] = m[k] * others - v[k] * dot_others;
             }
         } else {
+            if constexpr (motion == Motion::kSeparable) {
+                g.velocity[i] = s.velocity[i];
+                g.offset[i] += g.velocity[i] * g.dt;
+            }
             for (int j = 0; j < 3; ++j) g.factor[i][j] = m[j];
         }
     }

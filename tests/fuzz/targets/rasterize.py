@@ -46,7 +46,7 @@ def calls(draw: DrawFn) -> dict[str, Any]:
     """A mostly valid call, so that it passes the first checks."""
     call = plain_call()
     call["count"] = draw(st.sampled_from((0, 1, 2, 15, 16, 17, 33, 100, 1025)))
-    call["motion"] = draw(st.sampled_from(("full", "separable", "static")))
+    call["motion"] = draw(st.sampled_from(("full", "velocity", "separable", "static")))
     call["fourier_order"], call["sh_degree"] = draw(st.integers(0, 2)), draw(st.integers(0, 3))
     call["seed"] = draw(st.integers(0, 99))
     fields = st.sampled_from(FIELDS)

@@ -14,6 +14,7 @@ from pipeline.config.train_schema import RegularizationConfig
 from pipeline.data.training_views import TrainingViews
 from pipeline.model.initialise import initialise
 from pipeline.model.model import Model
+from pipeline.model.velocities import in_velocities
 from pipeline.training.objective.rigid_loss import (
     FALLOFF,
     FIELDS,
@@ -56,15 +57,13 @@ def naive(mean, log_scale, quat_left, quat_right, neighbours=NEIGHBOURS) -> torc
 
 def test_the_loss_equals_its_definition(tensors):
     # Both in float64; 1e-20 under the root changes a speed of 1e-5 by 5e-16, and sums differ in order.
-    assert rigid_loss(*tensors.values(), TIME, DURATION, NEIGHBOURS).item() == pytest.approx(
-        naive(**tensors).item(), rel=1e-9
-    )
+    assert rigid_loss(tensors, TIME, DURATION, NEIGHBOURS).item() == pytest.approx(naive(**tensors).item(), rel=1e-9)
 
 
 def test_the_gradient_equals_that_of_the_definition(tensors):
     ours = {name: t.clone().requires_grad_() for name, t in tensors.items()}
     truth = {name: t.clone().requires_grad_() for name, t in tensors.items()}
-    rigid_loss(*ours.values(), TIME, DURATION, NEIGHBOURS).backward()
+    rigid_loss(ours, TIME, DURATION, NEIGHBOURS).backward()
     naive(**truth).backward()
     for name in ("log_scale", "quat_left", "quat_right"):  # the mean enters only through detached positions and p(t)
         torch.testing.assert_close(ours[name].grad, truth[name].grad, rtol=1e-7, atol=1e-12)
@@ -82,10 +81,24 @@ def test_it_is_added_to_the_gradients_with_its_weight(tensors, neighbours):
     expected.backward()
     # float32 against float64: errors of 6e-8 of the largest velocity, whose differences are as large as it
     assert loss == pytest.approx(expected.item(), rel=1e-5)
-    for name in FIELDS:
+    for name in tensors:
         grad = torch.zeros_like(truth[name]) if truth[name].grad is None else truth[name].grad
         mine = getattr(gradients, name).double() - (0.5 if name == "quat_left" else 0.0)
         torch.testing.assert_close(mine, grad, rtol=1e-4, atol=1e-5 * float(grad.abs().max()) + 1e-7)
+
+
+def test_it_is_the_same_for_the_same_gaussians_in_velocities(tensors):
+    gaussians = random_gaussians(60, "full", torch.Generator().manual_seed(7))
+    model = in_velocities(Model.from_gaussians(gaussians.to(torch.float32)))
+    fields = {name: p.double() for name, p in model.parameters.items() if name in FIELDS}
+    # float32 parameters: 6e-8 of the largest velocity, whose differences are as large as it
+    found = rigid_loss(fields, TIME, DURATION, NEIGHBOURS).item()
+    assert found == pytest.approx(naive(**tensors).item(), rel=1e-5)
+    gradients = Gradients.zeros_like(model.gaussians())
+    add_rigid_gradient(gradients, model, TIME, DURATION, NEIGHBOURS, weight=3.0)
+    velocity = fields["velocity"].requires_grad_()
+    (3 * rigid_loss(fields, TIME, DURATION, NEIGHBOURS)).backward()
+    torch.testing.assert_close(gradients.velocity.double(), velocity.grad, rtol=1e-4, atol=1e-7)
 
 
 def test_equal_velocities_have_no_loss(tensors):
@@ -93,7 +106,7 @@ def test_equal_velocities_have_no_loss(tensors):
     mean = tensors["mean"][:30].clone()
     mean[:, 3] = TIME
     # 1e-10: the root of 1e-20, which keeps the gradient finite.
-    assert rigid_loss(mean, **same, time=TIME, duration=DURATION, neighbours=NEIGHBOURS).item() <= 1.01e-10
+    assert rigid_loss({"mean": mean, **same}, TIME, DURATION, NEIGHBOURS).item() <= 1.01e-10
 
 
 @pytest.mark.parametrize("every", [1, 3, 4])

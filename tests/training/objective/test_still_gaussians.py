@@ -14,6 +14,7 @@ from pipeline.config.train_schema import RegularizationConfig
 from pipeline.model.initialise import initialise
 from pipeline.model.model import Model
 from pipeline.model.tilt import tilt
+from pipeline.model.velocities import in_velocities
 from pipeline.training.loop import train
 from pipeline.training.objective.still_gaussians import hold_still
 from pipeline.training.run_log import temporary_run
@@ -51,6 +52,14 @@ def test_the_long_lived_stop_and_the_others_keep_their_velocity() -> None:
     hold_still(found, LIFETIME)
     assert torch.equal(velocity(found)[:2], before[:2])
     assert velocity(found)[2:].norm(dim=1).max() < ROUNDING
+
+
+def test_velocities_of_the_long_lived_become_zero() -> None:
+    found = in_velocities(model((0.1, 3.0)))
+    found.parameters["log_scale"][:, 3] = torch.tensor([0.49, 0.51]).log()
+    before = found.parameters["velocity"].clone()
+    hold_still(found, LIFETIME)
+    assert torch.equal(found.parameters["velocity"], before * torch.tensor([[1.0], [0.0]]))
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
