@@ -22,7 +22,10 @@ biome = if command -v npm > /dev/null; then \
 	echo "biome $(1) pipeline/view/page" && $(JAVASCRIPT)/node_modules/.bin/biome $(1) --config-path=tools/javascript pipeline/view/page; \
 	else echo "lint: npm is not installed, so the viewer's JavaScript is not checked"; fi
 
-# What make compares to decide whether there is work: packages after the lock, kernel after its sources.
+# What make compares to decide whether there is work: packages after the lock, kernel after its sources. Packages are
+# installed while the kernel compiles.
+MAKEFLAGS += --jobs=2
+TOOLS := .venv/.tools
 INSTALLED := .venv/.installed
 BUILT := build/.built
 KERNEL_SOURCES := CMakeLists.txt $(wildcard rasterizer/src/*.?pp rasterizer/src/*/*.hpp)
@@ -97,16 +100,21 @@ clean: ## remove the built kernel and caches; .venv and results stay
 	rm -rf build rasterizer/*.so .pytest_cache .hypothesis
 	find . -name __pycache__ -not -path './.venv/*' -prune -exec rm -rf {} +
 
-$(INSTALLED): pyproject.toml requirements.lock tools/setup_environment.py
-	@$(PYTHON) tools/setup_environment.py
+$(TOOLS): pyproject.toml requirements.lock tools/setup_environment.py
+	@$(PYTHON) tools/setup_environment.py tools
 	@touch $@
 
-# The project itself, editable. No build isolation, which would fetch a second set of tools for every build.
-build/build.ninja: $(INSTALLED)
+$(INSTALLED): $(TOOLS)
+	@$(PYTHON) tools/setup_environment.py packages
+	@touch $@
+
+# The project itself, editable. No build isolation, which would fetch a second set of tools for every build. Ninja is
+# not told of make's jobs: it may take both cores.
+build/build.ninja: $(TOOLS)
 	@echo "setup: compiling the kernel, once for each instruction set"
-	@PATH="$(CURDIR)/.venv/bin:$$PATH" .venv/bin/pip install --quiet --no-build-isolation --no-deps --editable .
+	@MAKEFLAGS= PATH="$(CURDIR)/.venv/bin:$$PATH" .venv/bin/pip install --quiet --no-build-isolation --no-deps --editable .
 	@touch $@
 
-$(BUILT): build/build.ninja $(KERNEL_SOURCES)
-	@PATH="$(CURDIR)/.venv/bin:$$PATH" cmake --build build
+$(BUILT): build/build.ninja $(INSTALLED) $(KERNEL_SOURCES)
+	@MAKEFLAGS= PATH="$(CURDIR)/.venv/bin:$$PATH" cmake --build build
 	@touch $@

@@ -1,4 +1,7 @@
-"""Makes `.venv` and installs in it what requirements.lock pins, then torch: the first half of `make setup`.
+"""Makes `.venv` and installs in it what requirements.lock pins, then torch: all of `make setup` but the kernel.
+
+    setup_environment.py tools      .venv, and what the kernel is compiled with
+    setup_environment.py packages   the rest, which make installs while the kernel compiles
 
 Only the standard library is used, since nothing else is there yet. torch is not in the lock: one version of it has
 many builds, each with hashes of its own, and which is wanted depends on the machine. Linux wheels on the default
@@ -10,6 +13,7 @@ from __future__ import annotations
 
 import os
 import platform
+import re
 import shutil
 import subprocess
 import sys
@@ -21,18 +25,6 @@ LOCK = ROOT / "requirements.lock"
 MIN_PYTHON = (3, 11)
 # PyTorch's own index of CPU builds: https://pytorch.org/get-started/locally/, "Compute Platform: CPU".
 CPU_INDEX = "https://download.pytorch.org/whl/cpu"
-# Nothing is resolved: the lock is complete but for torch, which some of its packages ask for. Of those only Hydra's
-# parser has no wheel; it is plain Python.
-LOCKED = [
-    "--require-hashes",
-    "--no-deps",
-    "--only-binary",
-    ":all:",
-    "--no-binary",
-    "antlr4-python3-runtime",
-    "--requirement",
-    str(LOCK),
-]
 COMPILER_TEST = """
 #include <concepts>
 #include <span>
@@ -45,16 +37,19 @@ class SetupError(Exception):
     """One line: what was expected, what was found and, where there is one, the way out."""
 
 
-def main() -> None:
+def main(part: str) -> None:
     check_python(tuple(sys.version_info[:3]))
-    check_compiler()
     import tomllib  # new in Python 3.11, hence after the check
 
-    pin = torch_pin(tomllib.loads((ROOT / "pyproject.toml").read_text()))
+    pyproject = tomllib.loads((ROOT / "pyproject.toml").read_text())
     python = make_venv()
-    log(f"installing what {LOCK.name} pins")
-    install(python, *LOCKED)
-    install_torch(python, pin)
+    if part == "tools":
+        check_compiler()
+        install_tools(python, pyproject)
+    else:
+        log(f"installing what {LOCK.name} pins")
+        install(python, *locked(LOCK))
+        install_torch(python, torch_pin(pyproject))
 
 
 # --- what must be there already ---
@@ -110,6 +105,36 @@ def make_venv() -> Path:
             f" {dotted(found) or 'a broken one'}; remove .venv and run again"
         )
     return python
+
+
+def locked(requirements: Path) -> list[str]:
+    """pip's options for the lock or a part of it. Nothing is resolved: the lock is complete but for torch, which some
+    of its packages ask for. Of those only Hydra's parser has no wheel; it is plain Python."""
+    binary = ["--only-binary", ":all:", "--no-binary", "antlr4-python3-runtime"]
+    return ["--require-hashes", "--no-deps", *binary, "--requirement", str(requirements)]
+
+
+def install_tools(python: Path, pyproject: dict) -> None:
+    """Installs what pyproject.toml's build needs, in the versions of the lock."""
+    requirements = VENV / "tools.txt"
+    requirements.write_text(locked_part(LOCK.read_text(), pyproject["build-system"]["requires"]))
+    install(python, *locked(requirements))
+
+
+def locked_part(lock: str, requires: list[str]) -> str:
+    """The entries of a lock for these packages and all that they need. Each entry names after "via" what needs it."""
+    entries = {entry.partition("==")[0]: entry for entry in re.split(r"^(?=[a-z0-9])", lock, flags=re.MULTILINE)[1:]}
+    wanted = {re.split(r"[^A-Za-z0-9-]", name)[0] for name in requires}
+    if missing := wanted - set(entries):
+        raise SetupError(f"{LOCK.name}: expected an entry for each build requirement, found none for {missing}")
+    while more := {name for name, entry in entries.items() if wanted & needed_by(entry)} - wanted:
+        wanted |= more
+    return "".join(entry for name, entry in entries.items() if name in wanted)
+
+
+def needed_by(entry: str) -> set[str]:
+    """The packages that an entry of the lock names after "via"."""
+    return set(re.findall(r"^    #\s+(?:via )?([a-z0-9-]+)$", entry, flags=re.MULTILINE)) - {"via"}
 
 
 def torch_pin(pyproject: dict) -> str:
@@ -189,6 +214,6 @@ def last_line(text: str) -> str:
 
 if __name__ == "__main__":
     try:
-        main()
+        main(sys.argv[1])
     except SetupError as error:
         sys.exit(f"setup: {error}")

@@ -88,10 +88,12 @@ def test_pip_takes_the_lock_and_finds_this_environment_as_it_says():
     """pip itself, with the options of set-up and no index: rc 0 only where all is here in the versions of the lock."""
     options = ["--dry-run", "--no-index", "--disable-pip-version-check", "--quiet"]
     done = subprocess.run(
-        [sys.executable, "-m", "pip", "install", *options, *setup_environment.LOCKED], capture_output=True, text=True
+        [sys.executable, "-m", "pip", "install", *options, *setup_environment.locked(LOCKED)],
+        capture_output=True,
+        text=True,
     )
     assert done.returncode == 0, done.stderr
-    assert "--require-hashes" in setup_environment.LOCKED and str(LOCKED) in setup_environment.LOCKED
+    assert "--require-hashes" in setup_environment.locked(LOCKED)
 
 
 def test_lock_is_renewed_by_a_pinned_tool_and_says_how():
@@ -107,7 +109,7 @@ def test_a_changed_download_is_refused(tmp_path):
         archive.writestr("tampered-1.0.dist-info/WHEEL", "Wheel-Version: 1.0\nTag: py3-none-any\n")
         archive.writestr("tampered-1.0.dist-info/RECORD", "")
     (tmp_path / "lock").write_text(f"tampered==1.0 --hash=sha256:{'0' * 64}\n")
-    options = [*setup_environment.LOCKED[:-1], str(tmp_path / "lock"), "--no-index", "--find-links", str(tmp_path)]
+    options = [*setup_environment.locked(tmp_path / "lock"), "--no-index", "--find-links", str(tmp_path)]
     with pytest.raises(setup_environment.SetupError, match="DO NOT MATCH THE HASHES"):
         setup_environment.install(Path(sys.executable), *options, "--target", str(tmp_path / "target"))
     assert not (tmp_path / "target").exists()

@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from contextlib import suppress
+from importlib.metadata import requires as requires_of
 from importlib.metadata import version as version_of
 from pathlib import Path
 
@@ -93,6 +94,45 @@ def test_installed_torch_is_read_from_the_environment(tmp_path):
     assert setup_environment.installed_torch(empty) == ""
 
 
+LOCK = """# made by a tool
+alpha==1 \\
+    --hash=sha256:aa
+    # via
+    #   -r requirements.in
+    #   builder
+beta==2 \\
+    --hash=sha256:bb
+    # via alpha
+builder-core==3 ; sys_platform != 'win32' \\
+    --hash=sha256:cc
+    # via other
+builder==3 \\
+    --hash=sha256:dd
+    # via gaussians-4d (pyproject.toml)
+other==4 \\
+    --hash=sha256:ee
+"""
+
+
+def test_tools_are_the_entries_that_the_build_needs_with_their_hashes():
+    part = setup_environment.locked_part(LOCK, ["builder>=2"])
+    assert [line.split("==")[0] for line in part.splitlines() if "==" in line] == ["alpha", "beta", "builder"]
+    assert [line.split(":")[1].split()[0] for line in part.splitlines() if "--hash" in line] == ["aa", "bb", "dd"]
+    with pytest.raises(setup_environment.SetupError, match="absent"):
+        setup_environment.locked_part(LOCK, ["absent"])
+
+
+def test_tools_of_the_lock_have_all_their_dependencies():
+    """Against what the installed packages themselves declare."""
+    tools = PYPROJECT["build-system"]["requires"]
+    part = setup_environment.locked_part((ROOT / "requirements.lock").read_text(), tools)
+    there = {line.split("==")[0] for line in part.splitlines() if "==" in line}
+    assert {Requirement(tool).name for tool in tools} <= there
+    for name in there:
+        declared = [Requirement(text) for text in requires_of(name) or []]
+        assert {need.name for need in declared if need.marker is None or need.marker.evaluate({"extra": ""})} <= there
+
+
 def test_torch_is_pinned():
     assert setup_environment.torch_pin(PYPROJECT) == "torch==2.13.0"
     for wrong in (["numpy"], ["torch>=2", "numpy"]):
@@ -159,7 +199,8 @@ def set_up_copy(tmp_path: Path) -> Path:
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / name, tmp_path / name)
         os.utime(tmp_path / name, (1000, 1000))
-    for seconds, product in ((2000, ".venv/.installed"), (3000, "build/build.ninja"), (4000, "build/.built")):
+    products = (".venv/.tools", ".venv/.installed", "build/build.ninja", "build/.built")
+    for seconds, product in zip((2000, 3000, 3000, 4000), products, strict=True):
         (tmp_path / product).parent.mkdir(exist_ok=True)
         (tmp_path / product).touch()
         os.utime(tmp_path / product, (seconds, seconds))
