@@ -11,6 +11,7 @@ name, `torch==VERSION+cpu`, which no other build answers to.
 
 from __future__ import annotations
 
+import argparse
 import os
 import platform
 import re
@@ -213,7 +214,9 @@ def last_line(text: str) -> str:
 
 
 if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("part", choices=("tools", "packages"))
     try:
-        main(sys.argv[1])
+        main(parser.parse_args().part)
     except SetupError as error:
         sys.exit(f"setup: {error}")
