@@ -22,7 +22,8 @@ from rich.table import Table
 from pipeline.config.compose import CONFIG_DIR, one_line, options, quote_paths, register_schema, to_config
 from pipeline.config.scene_overrides import without_given
 from pipeline.config.schema import Config
-from pipeline.config.sweep_plan import one_per_experiment, planned_work
+from pipeline.config.sweep_launch import have_one_launcher, launch
+from pipeline.config.sweep_plan import one_per_experiment, planned_runs
 from pipeline.terminal import interruption, sweep_progress
 from pipeline.terminal.closed_pipe import quiet_on_closed_pipe
 from pipeline.terminal.help_page import help_page
@@ -72,16 +73,15 @@ def main() -> None:
     os.environ.setdefault("PIPELINE_TRACEBACK", "1" if traceback_wanted else "0")  # for the workers of a sweep
     register_schema()
     commands = one_per_experiment(quote_paths(sys.argv[1:]))
-    failed = False
     interruption.watch()
     try:
-        with sweep_progress.sweep(planned_work(commands)):
-            for command in commands:
-                sys.argv[1:] = command
-                try:
-                    hydra.main(config_path=str(CONFIG_DIR), config_name="config", version_base="1.3")(run_one)()
-                except RunFailed:
-                    failed = True  # the other experiments go on
+        plan = planned_runs(commands)
+        with sweep_progress.sweep({out: run.work for out, run in plan.items()}):
+            if len(commands) > 1 and have_one_launcher(list(plan.values())):
+                failed = not launch(commands[0], list(plan.values()), run_one)
+            else:
+                ended_well = [_hydra_run(command) for command in commands]  # if one fails, the others go on
+                failed = not all(ended_well)
         if failed:
             sys.exit(1)
     except KeyboardInterrupt as interrupt:
@@ -91,6 +91,16 @@ def main() -> None:
         if traceback_wanted:
             raise
         _refuse(one_line(error))
+
+
+def _hydra_run(command: list[str]) -> bool:
+    """What Hydra makes of a command: a run or a sweep. False if a run of a sweep failed."""
+    sys.argv[1:] = command
+    try:
+        hydra.main(config_path=str(CONFIG_DIR), config_name="config", version_base="1.3")(run_one)()
+    except RunFailed:
+        return False
+    return True
 
 
 def run_one(composed: DictConfig) -> None:

@@ -1,8 +1,9 @@
-"""The runs of a sweep before it starts: their folders and how much work each is."""
+"""The runs of a sweep before it starts: their overrides, their folders and how much work each is."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from hydra import compose, initialize_config_dir
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
@@ -16,6 +17,15 @@ from pipeline.config.compose import CONFIG_DIR
 MULTIRUN = ("-m", "--multirun")
 
 
+@dataclass(frozen=True)
+class PlannedRun:
+    """One run of a sweep."""
+
+    overrides: tuple[str, ...]  # of the command line, as if the run were given alone
+    launcher: str  # the choice of its experiment
+    work: float  # in any unit, the same for all runs
+
+
 def one_per_experiment(arguments: Sequence[str]) -> list[list[str]]:
     """`experiment=a,b …` as two commands, `experiment=a …` and `experiment=b …`; any other command as it is."""
     for place, argument in enumerate(arguments):
@@ -25,17 +35,21 @@ def one_per_experiment(arguments: Sequence[str]) -> list[list[str]]:
     return [list(arguments)]
 
 
-def planned_work(commands: Sequence[Sequence[str]]) -> dict[str, float]:
-    """Run folder -> work, of all runs of all sweeps among the commands. Raises what Hydra raises."""
-    work: dict[str, float] = {}
+def planned_runs(commands: Sequence[Sequence[str]]) -> dict[str, PlannedRun]:
+    """Run folder -> run, of all sweeps among the commands, in their order; one that two have is the first's.
+
+    Raises what Hydra raises.
+    """
+    runs: dict[str, PlannedRun] = {}
     with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
         for command in commands:
             if all(argument in MULTIRUN or not argument.startswith("-") for argument in command):
-                work |= _work_of(command)
-    return work
+                for out, run in _runs_of(command).items():
+                    runs.setdefault(out, run)
+    return runs
 
 
-def _work_of(command: Sequence[str]) -> dict[str, float]:
+def _runs_of(command: Sequence[str]) -> dict[str, PlannedRun]:
     overrides = [argument for argument in command if argument not in MULTIRUN]
     if len(overrides) == len(command) and not any(override.startswith("experiment=") for override in overrides):
         return {}
@@ -45,11 +59,12 @@ def _work_of(command: Sequence[str]) -> dict[str, float]:
         return {}
     swept = [f"{key}={values}" for key, values in (hydra.sweeper.params or {}).items()]
     jobs = BasicSweeper.split_arguments(OverridesParser.create().parse_overrides([*swept, *overrides]), None)[0]
-    work: dict[str, float] = {}
+    runs: dict[str, PlannedRun] = {}
     composed: dict[tuple[str, ...], DictConfig] = {}  # of all seeds: composing takes a tenth of a second
     for job in jobs:
         others = tuple(override for override in job if not override.startswith("seed="))
         cfg = composed[others] = composed.get(others) or compose("config", list(job))
         cfg.seed = next((int(override[5:]) for override in job if override.startswith("seed=")), cfg.seed)
-        work[cfg.out] = float(cfg.train.iterations * cfg.train.batch * cfg.scene.size**2)
-    return work
+        work = float(cfg.train.iterations * cfg.train.batch * cfg.scene.size**2)
+        runs[cfg.out] = PlannedRun(tuple(job), hydra.runtime.choices.launcher, work)
+    return runs

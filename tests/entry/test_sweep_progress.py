@@ -11,7 +11,7 @@ import pytest
 from hydra import compose, initialize_config_dir
 
 from pipeline.config.compose import CONFIG_DIR, register_schema
-from pipeline.config.sweep_plan import one_per_experiment, planned_work
+from pipeline.config.sweep_plan import one_per_experiment, planned_runs
 from pipeline.terminal.sweep_progress import FOLDER_VARIABLE, TRAINING_SHARE, SweepRun, sweep
 
 
@@ -107,23 +107,24 @@ def test_experiments_are_commands_of_their_own() -> None:
 def test_the_plan_of_reproduce_has_each_run_once() -> None:
     register_schema()
     experiments = ("synthetic_suite", "ablation/no_4drot", "ablation/no_4dsh", "ablation/no_time_split")
-    work = planned_work([[f"experiment={name}"] for name in experiments])
-    assert len(work) == 21
+    runs = planned_runs([[f"experiment={name}"] for name in experiments])
+    assert len(runs) == 21
     overrides = ["experiment=synthetic_suite", "scene=synthetic/counter", "seed=0"]
     with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
         cfg = compose("config", overrides)
-    assert work[cfg.out] / work["results/runs/synthetic/wheel/full/short/seed0"] == pytest.approx(320**2 / 200**2)
+    wheel = runs["results/runs/synthetic/wheel/full/short/seed0"]
+    assert runs[cfg.out].work / wheel.work == pytest.approx(320**2 / 200**2)
 
 
 def test_a_single_run_has_no_plan() -> None:
     register_schema()
-    assert planned_work([["scene=synthetic/wheel"]]) == {}
-    assert planned_work([["--cfg", "job", "experiment=synthetic_suite"]]) == {}
-    assert len(planned_work([["-m", "scene=synthetic/wheel", "seed=0,1"]])) == 2
+    assert planned_runs([["scene=synthetic/wheel"]]) == {}
+    assert planned_runs([["--cfg", "job", "experiment=synthetic_suite"]]) == {}
+    assert len(planned_runs([["-m", "scene=synthetic/wheel", "seed=0,1"]])) == 2
 
 
 def test_reproduce_begins_with_each_scene_once() -> None:
     """Runs side by side then trace different scenes."""
     register_schema()
-    first = list(planned_work([["experiment=synthetic_suite"]]))[:6]
+    first = list(planned_runs([["experiment=synthetic_suite"]]))[:6]
     assert len({out.split("/short/")[0] for out in first}) == 6

@@ -1,0 +1,34 @@
+"""Several sweeps as one: their runs are one list, so that a core which has finished one sweep begins with the next."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from hydra import initialize_config_dir
+from hydra._internal.callbacks import Callbacks
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.plugins import Plugins
+from hydra.core.utils import JobStatus
+from hydra.types import HydraContext, RunMode, TaskFunction
+
+from pipeline.config.compose import CONFIG_DIR
+from pipeline.config.sweep_plan import PlannedRun
+
+
+def have_one_launcher(runs: Sequence[PlannedRun]) -> bool:
+    """Whether one launcher can take them all. False without runs."""
+    return len({run.launcher for run in runs}) == 1
+
+
+def launch(command: Sequence[str], runs: Sequence[PlannedRun], task: TaskFunction) -> bool:
+    """Launches all runs, in this order, with the launcher of the command; True if every one ended well.
+
+    command: of one of the sweeps, such as ["experiment=synthetic_suite"]. task: takes a run's composed configuration.
+    """
+    with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
+        loader = GlobalHydra.instance().config_loader()
+        config = loader.load_configuration("config", list(command), RunMode.MULTIRUN)
+        context = HydraContext(config_loader=loader, callbacks=Callbacks())
+        launcher = Plugins.instance().instantiate_launcher(hydra_context=context, task_function=task, config=config)
+        results = launcher.launch([list(run.overrides) for run in runs], initial_job_idx=0)
+    return all(result.status == JobStatus.COMPLETED for result in results)
