@@ -23,11 +23,13 @@ biome = if command -v npm > /dev/null; then \
 	else echo "lint: npm is not installed, so the viewer's JavaScript is not checked"; fi
 
 # What make compares to decide whether there is work: packages after the lock, kernel after its sources. Packages are
-# installed while the kernel compiles.
+# installed while the kernel compiles. That is the kernel of this machine's best instruction set; what compares
+# instruction sets needs ALL_KERNELS.
 MAKEFLAGS += --jobs=2
 TOOLS := .venv/.tools
 INSTALLED := .venv/.installed
 BUILT := build/.built
+ALL_KERNELS := build/.all_kernels
 KERNEL_SOURCES := CMakeLists.txt $(wildcard rasterizer/src/*.?pp rasterizer/src/*/*.hpp)
 
 help: ## list the targets
@@ -53,7 +55,7 @@ format: $(INSTALLED) ## format code, imports, Markdown and JavaScript
 	.venv/bin/mdformat $(MARKDOWN)
 	@$(call biome,check --write)
 
-test: $(BUILT) ## run all tests
+test: $(ALL_KERNELS) ## run all tests
 	$(RUN) pytest -n auto --dist loadscope --no-loadscope-reorder
 	@$(call took,passed)
 
@@ -73,7 +75,7 @@ ablations: $(BUILT) ## all ablations on all dynamic synthetic scenes, beside the
 	@echo "make ablations: the report is $(dir $(RUNS))report/report.html"
 	@$(call took,done)
 
-bench: $(BUILT) ## time kernel, loss, optimiser and reference implementation in one run; a roofline plot in results/bench
+bench: $(ALL_KERNELS) ## time kernel, loss, optimiser and reference implementation in one run; a roofline plot in results/bench
 	$(RUN) rasterizer.bench W1 W2h W2 --all
 
 work-precision: $(BUILT) ## error against time of the kernel's numerical choices: results/kernel_precision
@@ -84,13 +86,13 @@ scaling: $(BUILT) ## cost and number of Gaussians against scene size and video l
 	$(RUN) pipeline experiment=video_length
 	$(RUN) pipeline.studies.video_length
 
-stability: $(BUILT) ## float32 kernel against float64 in ill-conditioned scenes: results/kernel_stability; fails above a bound
+stability: $(ALL_KERNELS) ## float32 kernel against float64 in ill-conditioned scenes: results/kernel_stability; fails above a bound
 	$(RUN) pipeline.studies.kernel_stability
 
 report: $(BUILT) ## tables, plots and the HTML page from the run folders under RUNS=results/runs
 	$(RUN) pipeline.report $(RUNS)
 
-sanitize: $(BUILT) ## the kernel's tests with every memory access and operation checked
+sanitize: $(ALL_KERNELS) ## the kernel's tests with every memory access and operation checked
 	.venv/bin/python tests/sanitize.py
 
 fuzz: $(BUILT) ## fuzz every reader with damaged files and rasterize with odd arguments: FUZZ_SECONDS=20 each; fails if a rule breaks
@@ -111,10 +113,15 @@ $(INSTALLED): $(TOOLS)
 # The project itself, editable. No build isolation, which would fetch a second set of tools for every build. Ninja is
 # not told of make's jobs: it may take both cores.
 build/build.ninja: $(TOOLS)
-	@echo "setup: compiling the kernel, once for each instruction set"
+	@echo "setup: compiling the kernel"
 	@MAKEFLAGS= PATH="$(CURDIR)/.venv/bin:$$PATH" .venv/bin/pip install --quiet --no-build-isolation --no-deps --editable .
 	@touch $@
 
 $(BUILT): build/build.ninja $(INSTALLED) $(KERNEL_SOURCES)
-	@MAKEFLAGS= PATH="$(CURDIR)/.venv/bin:$$PATH" cmake --build build
+	@MAKEFLAGS= PATH="$(CURDIR)/.venv/bin:$$PATH" cmake --build build --target all $(if $(wildcard $(ALL_KERNELS)),other_kernels)
+	@touch $@
+
+$(ALL_KERNELS): $(BUILT)
+	@echo "compiling the kernel for this machine's other instruction sets"
+	@MAKEFLAGS= PATH="$(CURDIR)/.venv/bin:$$PATH" cmake --build build --target other_kernels
 	@touch $@

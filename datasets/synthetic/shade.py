@@ -13,6 +13,7 @@ random shadow rays would not give.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -31,7 +32,7 @@ class Placed:
     body: Body
     pose: Pose
 
-    @property
+    @cached_property
     def radius(self) -> float:
         """Of its bounding sphere, world units."""
         return self.pose.scale * self.body.shape.radius
@@ -94,9 +95,7 @@ def unoccluded(
     """(N,) bool: the segments from start (3, N) to start + segment that hit no body. False unless `tested`."""
     clear = tested.copy()
     squared = dot(segment, segment)
-    for occluder in placed:
-        if not occluder.body.casts_shadow or not _may_shade(occluder, receiver, light):
-            continue
+    for occluder in _possible_occluders(placed, receiver, light):
         # Exact intersection only for segments through the occluder's bounding sphere.
         offset = column(occluder.pose.position) - start
         along = np.clip(dot(offset, segment) / squared, 0, 1)
@@ -110,6 +109,7 @@ def unoccluded(
     return clear
 
 
+@lru_cache
 def sample_disc(light: Light, count: int) -> np.ndarray:
     """`count` points (3, count) on the light's disc: a sunflower spiral (Vogel 1979), even in every direction.
 
@@ -126,12 +126,19 @@ def sample_disc(light: Light, count: int) -> np.ndarray:
     return (centre[:, None] + spread).astype(np.float32)
 
 
-def _may_shade(occluder: Placed, receiver: Placed, light: Light) -> bool:
-    """Whether the occluder's bounding sphere meets the tube of all segments from the receiver to the light."""
-    if occluder is receiver:
-        return not receiver.body.shape.is_convex
-    tube = max(receiver.radius, light.radius) + occluder.radius
+def _possible_occluders(placed: list[Placed], receiver: Placed, light: Light) -> list[Placed]:
+    """Bodies whose bounding sphere meets the tube of all segments from the receiver to the light."""
+    casting = [item for item in placed if item.body.casts_shadow]
+    if not casting:
+        return []
+    radius = np.array([item.radius for item in casting])
+    offset = np.array([item.pose.position for item in casting]) - receiver.pose.position
     segment = np.asarray(light.position) - receiver.pose.position
-    offset = occluder.pose.position - receiver.pose.position
     along = np.clip(offset @ segment / max(segment @ segment, 1e-12), 0, 1)
-    return bool(np.linalg.norm(offset - along * segment) <= tube)
+    distance = np.linalg.norm(offset - along[:, None] * segment, axis=1)
+    meets = distance <= max(receiver.radius, light.radius) + radius
+    return [
+        item
+        for item, it_meets in zip(casting, meets)
+        if (it_meets if item is not receiver else not receiver.body.shape.is_convex)
+    ]

@@ -199,8 +199,8 @@ def set_up_copy(tmp_path: Path) -> Path:
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / name, tmp_path / name)
         os.utime(tmp_path / name, (1000, 1000))
-    products = (".venv/.tools", ".venv/.installed", "build/build.ninja", "build/.built")
-    for seconds, product in zip((2000, 3000, 3000, 4000), products, strict=True):
+    products = (".venv/.tools", ".venv/.installed", "build/build.ninja", "build/.built", "build/.all_kernels")
+    for seconds, product in zip((2000, 3000, 3000, 4000, 5000), products, strict=True):
         (tmp_path / product).parent.mkdir(exist_ok=True)
         (tmp_path / product).touch()
         os.utime(tmp_path / product, (seconds, seconds))
@@ -225,4 +225,11 @@ def test_make_redoes_what_a_change_asks_for(set_up_copy, changed, installs):
     (set_up_copy / changed).touch()
     planned = make("-n", "build", cwd=set_up_copy)
     assert ("setup_environment.py" in planned) is installs
-    assert "cmake --build build" in planned
+    assert "cmake --build build --target all other_kernels" in planned  # none that is there stays as it was
+
+
+def test_set_up_compiles_one_kernel_and_the_tests_the_others(set_up_copy):
+    (set_up_copy / "build/.all_kernels").unlink()
+    (set_up_copy / "rasterizer/src/module.cpp").touch()
+    assert "other_kernels" not in make("-n", "setup", cwd=set_up_copy)
+    assert "cmake --build build --target other_kernels" in make("-n", "test", cwd=set_up_copy)
