@@ -85,7 +85,9 @@ def main() -> None:
         if failed:
             sys.exit(1)
     except KeyboardInterrupt as interrupt:
-        _complain(f"interrupted; {interrupt or 'finished runs are kept, and the same command goes on with the others'}")
+        _complain(
+            f"interrupted; {str(interrupt) or 'finished runs are kept, and the same command goes on with the others'}"
+        )
         sys.exit(130)
     except EXPECTED as error:
         if traceback_wanted:

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from omegaconf import DictConfig
 
+from pipeline import cli
 from pipeline.config.compose import register_schema
 from pipeline.config.sweep_launch import have_one_launcher, launch
 from pipeline.config.sweep_plan import PlannedRun, planned_runs
@@ -55,3 +56,18 @@ def test_experiments_of_two_launchers_have_none_in_common() -> None:
     assert have_one_launcher(list(planned_runs([SUITE, ["experiment=ablation/no_4dsh"]]).values()))
     assert not have_one_launcher(list(planned_runs([SUITE, SMOKE]).values()))
     assert not have_one_launcher(list[PlannedRun]())
+
+
+def test_an_interrupted_sweep_says_what_is_kept(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(command: list[str], runs: list[PlannedRun], task: object) -> bool:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli, "launch", interrupted)
+    monkeypatch.setattr("sys.argv", ["pipeline", "experiment=ablation/no_4drot,ablation/no_4dsh"])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == 130
+    said = capsys.readouterr().err
+    assert said == "error: interrupted; finished runs are kept, and the same command goes on with the others\n"
