@@ -22,8 +22,8 @@ from rich.table import Table
 from pipeline.config.compose import CONFIG_DIR, one_line, options, quote_paths, register_schema, to_config
 from pipeline.config.scene_overrides import without_given
 from pipeline.config.schema import Config
-from pipeline.config.sweep_launch import have_one_launcher, launch
-from pipeline.config.sweep_plan import one_per_experiment, planned_runs
+from pipeline.config.sweep_launch import can_be_one, launch
+from pipeline.config.sweep_plan import merged, one_per_experiment, planned_sweeps
 from pipeline.terminal import interruption, sweep_progress
 from pipeline.terminal.closed_pipe import quiet_on_closed_pipe
 from pipeline.terminal.help_page import help_page
@@ -75,10 +75,11 @@ def main() -> None:
     commands = one_per_experiment(quote_paths(sys.argv[1:]))
     interruption.watch()
     try:
-        plan = planned_runs(commands)
-        with sweep_progress.sweep({out: run.work for out, run in plan.items()}):
-            if len(commands) > 1 and have_one_launcher(list(plan.values())):
-                failed = not launch(commands[0], list(plan.values()), run_one)
+        sweeps = planned_sweeps(commands)
+        runs = merged(sweeps)
+        with sweep_progress.sweep({out: run.work for out, run in runs.items()}):
+            if can_be_one(commands, sweeps):
+                failed = not launch(commands[0], list(runs.values()), run_one)
             else:
                 ended_well = [_hydra_run(command) for command in commands]  # if one fails, the others go on
                 failed = not all(ended_well)

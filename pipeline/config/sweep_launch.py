@@ -15,9 +15,11 @@ from pipeline.config.compose import CONFIG_DIR
 from pipeline.config.sweep_plan import PlannedRun
 
 
-def have_one_launcher(runs: Sequence[PlannedRun]) -> bool:
-    """Whether one launcher can take them all. False without runs."""
-    return len({run.launcher for run in runs}) == 1
+def can_be_one(commands: Sequence[Sequence[str]], sweeps: Sequence[dict[str, PlannedRun]]) -> bool:
+    """Whether there are several commands, all of them sweeps with the same launcher and with folders of their own."""
+    launchers = {run.launcher for sweep in sweeps for run in sweep.values()}
+    given_folder = any(argument.startswith("out=") for command in commands for argument in command)
+    return len(commands) > 1 and all(sweeps) and len(launchers) == 1 and not given_folder
 
 
 def launch(command: Sequence[str], runs: Sequence[PlannedRun], task: TaskFunction) -> bool:

@@ -35,17 +35,21 @@ def one_per_experiment(arguments: Sequence[str]) -> list[list[str]]:
     return [list(arguments)]
 
 
-def planned_runs(commands: Sequence[Sequence[str]]) -> dict[str, PlannedRun]:
-    """Run folder -> run, of all sweeps among the commands, in their order; one that two have is the first's.
-
-    Raises what Hydra raises.
-    """
-    runs: dict[str, PlannedRun] = {}
+def planned_sweeps(commands: Sequence[Sequence[str]]) -> list[dict[str, PlannedRun]]:
+    """For each command: run folder -> run, in the sweep's order; nothing for what is no sweep. Raises what Hydra
+    raises."""
     with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
-        for command in commands:
-            if all(argument in MULTIRUN or not argument.startswith("-") for argument in command):
-                for out, run in _runs_of(command).items():
-                    runs.setdefault(out, run)
+        return [
+            _runs_of(command) if all(argument in MULTIRUN or argument[:1] != "-" for argument in command) else {}
+            for command in commands
+        ]
+
+
+def merged(sweeps: Sequence[dict[str, PlannedRun]]) -> dict[str, PlannedRun]:
+    """Run folder -> run, of all sweeps in their order; a run that two have is the first's."""
+    runs: dict[str, PlannedRun] = {}
+    for sweep in sweeps:
+        runs |= {out: run for out, run in sweep.items() if out not in runs}
     return runs
 
 

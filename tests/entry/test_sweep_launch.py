@@ -9,10 +9,10 @@ from omegaconf import DictConfig
 
 from pipeline import cli
 from pipeline.config.compose import register_schema
-from pipeline.config.sweep_launch import have_one_launcher, launch
-from pipeline.config.sweep_plan import PlannedRun, planned_runs
+from pipeline.config.sweep_launch import can_be_one, launch
+from pipeline.config.sweep_plan import PlannedRun, merged, planned_sweeps
 
-SMOKE, SUITE = ["experiment=smoke"], ["experiment=synthetic_suite"]
+SMOKE, SUITE, NO_4DROT = ["experiment=smoke"], ["experiment=synthetic_suite"], ["experiment=ablation/no_4drot"]
 
 
 @pytest.fixture
@@ -23,9 +23,8 @@ def in_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("in_folder")
 def test_every_run_is_launched_once_and_a_failed_one_stops_no_other() -> None:
-    runs = list(
-        planned_runs([[*SMOKE, "ablation=full,no_4dsh"], [*SMOKE, "ablation=no_4dsh,static", "seed=3"]]).values()
-    )
+    sweeps = planned_sweeps([[*SMOKE, "ablation=full,no_4dsh"], [*SMOKE, "ablation=no_4dsh,static", "seed=3"]])
+    runs = list(merged(sweeps).values())
     begun: list[tuple[str, int, int]] = []
 
     def task(cfg: DictConfig) -> None:
@@ -45,17 +44,25 @@ def test_every_run_is_launched_once_and_a_failed_one_stops_no_other() -> None:
 
 def test_a_run_of_two_experiments_is_the_first_one_s() -> None:
     register_schema()
-    runs = planned_runs([SUITE, ["experiment=ablation/no_4drot"]])
+    runs = merged(planned_sweeps([SUITE, NO_4DROT]))
     both = runs["results/runs/synthetic/wheel/full/short/seed0"]
     assert SUITE[0] in both.overrides
     assert sum("scene=synthetic/wheel" in run.overrides for run in runs.values()) == 6
 
 
-def test_experiments_of_two_launchers_have_none_in_common() -> None:
+@pytest.mark.parametrize(
+    "commands, one",
+    [
+        ([SUITE, NO_4DROT], True),
+        ([SUITE], False),
+        ([SUITE, SMOKE], False),  # their launchers differ
+        ([SUITE, ["scene=synthetic/wheel"]], False),  # the second is a single run
+        ([[*SUITE, "out=x"], [*NO_4DROT, "out=x"]], False),  # all in one folder, which only the first may have
+    ],
+)
+def test_which_commands_can_be_one(commands: list[list[str]], one: bool) -> None:
     register_schema()
-    assert have_one_launcher(list(planned_runs([SUITE, ["experiment=ablation/no_4dsh"]]).values()))
-    assert not have_one_launcher(list(planned_runs([SUITE, SMOKE]).values()))
-    assert not have_one_launcher(list[PlannedRun]())
+    assert can_be_one(commands, planned_sweeps(commands)) is one
 
 
 def test_an_interrupted_sweep_says_what_is_kept(

@@ -11,7 +11,7 @@ import pytest
 from hydra import compose, initialize_config_dir
 
 from pipeline.config.compose import CONFIG_DIR, register_schema
-from pipeline.config.sweep_plan import one_per_experiment, planned_runs
+from pipeline.config.sweep_plan import merged, one_per_experiment, planned_sweeps
 from pipeline.terminal.sweep_progress import FOLDER_VARIABLE, TRAINING_SHARE, SweepRun, sweep
 
 
@@ -107,7 +107,7 @@ def test_experiments_are_commands_of_their_own() -> None:
 def test_the_plan_of_reproduce_has_each_run_once() -> None:
     register_schema()
     experiments = ("synthetic_suite", "ablation/no_4drot", "ablation/no_4dsh", "ablation/no_time_split")
-    runs = planned_runs([[f"experiment={name}"] for name in experiments])
+    runs = merged(planned_sweeps([[f"experiment={name}"] for name in experiments]))
     assert len(runs) == 21
     overrides = ["experiment=synthetic_suite", "scene=synthetic/counter", "seed=0"]
     with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
@@ -118,13 +118,12 @@ def test_the_plan_of_reproduce_has_each_run_once() -> None:
 
 def test_a_single_run_has_no_plan() -> None:
     register_schema()
-    assert planned_runs([["scene=synthetic/wheel"]]) == {}
-    assert planned_runs([["--cfg", "job", "experiment=synthetic_suite"]]) == {}
-    assert len(planned_runs([["-m", "scene=synthetic/wheel", "seed=0,1"]])) == 2
+    assert planned_sweeps([["scene=synthetic/wheel"], ["--cfg", "job", "experiment=synthetic_suite"]]) == [{}, {}]
+    assert len(planned_sweeps([["-m", "scene=synthetic/wheel", "seed=0,1"]])[0]) == 2
 
 
 def test_reproduce_begins_with_each_scene_once() -> None:
     """Runs side by side then trace different scenes."""
     register_schema()
-    first = list(planned_runs([["experiment=synthetic_suite"]]))[:6]
+    first = list(planned_sweeps([["experiment=synthetic_suite"]])[0])[:6]
     assert len({out.split("/short/")[0] for out in first}) == 6
