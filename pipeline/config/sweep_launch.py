@@ -12,7 +12,7 @@ from hydra.core.utils import JobStatus
 from hydra.types import HydraContext, RunMode, TaskFunction
 
 from pipeline.config.compose import CONFIG_DIR
-from pipeline.config.sweep_plan import PlannedRun
+from pipeline.config.sweep_plan import MULTIRUN, PlannedRun
 
 
 def can_be_one(commands: Sequence[Sequence[str]], sweeps: Sequence[dict[str, PlannedRun]]) -> bool:
@@ -29,7 +29,8 @@ def launch(command: Sequence[str], runs: Sequence[PlannedRun], task: TaskFunctio
     """
     with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
         loader = GlobalHydra.instance().config_loader()
-        config = loader.load_configuration("config", list(command), RunMode.MULTIRUN)
+        overrides = [argument for argument in command if argument not in MULTIRUN]
+        config = loader.load_configuration("config", overrides, RunMode.MULTIRUN)
         context = HydraContext(config_loader=loader, callbacks=Callbacks())
         launcher = Plugins.instance().instantiate_launcher(hydra_context=context, task_function=task, config=config)
         results = launcher.launch([list(run.overrides) for run in runs], initial_job_idx=0)

@@ -33,7 +33,7 @@ def test_every_run_is_launched_once_and_a_failed_one_stops_no_other() -> None:
             raise ValueError
 
     failing = "no run"
-    assert launch(SMOKE, runs, task)
+    assert launch(["-m", *SMOKE, "seed=0,1"], runs, task)  # which runs there are is said by `runs`
     expected = [("full", 0, 48), ("no_4dsh", 0, 48), ("no_4dsh", 3, 48), ("static", 3, 48)]
     assert begun == expected
     failing = "full"
