@@ -19,6 +19,7 @@ RENAMED = {
     "train.environment_height": "train.envmap_height",
     "train.environment_until": "train.envmap_until",
     "train.where_still": "train.static_overrides",
+    "train.film_overrides": "train.multi_view_overrides",
 }
 # Removed key, under its last name -> the value that changed nothing. No study showed a use for another.
 REMOVED: dict[str, Any] = {
@@ -51,7 +52,7 @@ ADDED: dict[str, Any] = {
     "train.depth.sky_opacity": 0.0,
     "train.cubemap_resolution": 128,
     "train.select_motion": 0.0,
-    "train.film_overrides": None,
+    "train.multi_view_overrides": None,
     "train.clip_overrides": None,
 }
 _OVERRIDES = "train.static_overrides."  # holds keys of `train`

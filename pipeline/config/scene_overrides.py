@@ -1,7 +1,8 @@
-"""Overrides by the kind of scene: keys of a schedule with other values where nothing moves, in films and in clips.
+"""Overrides by the kind of scene: keys of a schedule with other values where nothing moves, where several
+cameras see each time, and for clips.
 
-`train.static_overrides` holds those of static scenes, `train.film_overrides` those of moving scenes that several
-cameras film, `train.clip_overrides` those of moving scenes that one camera films in order. A run resolves its
+`train.static_overrides` holds those of static scenes, `train.multi_view_overrides` those of moving scenes with two
+training views or more of each time on average, `train.clip_overrides` those of videos by one camera. A run resolves its
 configuration once the scene is known (pipeline/model/scene_settings.py); its config.yaml holds the result. What the
 command line gives counts on scenes of every kind.
 """
@@ -17,7 +18,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from pipeline.config.schema import Config
 
-GROUPS = ("static_overrides", "film_overrides", "clip_overrides")  # keys of `train`
+GROUPS = ("static_overrides", "multi_view_overrides", "clip_overrides")  # keys of `train`
 
 
 def without_given(composed: DictConfig, arguments: Sequence[str]) -> DictConfig:

@@ -194,9 +194,9 @@ class TrainConfig:
     # Keys of `train` with other values for a static scene (pipeline/config/scene_overrides.py); null once resolved,
     # unless select_motion has still to decide
     static_overrides: Optional[dict[str, Any]] = field(default_factory=dict)
-    # Likewise for a scene that moves and that several cameras film; null once resolved
-    film_overrides: Optional[dict[str, Any]] = field(default_factory=dict)
-    # Likewise for one that moves and that one camera films in order; null once resolved
+    # Likewise for a moving scene with two training views or more of each time, on average; null once resolved
+    multi_view_overrides: Optional[dict[str, Any]] = field(default_factory=dict)
+    # Likewise for a moving scene that is the video of one camera; null once resolved
     clip_overrides: Optional[dict[str, Any]] = field(default_factory=dict)
     eval_every: int = 500  # iterations between evaluations on held-out views
     eval_views: int = 30  # held-out views of such an evaluation, evenly spread; the final evaluation takes all

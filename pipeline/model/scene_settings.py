@@ -27,5 +27,5 @@ def overrides_for(scene: Scene, cfg: Config) -> str | None:
     if kind_of(scene, cfg).motion == "static":
         return "static_overrides"
     if scene.several_cameras:
-        return "film_overrides"
+        return "multi_view_overrides"
     return "clip_overrides" if scene.is_clip else None

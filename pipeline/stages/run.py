@@ -43,7 +43,7 @@ STAGES = (
 )
 KINDS = {
     "static_overrides": "static scene",
-    "film_overrides": "several cameras",
+    "multi_view_overrides": "several cameras",
     "clip_overrides": "clip by one camera",
 }
 NOTHING_KEPT = "nothing of the run was saved yet; the same command starts it anew"

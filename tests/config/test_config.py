@@ -123,7 +123,7 @@ def test_every_variant_is_one_change_in_a_folder_of_its_own(variant: str) -> Non
         assert len(found) == {"no_sky_loss": 2, "baseline": 0}.get(variant.partition("/")[2], 1)
     else:
         found = changes(cfg.train, usual.train) | changes(cfg.ablation, usual.ablation)
-        assert len(found - {"film_overrides", "clip_overrides"}) == (variant != base)  # those: the same change there
+        assert len(found - {"multi_view_overrides", "clip_overrides"}) == (variant != base)  # those: the same change there
 
 
 def test_a_part_left_out_is_left_out_in_films_too() -> None:

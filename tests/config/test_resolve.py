@@ -34,20 +34,20 @@ def test_they_are_put_in_where_nothing_moves() -> None:
     assert found.resolution_steps == [ResolutionStep(0.5, 0.5)]  # a whole list, not its items
     plain = config().train
     back = replace(found, init_points=None, lr=plain.lr, resolution_steps=[])
-    assert back == replace(plain, static_overrides=None, film_overrides=None, clip_overrides=None)  # and nothing else
+    assert back == replace(plain, static_overrides=None, multi_view_overrides=None, clip_overrides=None)  # and nothing else
 
 
 def test_nor_where_something_moves_or_the_schedule_has_none() -> None:
     for scene, cfg in ((tiny_scene(), config()), (tiny_scene(static=True), config(None))):
         black = replace(BLACK, background=[0.0, 0.0, 0.0])
-        plain = replace(cfg.train, static_overrides=None, film_overrides=None, clip_overrides=None)
+        plain = replace(cfg.train, static_overrides=None, multi_view_overrides=None, clip_overrides=None)
         assert resolved(cfg, scene) == replace(cfg, scene=black, train=plain)
 
 
 def test_films_have_their_own() -> None:
     one = tiny_scene()
     film = replace(one, train=one.train + one.train)
-    cfg = Config(scene=BLACK, train=TrainConfig(iterations=40, film_overrides={"regularization": {"motion": 0.5}}))
+    cfg = Config(scene=BLACK, train=TrainConfig(iterations=40, multi_view_overrides={"regularization": {"motion": 0.5}}))
     assert (resolved(cfg, one).train.regularization.motion, resolved(cfg, film).train.regularization.motion) == (0, 0.5)
     static = replace(tiny_scene(static=True), train=tiny_scene(static=True).train * 2)
     assert resolved(cfg, static).train.regularization.motion == 0
@@ -95,8 +95,8 @@ def test_it_is_the_model_that_moves_or_does_not() -> None:
             "not among this schedule's differences; add it as +train.static_overrides.lr.mean",
         ),
         ("+train.static_overrides.static_overrides.batch=1", "no such key"),
-        ("+train.film_overrides.static_overrides.batch=1", "no such key"),
-        ("+train.film_overrides.dropout=2", "train.dropout: expected in [0, 1) (0: none), found 2.0"),
+        ("+train.multi_view_overrides.static_overrides.batch=1", "no such key"),
+        ("+train.multi_view_overrides.dropout=2", "train.dropout: expected in [0, 1) (0: none), found 2.0"),
         ("train.static_overrides.lr.sh_rest=-1", "train.lr.sh_rest: expected >= 0, found -1"),
         ("train.static_overrides.init_points=many", "train.init_points: Value 'many'"),
     ],
