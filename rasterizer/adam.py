@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import torch
 from torch import Tensor
 
 from rasterizer.cores import thread_count
 from rasterizer.gaussians import SH_LAYOUTS
 from rasterizer.gradients import Gradients
 from rasterizer.kernel_loader import kernel
+from rasterizer.validation import dtype_name
 
 
 def adam_step(
@@ -28,8 +30,10 @@ def adam_step(
     """Update `param` (N,) or (N, C) and its moments m, v in place; all contiguous float32.
 
     lr: one learning rate, or one per column. step: counts from 1. sparse_rows (N,) uint8: rows with 0 are skipped,
-    moments included (dense Adam would still move them by their momentum). ValueError for a wrong number of rates.
+    moments included (dense Adam would still move them by their momentum). ValueError for a wrong number of rates, and
+    for tensors that are not contiguous float32.
     """
+    _check_in_place(param=param, m=m, v=v)
     columns = param.shape[1] if param.ndim == 2 else 1
     rates = [float(lr)] * columns if isinstance(lr, (int, float)) else [float(rate) for rate in lr]
     if len(rates) != columns:
@@ -66,8 +70,9 @@ def sh_adam_step(
 
     Degrees and Fourier orders that no view of the batch used are skipped, which is exact as long as they never had a
     gradient. lr: four learning rates: of the constant coefficient; of those that depend on the viewing direction; on
-    time; on both. sparse_rows: as in `adam_step`.
+    time; on both. sparse_rows, errors: as in `adam_step`.
     """
+    _check_in_place(sh=sh, m=m, v=v)
     coefficients, orders = SH_LAYOUTS[sh.shape[1]]
     used_orders = 1 + max((view.fourier_order for view in gradients.views), default=0)
     used_coefficients = (1 + max((view.sh_degree for view in gradients.views), default=0)) ** 2
@@ -88,3 +93,11 @@ def sh_adam_step(
         step=step,
         threads=thread_count(threads),
     )
+
+
+def _check_in_place(**tensors: Tensor) -> None:
+    """ValueError naming the first tensor that the kernel can't write."""
+    for name, tensor in tensors.items():
+        if tensor.dtype != torch.float32 or not tensor.is_contiguous():
+            layout = "contiguous" if tensor.is_contiguous() else "strided"
+            raise ValueError(f"{name} must be contiguous float32, got {layout} {dtype_name(tensor.dtype)}")

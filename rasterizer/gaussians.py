@@ -30,7 +30,7 @@ class Gaussians:
     - static (ordinary 3D Gaussian Splatting): `mean`, `log_scale` (N, 3), `quat_left` a 3D rotation, `quat_right` None.
     """
 
-    mean: Tensor  # (N, 4) xyzt, world units and seconds; (N, 3) when static
+    mean: Tensor  # (N, 4) xyzt, world units and units of time; (N, 3) when static
     log_scale: Tensor  # (N, 4) or (N, 3); scale = exp
     quat_left: Tensor  # (N, 4); need not be normalised, zero is read as identity
     quat_right: Tensor | None  # (N, 4) or None

@@ -41,7 +41,7 @@ class PhotometricLoss:
                 raise ValueError(
                     f"{name} must be float32 {expected}, got {dtype_name(tensor.dtype)} {list(tensor.shape)}"
                 )
-        d_image = torch.empty_like(image)
+        d_image = torch.empty_like(image, memory_format=torch.contiguous_format)
         l1, ssim, mse = kernel.photometric_loss(
             image=image.contiguous(),
             target=target.contiguous(),

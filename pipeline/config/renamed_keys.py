@@ -29,6 +29,7 @@ REMOVED: dict[str, Any] = {
 }
 # Added key -> the value that changes nothing, under which it is no part of the hashes of stages.
 ADDED: dict[str, Any] = {
+    "ablation.add_by_error": None,
     "train.regularization.flow": 0.0,
     "train.regularization.reference_views": 0.0,
     "train.regularization.rigid": 0.0,
@@ -36,10 +37,13 @@ ADDED: dict[str, Any] = {
     "train.regularization.rigid_neighbours": 20,
     "train.regularization.still_lifetime": 0.0,
     "train.mse_weight": 0.0,
+    "train.marginal_jitter": 0.0,
     "train.separate_tilt": False,
     "train.explicit_velocity": False,
     "train.lr.velocity": 1.0,
     "train.lr.mean_time_final": None,
+    "train.densify.correct_clones": False,
+    "train.densify.prune_hidden": 0.0,
     "train.densify.error_points": 0,
     "train.densify.error_points_share": 1.0,
     "train.densify.error_points_every": 500,

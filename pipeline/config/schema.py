@@ -56,12 +56,18 @@ class AblationConfig:
     rotation_4d: bool = True  # False: one 3D rotation, no motion
     fourier_order: int = 2  # highest Fourier order of 4DSH; 0: colour constant in time
     time_split: bool = True  # False: split in space only, no temporal indicator
+    # Whether Gaussians are added where and when the error is (docs/method.md 2.4); None: as time_split
+    add_by_error: Optional[bool] = None
     sh_degree: int = 3  # highest degree of spherical harmonics
     static: Optional[bool] = None  # None: as the scene is; True: no time at all, ordinary 3DGS
 
     def __post_init__(self) -> None:
         require(0 <= self.fourier_order <= 2, "ablation.fourier_order", "0 to 2", self.fourier_order)
         require(0 <= self.sh_degree <= 3, "ablation.sh_degree", "0 to 3", self.sh_degree)
+
+    @property
+    def adds_by_error(self) -> bool:
+        return self.time_split if self.add_by_error is None else self.add_by_error
 
 
 @dataclass

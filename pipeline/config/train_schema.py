@@ -35,7 +35,8 @@ class LearningRates:
     decay_start: float = 0.0  # fraction of the schedule after which the decay to `final_factor` begins
 
     def __post_init__(self) -> None:
-        check("train.lr", self, {f.name: at_least(0) for f in fields(self)})
+        rates = {f.name: at_least(0) for f in fields(self)}
+        check("train.lr", self, rates | {"decay_iterations": positive_count()})
         require(self.decay_start < 1, "train.lr.decay_start", "in [0, 1)", self.decay_start)
 
 
@@ -182,7 +183,8 @@ class TrainConfig:
     # of the schedule. 0: none, time-varying colour is kept. Without effect under a time budget
     select_time_colour: float = 0.0
     # Static or dynamic by validation, for one moving camera (pipeline/training/selection/motion.py): two trainings,
-    # each this fraction of the schedule. 0: none, dynamic where the views have times
+    # each this fraction of the schedule. 0: none, dynamic where the views have times. Without effect under a time
+    # budget
     select_motion: float = 0.0
     init_opacity: float = 0.1  # of every initial Gaussian
     init_time_scale: float = 0.5  # st of every initial Gaussian; × duration

@@ -150,7 +150,13 @@ def _from_drive(cfg: Config, scene: Scene, log: Callable[[str], None]) -> Prepar
         raise ValueError(
             f"init.source: expected auto, sfm or random for {scene.source}, a log without LiDAR, found lidar"
         )
-    if cfg.init.source not in ("auto", "sfm") or (cfg.init.source == "auto" and scene.sweeps):
+    from_lidar = scene.sweeps and cfg.init.source in ("auto", "lidar")
+    if from_lidar and cfg.effective_background_model == "sphere":
+        raise ValueError(
+            f"background_model: expected cubemap, envmap or none for {scene.source}, whose points are LiDAR's, "
+            "found sphere; init.source=sfm or random allows it"
+        )
+    if from_lidar or cfg.init.source == "random":
         return Prepared(scene, None, None)
     chosen = evenly_spaced(len(scene.train), DRIVE_PHOTOGRAPHS)
     photographs = [

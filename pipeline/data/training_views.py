@@ -105,4 +105,15 @@ class TrainingViews:
             target = replace(target, motion=self._flows.at(index, target.camera))
         if self._depths is not None:
             target = replace(target, depth=self._depths.at(index, target.camera, target.image))
-        return target
+        return target if target.mask is None else _where_it_counts(target, target.mask)
+
+
+def _where_it_counts(target: Target, mask: Tensor) -> Target:
+    """The target without the measured flow and depths of the pixels outside its mask (H, W)."""
+    motion, depth = target.motion, target.depth
+    if motion is not None:
+        motion = replace(motion, flow=torch.where(mask, motion.flow, torch.nan))
+    if depth is not None:
+        counts = mask.ravel()[depth.pixel]
+        depth = replace(depth, pixel=depth.pixel[counts], inverse=depth.inverse[counts])
+    return replace(target, motion=motion, depth=depth)

@@ -22,6 +22,7 @@ from plyfile import PlyData, PlyElement
 
 from datasets.files.errors import DataError
 from pipeline.model.model import Model, ModelKind
+from pipeline.model.velocities import in_rotations
 from rasterizer.gaussians import Motion
 
 LONGEST_HEADER, LONGEST_LINE = 1000, 1000  # lines, bytes; a full model has 170 lines
@@ -33,7 +34,8 @@ def save_ply(path: Path, model: Model) -> None:
 
 
 def ply_bytes(model: Model) -> bytes:
-    """The content of `save_ply`'s file."""
+    """The content of `save_ply`'s file. Velocities are written as rotations."""
+    model = in_rotations(model)
     columns = {
         name: model.parameters[field].reshape(len(model), -1)[:, index].numpy()
         for name, field, index in _layout(model.kind)

@@ -1,7 +1,7 @@
 """Checkpoints of the released program (chkpnt30000.pth): read and written, in the coordinates of the data's files.
 
 The file is torch's, of (fields, iteration); FIELDS names the fields in their order. It is read by torch's loader of
-plain data, which runs no code of the file. Three things differ from our parameters:
+plain data, which runs no code of the file. Four things differ from our parameters:
 
 - its 4D rotation acts on (t, z, y, x): ql = (a, b, c, d) and qr = (p, q, r, s) are our (a, -b, c, -d), (p, -q, r, s);
 - without 4D rotation it stores the logarithm of the variance in time, not of the standard deviation;

@@ -34,6 +34,8 @@ def in_canonical(model: Model, canonical: Canonical) -> Model:
         p |= rotations_of(scales[:, None] * scaled_axes(model.gaussians().to(torch.float64)))
     else:
         p["log_scale"] = (p["log_scale"].double() + scales.log()).to(torch.float32)
+    if model.kind.motion == "velocity":
+        p["velocity"] = (p["velocity"].double() * (canonical.scale / canonical.time_scale)).to(torch.float32)
     return Model(model.kind, p, model.sphere, model.environment_map)
 
 

@@ -1,4 +1,4 @@
-"""Stage sfm: the points and cameras that structure from motion found."""
+"""Stage sfm: the points and cameras that structure from motion found, or the cameras alone with init.source=random."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from pipeline.stages.stage import Log
 
 def copy_points(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
     """cached structure from motion → sfm.json, sfm.png."""
-    assert data.cloud is not None and data.sfm_folder is not None, "this stage is due only where there are points"
+    assert data.sfm_folder is not None, "this stage is due only where structure from motion ran"
     for path in (folder.sfm, folder.sfm_picture):
         with atomic_file(path) as temporary:
             shutil.copyfile(data.sfm_folder / path.name, temporary)
-    return data.cloud.summary()
+    return data.cloud.summary() if data.cloud is not None else {}

@@ -38,13 +38,12 @@ class Progress:
 
     iteration: int
     train_seconds: float  # evaluation excluded
-    resolution: float  # current training resolution × full size
-    final: bool
 
 
 @dataclass(frozen=True)
 class TrainResult:
-    """The trained model, in rotations, and its statistics; the run folder's checkpoint has the same."""
+    """The trained model, in rotations, and its statistics. The run folder's checkpoint has what is trained: velocities
+    with `train.explicit_velocity`."""
 
     model: Model
     iteration: int
@@ -106,7 +105,7 @@ def train(
             finished = state.is_finished(cfg.train)
             # Before refinement, whose new and split Gaussians no step has fitted yet; the last model is not refined.
             if finished or state.iteration % cfg.train.eval_every == 0:
-                _evaluate(state, phase, evaluate_fn, progress, run, finished)
+                _evaluate(state, evaluate_fn, progress, run)
             if not finished:
                 for event in refine(state, phase, refinement_views, scene, cfg):
                     run.log(event)
@@ -138,12 +137,10 @@ def _report_progress(state: TrainState, batch: Batch, phase: Phase, progress: Tr
         })  # fmt: skip
 
 
-def _evaluate(
-    state: TrainState, phase: Phase, evaluate_fn: EvaluateFn, progress: TrainingProgress, run: RunLog, final: bool
-) -> None:
+def _evaluate(state: TrainState, evaluate_fn: EvaluateFn, progress: TrainingProgress, run: RunLog) -> None:
     """Append a row to error_vs_time.csv, and keep the best model so far."""
     with state.stopwatch.paused():
-        reached = Progress(state.iteration, state.stopwatch.seconds, phase.resolution, final)
+        reached = Progress(state.iteration, state.stopwatch.seconds)
         metrics = evaluate_fn(state.model, reached)
         run.append_error_vs_time({
             "train_seconds": reached.train_seconds, "iteration": reached.iteration, "psnr": metrics["psnr"],

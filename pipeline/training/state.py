@@ -83,10 +83,11 @@ def start(
     saved = checkpoints.load(path) if path.exists() else None
     if cfg.train.explicit_velocity:
         model = in_velocities(model)
-    if cfg.effective_background_model == "envmap":  # init.ply has no environment map
-        model.environment_map = EnvironmentMap.grey(cfg.train.envmap_height)
-    if cfg.effective_background_model == "cubemap":  # nor a cube map
-        model.environment_map = CubeMap.grey(cfg.train.cubemap_resolution)
+    if model.environment_map is None:  # a new model: init.ply has none
+        if cfg.effective_background_model == "envmap":
+            model.environment_map = EnvironmentMap.grey(cfg.train.envmap_height)
+        elif cfg.effective_background_model == "cubemap":
+            model.environment_map = CubeMap.grey(cfg.train.cubemap_resolution)
     if saved is not None:
         expected, found = (
             f"seed {seed}, {of.kind} and background {of.background_model}"

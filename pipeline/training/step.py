@@ -89,12 +89,12 @@ class Batch:
         )
         rendered = render(rasterizer, model, request)
         truth = target.image
-        if (
-            target.mask is not None
-        ):  # a pixel that does not count has the colour that is rendered: no error, no gradient
+        if target.mask is not None:  # a pixel that does not count has the colour that is rendered: no error
             truth = torch.where(target.mask, truth, rendered.image.detach())
         value = view_loss(self._kernels.criterion, rendered.image, truth, self._size)
-        loss, d_flow = value.loss, None
+        loss, d_image, d_flow = value.loss, value.d_image, None
+        if target.mask is not None:  # the window of SSIM at a pixel that counts contains some that do not
+            d_image = torch.where(target.mask, d_image, 0.0)
         if target.motion is not None and rendered.flow is not None:
             weight = cfg.train.regularization.flow
             error, d_flow = flow_loss(rendered.flow, target.motion.flow, weight / self._size)
@@ -105,7 +105,7 @@ class Batch:
             loss += of_depth.loss
             d_alpha, d_depth = of_depth.d_alpha / self._size, of_depth.d_depth / self._size
         gradient = backward(
-            rasterizer, model, rendered, value.d_image, gradients, self.d_environment_map, d_flow, d_alpha, d_depth
+            rasterizer, model, rendered, d_image, gradients, self.d_environment_map, d_flow, d_alpha, d_depth
         )
         if view.rigid:
             loss += self._add_rigid_gradient(target.time, gradients)
@@ -159,7 +159,7 @@ class Batch:
 def draw_batch(state: TrainState, views: TrainingViews, phase: Phase, scene: Scene, cfg: Config) -> list[DrawnView]:
     """The views of the next iteration at the phase's resolution, each with what is drawn for it."""
     targets = [(views.at(index, phase.resolution), scene.background) for index in state.sampler.next_batch()]
-    if cfg.train.random_background:
+    if cfg.train.random_background and state.model.environment_map is None:  # else the background is the map
         rng = stream(cfg.seed, Stream.BACKGROUND, state.iteration)
         targets = [over_random_background(*target, rng) for target in targets]
     drawn, share = [DrawnView(*target) for target in targets], cfg.train.dropout

@@ -1,7 +1,8 @@
 // The kernel's Python bindings. Start reading in render.hpp.
 //
-// Arguments are checked in Python (arguments.py), with their error messages. Arrays are views of the caller's
-// memory; nothing is copied.
+// Arguments are checked in Python (validation.py), with their error messages. Arrays that are written are views of
+// the caller's memory: .noconvert() refuses others, of which nanobind would pass a copy. Arrays that are only read
+// may be copied.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/array.h>
@@ -49,6 +50,9 @@ template <class T>
 using Array = nb::ndarray<T, nb::c_contig, nb::device::cpu>;
 using In = Array<const scalar>;
 using Out = Array<scalar>;
+
+// An argument that is written.
+auto written(const char* name) { return nb::arg(name).noconvert(); }
 
 template <class T>
 T* pointer(const std::optional<Array<T>>& a) {
@@ -249,33 +253,34 @@ NB_MODULE(KERNEL_MODULE_NAME, m) {
              nb::arg("duration"), nb::arg("near"), nb::arg("background"), nb::arg("flow_dt"),
              nb::arg("sh_degree"), nb::arg("fourier_order"), nb::arg("extras"),
              nb::arg("differentiable"), nb::arg("threads"))
-        .def("render", &FrameBinding::render, nb::arg("model"), nb::arg("color").none(),
-             nb::arg("alpha").none(), nb::arg("depth").none(), nb::arg("flow").none(),
-             nb::arg("stats").none())
+        .def("render", &FrameBinding::render, nb::arg("model"), written("color").none(),
+             written("alpha").none(), written("depth").none(), written("flow").none(),
+             written("stats").none())
         .def("backward", &FrameBinding::backward, nb::arg("model"), nb::arg("d_color").none(),
              nb::arg("d_alpha").none(), nb::arg("d_depth").none(), nb::arg("d_flow").none(),
-             nb::arg("d_stats").none(), nb::arg("mean"), nb::arg("log_scale"), nb::arg("quat_left"),
-             nb::arg("quat_right").none(), nb::arg("velocity").none(), nb::arg("opacity_logit"), nb::arg("id"), nb::arg("mean2d"),
-             nb::arg("mean_t"), nb::arg("radius"), nb::arg("unoccluded"), nb::arg("color_gradient"))
+             nb::arg("d_stats").none(), written("mean"), written("log_scale"), written("quat_left"),
+             written("quat_right").none(), written("velocity").none(), written("opacity_logit"), written("id"),
+             written("mean2d"), written("mean_t"), written("radius"), written("unoccluded"),
+             written("color_gradient"))
         .def_prop_ro("visible", &FrameBinding::visible)
         .def_prop_ro("in_time", &FrameBinding::in_time)
         .def_prop_ro("entries", &FrameBinding::entries)
         .def("count_pixel_gaussian_pairs", &FrameBinding::count_pixel_gaussian_pairs)
         .def_prop_ro("stage_ms", &FrameBinding::stage_ms);
-    m.def("expand_sh", &expand_sh, nb::arg("views"), nb::arg("dense"), nb::arg("coefficients"),
+    m.def("expand_sh", &expand_sh, nb::arg("views"), written("dense"), nb::arg("coefficients"),
           nb::arg("orders"), nb::arg("threads"));
-    m.def("adam", &adam, nb::arg("p"), nb::arg("g"), nb::arg("m"), nb::arg("v"), nb::arg("lr"),
+    m.def("adam", &adam, written("p"), nb::arg("g"), written("m"), written("v"), nb::arg("lr"),
           nb::arg("keep").none(), nb::arg("beta1"), nb::arg("beta2"), nb::arg("epsilon"), nb::arg("step"),
           nb::arg("threads"));
-    m.def("adam_sh", &adam_sh, nb::arg("sh"), nb::arg("m"), nb::arg("v"), nb::arg("coefficients"),
+    m.def("adam_sh", &adam_sh, written("sh"), written("m"), written("v"), nb::arg("coefficients"),
           nb::arg("orders"), nb::arg("active_coefficients"), nb::arg("active_orders"), nb::arg("lr"),
           nb::arg("keep").none(), nb::arg("views"), nb::arg("beta1"), nb::arg("beta2"), nb::arg("epsilon"),
           nb::arg("step"), nb::arg("threads"));
     m.def("add_view", &add_view, nb::arg("id"), nb::arg("mean2d"), nb::arg("mean_t"), nb::arg("radius"),
-          nb::arg("half_width"), nb::arg("half_height"), nb::arg("duration"), nb::arg("space"),
-          nb::arg("time"), nb::arg("views"), nb::arg("largest_radius"), nb::arg("threads"));
-    m.def("mark_seen", &mark_seen, nb::arg("id"), nb::arg("seen"), nb::arg("threads"));
-    m.def("set_to_zero", &set_to_zero, nb::arg("arrays"), nb::arg("threads"));
+          nb::arg("half_width"), nb::arg("half_height"), nb::arg("duration"), written("space"),
+          written("time"), written("views"), written("largest_radius"), nb::arg("threads"));
+    m.def("mark_seen", &mark_seen, nb::arg("id"), written("seen"), nb::arg("threads"));
+    m.def("set_to_zero", &set_to_zero, written("arrays"), nb::arg("threads"));
     m.def("all_finite", &all_finite, nb::arg("array"), nb::arg("threads"));
     nb::dict choices;  // what this kernel was built with (numerical_choices.hpp)
     choices["min_marginal"] = splat::kMinMarginal;
@@ -291,7 +296,7 @@ NB_MODULE(KERNEL_MODULE_NAME, m) {
         const splat::MachineThroughput rates = splat::measure_throughput();
         return std::tuple{rates.fma_per_second, rates.copy_bytes_per_second};
     });
-    m.def("photometric_loss", &photometric_loss, nb::arg("image"), nb::arg("target"), nb::arg("gradient"),
+    m.def("photometric_loss", &photometric_loss, nb::arg("image"), nb::arg("target"), written("gradient"),
           nb::arg("ssim_weight"), nb::arg("mse_weight"), nb::arg("share"), nb::arg("threads"),
           nb::arg("copy_background") = true);  // false, for tests: every block is computed
 }

@@ -123,7 +123,9 @@ def test_every_variant_is_one_change_in_a_folder_of_its_own(variant: str) -> Non
         assert len(found) == {"no_sky_loss": 2, "baseline": 0}.get(variant.partition("/")[2], 1)
     else:
         found = changes(cfg.train, usual.train) | changes(cfg.ablation, usual.ablation)
-        assert len(found - {"multi_view_overrides", "clip_overrides"}) == (variant != base)  # those: the same change there
+        assert len(found - {"multi_view_overrides", "clip_overrides"}) == (
+            variant != base
+        )  # those: the same change there
 
 
 def test_a_part_left_out_is_left_out_in_films_too() -> None:
@@ -210,6 +212,7 @@ def test_the_command_line_wins_over_every_file() -> None:
         ("train.sampler=best", "train.sampler: expected pairs, views_at_one_time or times_of_one_view, found 'best'"),
         ("train.resolution_steps=[{until: 2}]", "train.resolution_steps.until: expected in (0, 1], found 2.0"),
         ("train.densify.prune_opacity=1", "train.densify.prune_opacity: expected in (0, 1), found 1.0"),
+        ("train.lr.decay_iterations=0", "train.lr.decay_iterations: expected at least 1, found 0"),
         ("train.lr.scale=-1", "train.lr.scale: expected >= 0, found -1.0"),
         (
             "scene.background=[0, 0]",

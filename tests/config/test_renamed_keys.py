@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import asdict
 from functools import reduce
 from operator import getitem
@@ -10,7 +11,15 @@ import pytest
 from omegaconf import OmegaConf
 
 from pipeline.config.compose import config_of_tree, known_keys, one_line
-from pipeline.config.renamed_keys import ADDED, REMOVED, RENAMED, renamed_key, with_first_names, with_renamed_keys
+from pipeline.config.renamed_keys import (
+    ADDED,
+    REMOVED,
+    RENAMED,
+    _leaves,
+    renamed_key,
+    with_first_names,
+    with_renamed_keys,
+)
 from pipeline.config.schema import Config
 from pipeline.config.train_schema import RegularizationConfig, TrainConfig
 
@@ -85,3 +94,9 @@ def test_an_added_key_is_part_of_the_hashes_of_stages_only_where_it_changes_some
 @pytest.mark.parametrize("tree", [{}, {"model": "resnet"}, {"train": 3}, {"a.b": 1}, {"background": {"x": 1}}])
 def test_other_trees_survive(tree: dict) -> None:
     assert isinstance(with_renamed_keys(tree), dict)
+
+
+def test_a_new_key_is_among_those_added() -> None:
+    """The keys that the hashes of stages have known from the first on. A key that this counts too belongs in ADDED."""
+    names = sorted(name for name, _ in _leaves(with_first_names(asdict(Config())), ""))
+    assert (len(names), hashlib.sha256(" ".join(names).encode()).hexdigest()[:8]) == (131, "e95e3ce4")

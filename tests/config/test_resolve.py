@@ -34,7 +34,9 @@ def test_they_are_put_in_where_nothing_moves() -> None:
     assert found.resolution_steps == [ResolutionStep(0.5, 0.5)]  # a whole list, not its items
     plain = config().train
     back = replace(found, init_points=None, lr=plain.lr, resolution_steps=[])
-    assert back == replace(plain, static_overrides=None, multi_view_overrides=None, clip_overrides=None)  # and nothing else
+    assert back == replace(
+        plain, static_overrides=None, multi_view_overrides=None, clip_overrides=None
+    )  # and nothing else
 
 
 def test_nor_where_something_moves_or_the_schedule_has_none() -> None:
@@ -47,7 +49,9 @@ def test_nor_where_something_moves_or_the_schedule_has_none() -> None:
 def test_films_have_their_own() -> None:
     one = tiny_scene()
     film = replace(one, train=one.train + one.train)
-    cfg = Config(scene=BLACK, train=TrainConfig(iterations=40, multi_view_overrides={"regularization": {"motion": 0.5}}))
+    cfg = Config(
+        scene=BLACK, train=TrainConfig(iterations=40, multi_view_overrides={"regularization": {"motion": 0.5}})
+    )
     assert (resolved(cfg, one).train.regularization.motion, resolved(cfg, film).train.regularization.motion) == (0, 0.5)
     static = replace(tiny_scene(static=True), train=tiny_scene(static=True).train * 2)
     assert resolved(cfg, static).train.regularization.motion == 0

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from test_lidar_points import drive
+from tiny import tiny_config
 
 from datasets.canonical import canonical_of
 from datasets.plenoptic import open_plenoptic
 from datasets.settings import SceneConfig
 from datasets.synthetic import build_scene
 from pipeline.config.schema import Config, InitConfig
-from pipeline.data.prepare import Prepared, near_depth, prepare, training_photographs
+from pipeline.data.prepare import Prepared, _from_drive, near_depth, prepare, training_photographs
 from rasterizer import Camera
 
 
@@ -104,6 +107,14 @@ def test_sfm_is_refused_for_photographs_of_one_camera() -> None:
     cfg = Config(scene=SceneConfig(name="dnerf", reader="dnerf", path="anywhere"), init=InitConfig(source="sfm"))
     with pytest.raises(ValueError, match="init.source: expected auto or random for dnerf"):
         prepare(cfg, print)
+
+
+def test_a_sphere_around_lidar_points_is_refused() -> None:
+    log = drive()
+    cfg = replace(tiny_config(background_model="sphere"), init=InitConfig())
+    with pytest.raises(ValueError, match="background_model: expected cubemap, envmap or none for .*, found sphere"):
+        _from_drive(cfg, log, print)
+    assert _from_drive(replace(cfg, init=InitConfig(source="random")), log, print).scene is log
 
 
 def test_near_depth_is_the_5_percent_quantile() -> None:

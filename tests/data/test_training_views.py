@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
+import torch
 from tiny import tiny_scene
 
+from pipeline.data.lidar.depth_targets import SparseDepth
+from pipeline.data.optical_flow import MeasuredFlow
 from pipeline.data.training_views import TrainingViews, area_average, target_of
 from rasterizer import Camera
 
@@ -28,3 +34,18 @@ def test_views_are_cached_only_below_the_memory_limit() -> None:
     cached, uncached = TrainingViews(views), TrainingViews(views, cache_limit_bytes=1000)
     assert cached.at(2, 0.5) is cached.at(2, 0.5) and uncached.at(2, 0.5) is not uncached.at(2, 0.5)
     assert cached.at(2, 1.0).image.shape == (3, 32, 32), "another scale is another image"
+
+
+def test_outside_a_mask_nothing_is_measured() -> None:
+    """Flow is NaN there, and depths are left out; inside, both stay."""
+    view = tiny_scene().train[0]
+    mask = np.zeros((32, 32), bool)
+    mask[:, 16:] = True
+    views = [replace(view, mask=mask)]
+    pixel = torch.tensor([5, 20, 32 * 31 + 15, 32 * 31 + 16])  # columns 5, 20, 15, 16
+    flows = SimpleNamespace(at=lambda index, camera: MeasuredFlow(0.1, torch.ones(2, 32, 32)))
+    depths = SimpleNamespace(at=lambda index, camera, image: SparseDepth(pixel, torch.tensor([0.1, 0.2, 0.3, 0.4])))
+    found = TrainingViews(views, flows, depths).at(0, 1.0)  # type: ignore[arg-type]
+    assert found.depth.pixel.tolist() == [20, 32 * 31 + 16]
+    torch.testing.assert_close(found.depth.inverse, torch.tensor([0.2, 0.4]))
+    assert torch.equal(found.motion.flow.isfinite(), torch.from_numpy(mask).expand(2, 32, 32))

@@ -217,7 +217,7 @@ def test_an_environment_map_is_seen_as_from_the_origin(tmp_path: Path) -> None:
     assert np.abs(found.sample(found.grid(camera))[:2].numpy() - expected).max() < 2e-3
 
 
-@pytest.mark.parametrize("motion", ["full", "separable", "static"])
+@pytest.mark.parametrize("motion", ["full", "velocity", "separable", "static"])
 @pytest.mark.parametrize("time_scale", [1.0, 0.25])
 def test_other_coordinates_render_the_same(motion: str, time_scale: float) -> None:
     fourier = 0 if motion == "static" else 2

@@ -10,6 +10,7 @@ import torch
 from builders import generator, make_request, random_gaussians, render
 
 from pipeline.model.model import Model
+from pipeline.model.ply import load_ply, save_ply
 from pipeline.model.transformed import rotations_of
 from pipeline.model.velocities import in_rotations, in_velocities
 from rasterizer.covariance import rotation_3d, scaled_axes
@@ -94,3 +95,12 @@ def test_the_largest_speed_of_a_rotation():
     model = Model.from_gaussians(replace(gaussians, **rotations_of(factor)))
     speed = in_velocities(model).parameters["velocity"].norm(dim=1).max()
     assert speed.item() == pytest.approx((long**2 - short**2) / (2 * long * short), rel=1e-3)  # of 1001 angles
+
+
+def test_a_ply_file_has_rotations(tmp_path):
+    model = random_model("velocity")
+    save_ply(tmp_path / "model.ply", model)
+    found = load_ply(tmp_path / "model.ply")
+    assert found.kind.motion == "full"
+    expected = covariances(model)
+    torch.testing.assert_close(covariances(found), expected, rtol=ROUNDING, atol=ROUNDING * float(expected.abs().max()))

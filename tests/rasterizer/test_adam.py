@@ -9,6 +9,7 @@ from torch import Tensor
 
 from rasterizer import Gaussians, Gradients, Rasterizer, Request
 from rasterizer.adam import adam_step, sh_adam_step
+from rasterizer.kernel_loader import kernel
 
 STEPS = 6
 
@@ -170,3 +171,17 @@ def test_denormal_moments_are_flushed_to_zero_inside_adam_only(threads: int):
     sh_adam_step(sh, batch(gaussians, [], 0), m, v, [0.01] * 4, 1000, threads=threads)
     assert not m[:, 0].any() and torch.equal(sh, gaussians.sh)
     assert (torch.full((5,), 1e-39) * 0.5).all()  # the processor's flush-to-zero mode is restored
+
+
+@pytest.mark.parametrize("name", ["param", "m", "v"])
+@pytest.mark.parametrize("wrong", [torch.zeros(4, 5).T, torch.zeros(5, 4, dtype=torch.float64)])
+def test_a_tensor_that_the_kernel_cannot_write_is_refused(name: str, wrong: Tensor) -> None:
+    """nanobind would pass a copy, and the step would be lost."""
+    tensors = {key: torch.zeros(5, 4) for key in ("param", "m", "v")} | {name: wrong}
+    with pytest.raises(ValueError, match=f"{name} must be contiguous float32, got"):
+        adam_step(tensors["param"], torch.ones(5, 4), tensors["m"], tensors["v"], 0.1, 1)
+
+
+def test_the_kernel_refuses_to_write_a_copy() -> None:
+    with pytest.raises(TypeError):
+        kernel.set_to_zero(arrays=[torch.ones(4, 5).T], threads=1)

@@ -152,3 +152,11 @@ def test_wrong_shapes_and_types_are_named():
         photometric_loss(image, target[:, :10].contiguous())
     with pytest.raises(ValueError, match="^image must be float32 .*got"):
         photometric_loss(image.double(), target)
+
+
+def test_the_layout_of_the_image_does_not_matter() -> None:
+    image, target = pair((20, 30), 4)
+    expected = photometric_loss(image, target)
+    strided = image.permute(1, 2, 0).contiguous().permute(2, 0, 1)  # as an image of (H, W, 3)
+    loss, l1, ssim, gradient = photometric_loss(strided, target)
+    assert (loss, l1, ssim) == expected[:3] and torch.equal(gradient, expected[3])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -149,3 +151,14 @@ def test_option_out_of_range_is_one_line(capsys, tmp_path, options, error):
     with pytest.raises(SystemExit) as stopped:
         main([str(tmp_path), *options])
     assert stopped.value.code == 2 and capsys.readouterr().err == f"error: {error}\n"
+
+
+def test_retraining_keeps_the_number_of_gaussians_in_a_schedule_that_prunes_and_adds(trained):
+    cfg = tiny_config(60)
+    rules = replace(
+        cfg.train.densify, prune_hidden=0.9, prune_sensitivity=0.1, prune_sensitivity_every=10,
+        error_points=20, error_points_every=10,
+    )  # fmt: skip
+    cfg = replace(cfg, train=replace(cfg.train, densify=rules))
+    after = retrain(trained.copy(), tiny_scene(), cfg, 0.8, lambda model, progress: {"psnr": 0.0})
+    assert len(after) == len(trained)

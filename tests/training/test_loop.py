@@ -15,10 +15,12 @@ from tiny import TinyRun, fake_evaluate, tiny_config, tiny_scene, train_in_proce
 
 from pipeline.config.schema import AblationConfig, Config
 from pipeline.config.train_schema import RegularizationConfig, ResolutionStep
+from pipeline.data.training_views import TrainingViews
 from pipeline.model.initialise import initialise
 from pipeline.model.model import Model
 from pipeline.training import checkpoint, finite_checks, loop, step
 from pipeline.training.loop import train
+from pipeline.training.state import start
 
 
 def assert_same_state(a: Path, b: Path) -> None:
@@ -259,3 +261,30 @@ def test_the_log_counts_gaussians_before_densification(tmp_path, monkeypatch) ->
     for row in (row for row in rows if row["event"] == "train"):
         assert row["n_alive"] <= row["n_gaussians"] == total
         total = after.get(row["iteration"], total)
+
+
+def test_pixels_outside_a_mask_have_no_gradient(tmp_path) -> None:
+    """Not even those within SSIM's window of pixels that count: Gaussians seen only there stay as they are."""
+    scene, cfg = tiny_scene(2), tiny_config(4)
+    mask = np.zeros((32, 32), bool)
+    mask[:, 16:] = True
+    scene = replace(scene, train=tuple(replace(view, mask=mask) for view in scene.train))
+    model = initialise(scene, cfg, np.random.default_rng(0))
+    state = start(model, scene, cfg, TinyRun(tmp_path), 0, 0.0)
+    phase = state.begin_iteration(scene, cfg)
+    found = []
+    original = step.backward
+
+    def record(rasterizer, model, rendered, d_image, *rest):
+        found.append(d_image.clone())
+        return original(rasterizer, model, rendered, d_image, *rest)
+
+    step.backward = record
+    try:
+        step.render_batch(
+            state, step.draw_batch(state, TrainingViews(scene.train), phase, scene, cfg), phase, scene, cfg
+        )
+    finally:
+        step.backward = original
+    for gradient in found:
+        assert not gradient[:, :, :16].any() and gradient[:, :, 16:].any()

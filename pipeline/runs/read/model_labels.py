@@ -20,7 +20,7 @@ from pipeline.runs.run_identity import read_config
 LEFT_OUT = ", 4DSH left out"
 LEFT_OUT_NOTE = ("", "4DSH left out: the run requested time-varying colour, and selection by validation removed it.")
 _ABLATIONS = Path(__file__).resolve().parents[3] / "conf" / "ablation"
-_TIME_KEYS = ("rotation_4d", "fourier_order", "time_split")  # without effect in a static model
+_TIME_KEYS = ("rotation_4d", "fourier_order", "time_split", "add_by_error")  # without effect in a static model
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+import torch
+
 from pipeline.studies.command_line import Provenance, StudyParser, log, study_command
 from pipeline.studies.compression.measure import measure, pruned_models, smallest
 from pipeline.studies.compression.plot import draw
@@ -48,6 +50,7 @@ def main(arguments: list[str]) -> int:
     parser.require(0 <= options.retrain <= 1, "--retrain", "a part of the schedule, 0 to 1", options.retrain)
     for fraction in options.fractions:
         parser.require(0 < fraction < 1, "--fractions", "parts of the Gaussians, above 0 and below 1", f"{fraction:g}")
+    torch.set_num_threads(1)  # the kernel has threads of its own; torch's rounding depends on their number
     run = open_run(options.run, log)
     cfg = run.cfg
     models = pruned_models(run, options.fractions, options.retrain)

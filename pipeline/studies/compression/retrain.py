@@ -16,11 +16,12 @@ from pipeline.training.run_log import temporary_run
 
 
 def retrain(model: Model, scene: Scene, cfg: Config, share: float, evaluate_fn: EvaluateFn) -> Model:
-    """`model`, trained in place for the last `share` (0 to 1) of the schedule `cfg.train`, without densify or prune.
+    """`model`, trained for the last `share` (0 to 1) of the schedule `cfg.train` with the same number of Gaussians; in
+    place, unless with `train.explicit_velocity`.
 
     evaluate_fn: called once, at the end. Adam starts with zero moments.
     """
-    fixed_count = replace(cfg.train.densify, stop=0, prune_sensitivity=0.0)
+    fixed_count = replace(cfg.train.densify, stop=0, prune_sensitivity=0.0, prune_hidden=0.0, error_points=0)
     schedule = replace(
         cfg.train,
         densify=fixed_count,

@@ -139,8 +139,8 @@ def densify(
 ) -> Densified:
     """Clone, split, then prune the optimiser's model. `statistics` are invalid afterwards.
 
-    New order: unsplit Gaussians, clones, children of splits. New Gaussians have radius 0. A pruning of all Gaussians is
-    skipped, because an empty model cannot recover.
+    New order: unsplit Gaussians, clones, children of splits. New Gaussians have radius 0. A pruning of all Gaussians
+    but the sphere is skipped, because an empty model cannot recover.
     """
     model = optimiser.model
     growth = choose_growth(model, statistics, cfg, extent, time_split)
@@ -164,11 +164,17 @@ def densify(
     radius[: len(unsplit)] = unsplit
     prune = to_prune(model, radius, iteration, cfg, extent, train_sphere)
     pruned = int(prune.sum())
-    if 0 < pruned < len(model):
+    if pruned and leaves_some(model, prune):
         optimiser.keep(~prune)
     else:
         pruned = 0
     return Densified(int(growth.clone.sum()), int(growth.split.sum()), pruned, len(model))
+
+
+def leaves_some(model: Model, pruned: Tensor) -> bool:
+    """Whether a Gaussian that is not of the sphere around the scene is left without those `pruned`, (N,) bool."""
+    kept = ~pruned if model.sphere is None else ~pruned & ~model.sphere
+    return bool(kept.any())
 
 
 def reset_opacity(optimiser: Adam, cfg: DensifyConfig, train_sphere: bool = True) -> None:

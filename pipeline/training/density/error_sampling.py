@@ -31,7 +31,7 @@ IMAGE_SIDE = 100  # pixels of the longer side at which errors are measured: obje
 MAX_VIEWS = 200  # rendered each time; of more, the windows of random times
 CANDIDATES = 10  # for each new Gaussian
 SEVERAL_CAMERAS = 3  # as many views of one time need no neighbouring times
-WINDOW = 5  # times, the candidate's in the middle, where fewer cameras film each time
+WINDOW = 5  # times, the candidate's in the middle, where fewer cameras see each time
 FEWEST_VIEWS = 3  # a candidate in fewer images is not scored
 QUANTILE = 0.25  # of the errors at a candidate's projections: it may be hidden in some
 MIN_ERROR = 0.02  # mean absolute error over the channels, data range 1
@@ -107,7 +107,7 @@ class ErrorSampler:
 
     def _target(self, index: int) -> Target:
         if index not in self._targets:
-            if len(self._targets) >= 2 * MAX_VIEWS:  # a long film: other times each time
+            if len(self._targets) >= 2 * MAX_VIEWS:  # a long video: other times each time
                 self._targets.clear()
             self._targets[index] = reduced(self._scene.train[index])
         return self._targets[index]
@@ -119,6 +119,8 @@ class ErrorSampler:
             target = self._target(index)
             request = Request(target.camera, target.time, scene.duration, scene.background, near=near)
             error = (render_image(rasterizer, model, request) - target.image).abs().mean(dim=0)
+            if target.mask is not None:  # what does not count is never fitted
+                error = torch.where(target.mask, error, 0.0)
             found[index] = uniform_filter(error.numpy(), 3)
         return found
 

@@ -43,7 +43,7 @@ def refine(state: TrainState, phase: Phase, views: RefinementViews, scene: Scene
             "event": "densify", "iteration": state.iteration, "cloned": done.cloned, "split": done.split,
             "pruned": done.pruned, "n_gaussians": done.total,
         })  # fmt: skip
-    if sensitivity_pruning.due(state.iteration, cfg.train):
+    if sensitivity_pruning.due(state.iteration, phase.clock, cfg.train):
         rng = stream(cfg.seed, Stream.SENSITIVITY, state.iteration)
         sensitivity = sensitivity_pruning.image_sensitivity(
             state.model, views.scoring, scene, cfg, phase.resolution, rng, state.threads
@@ -56,7 +56,7 @@ def refine(state: TrainState, phase: Phase, views: RefinementViews, scene: Scene
             "event": "prune_sensitivity", "iteration": state.iteration, "pruned": pruned,
             "n_gaussians": len(state.model),
         })  # fmt: skip
-    if visibility_pruning.due(state.iteration, cfg):
+    if visibility_pruning.due(state.iteration, phase.clock, cfg):
         visible = visibility_pruning.visibility(state.model, views.scoring, scene, cfg, phase.resolution, state.threads)
         pruned = visibility_pruning.prune_hidden(state.optimiser, visible, rules.prune_hidden)
         state.reset_statistics()
@@ -64,14 +64,14 @@ def refine(state: TrainState, phase: Phase, views: RefinementViews, scene: Scene
             "event": "prune_hidden", "iteration": state.iteration, "pruned": pruned, "n_gaussians": len(state.model),
         })  # fmt: skip
     # After pruning, which makes room below max_gaussians and would remove most of them at once.
-    if cfg.ablation.time_split and error_sampling.due(state.iteration, phase.clock, cfg.train):
-        events.append(_add_by_error(state, views.errors, scene, cfg))
+    if cfg.ablation.adds_by_error and error_sampling.due(state.iteration, phase.clock, cfg.train):
+        events.append(_add_by_error(state, views.errors, cfg))
     if densification.opacity_reset_due(state.iteration, phase.clock, rules):
         densification.reset_opacity(state.optimiser, rules, phase.sphere)
     return events
 
 
-def _add_by_error(state: TrainState, sampler: ErrorSampler, scene: Scene, cfg: Config) -> dict:
+def _add_by_error(state: TrainState, sampler: ErrorSampler, cfg: Config) -> dict:
     """Add Gaussians where and when the error is, as many as the three limits of their number allow."""
     rules, sphere = cfg.train.densify, state.model.sphere
     present = len(state.model) if sphere is None else int((~sphere).sum())

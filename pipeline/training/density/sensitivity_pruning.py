@@ -24,10 +24,11 @@ from pipeline.config.train_schema import TrainConfig
 from pipeline.data.training_views import camera_at, evenly_spaced
 from pipeline.model.model import Model
 from pipeline.model.render import backward, render
+from pipeline.training.density.densification import leaves_some
 from pipeline.training.optimiser import Adam
 from rasterizer import Gradients, Rasterizer, Request
 
-MAX_VIEWS = 400  # scoring views, where several cameras film each moment
+MAX_VIEWS = 400  # scoring views, where several cameras see each time
 OPAQUE = 0.98  # a higher opacity counts as this: at α = 0.99 blending is clamped and has no derivative
 
 
@@ -61,7 +62,6 @@ def image_sensitivity(
         rendered = render(rasterizer, clamped, request)
         signs = 2.0 * torch.from_numpy(rng.integers(0, 2, tuple(rendered.image.shape), dtype=np.int8)) - 1.0
         gradients.zero_(threads)
-        gradients.views.clear()
         rows = backward(rasterizer, clamped, rendered, signs, gradients).visible.long()
         # ∂/∂logit = o (1 - o) ∂/∂o
         change.index_add_(0, rows, (gradients.opacity_logit[rows] / transparency[rows]).square())
@@ -82,18 +82,18 @@ def scoring_views(scene: Scene) -> list[View]:
     return [view for view in scene.train if view.time in chosen]
 
 
-def due(iteration: int, cfg: TrainConfig) -> bool:
-    return cfg.densify.prune_sensitivity > 0 and scheduled(iteration, cfg)
+def due(iteration: int, clock: float, cfg: TrainConfig) -> bool:
+    return cfg.densify.prune_sensitivity > 0 and scheduled(iteration, clock, cfg)
 
 
-def scheduled(iteration: int, cfg: TrainConfig) -> bool:
+def scheduled(iteration: int, clock: float, cfg: TrainConfig) -> bool:
     """Every `prune_sensitivity_every` iterations, also after the last densification, except for the last period, in
-    which the remaining Gaussians could not adapt."""
+    which the remaining Gaussians could not adapt. clock: position in the schedule, in iterations."""
     rules = cfg.densify
     return (
         iteration > rules.start
         and iteration % rules.prune_sensitivity_every == 0
-        and iteration + rules.prune_sensitivity_every <= cfg.iterations
+        and clock + rules.prune_sensitivity_every <= cfg.iterations
     )
 
 
@@ -118,9 +118,7 @@ def prune_by_sensitivity(optimiser: Adam, sensitivity: Tensor, share: float, all
     if model.sphere is not None:
         candidates &= ~model.sphere
     pruned = candidates & least_sensitive(sensitivity * candidates, share)
-    count = int(pruned.sum())
-    if count == len(model):
+    if not pruned.any() or not leaves_some(model, pruned):
         return 0
-    if count:
-        optimiser.keep(~pruned)
-    return count
+    optimiser.keep(~pruned)
+    return int(pruned.sum())

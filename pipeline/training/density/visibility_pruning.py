@@ -20,6 +20,7 @@ from pipeline.config.schema import Config
 from pipeline.data.training_views import camera_at
 from pipeline.model.model import Model
 from pipeline.training.density import sensitivity_pruning
+from pipeline.training.density.densification import leaves_some
 from pipeline.training.optimiser import Adam
 from rasterizer import Gradients, Rasterizer, Request
 
@@ -27,9 +28,9 @@ SCALE = 0.5  # × the resolution that is trained at: for run time
 MIN_UNOCCLUDED = 0.1  # Σ α' of a Gaussian in a view: of less, too few pixels tell
 
 
-def due(iteration: int, cfg: Config) -> bool:
+def due(iteration: int, clock: float, cfg: Config) -> bool:
     """In the iterations of pruning by sensitivity."""
-    return cfg.train.densify.prune_hidden > 0 and sensitivity_pruning.scheduled(iteration, cfg.train)
+    return cfg.train.densify.prune_hidden > 0 and sensitivity_pruning.scheduled(iteration, clock, cfg.train)
 
 
 def visibility(
@@ -63,9 +64,7 @@ def prune_hidden(optimiser: Adam, visible: Tensor, least: float) -> int:
     model, hidden = optimiser.model, visible < least
     if model.sphere is not None:
         hidden &= ~model.sphere
-    count = int(hidden.sum())
-    if count == len(model):
+    if not hidden.any() or not leaves_some(model, hidden):
         return 0
-    if count:
-        optimiser.keep(~hidden)
-    return count
+    optimiser.keep(~hidden)
+    return int(hidden.sum())

@@ -2,7 +2,7 @@
 
 It is the released program's, not the paper's; the release uses it on one scene, D-NeRF's lego, in every view and with
 20 neighbours. `fast` uses it in one view of 32 and with 8 neighbours, which takes a fortieth of the time. It applies to
-models with 4D rotation only, because no others move.
+models with 4D rotation or velocities, because no others move.
 """
 
 from __future__ import annotations

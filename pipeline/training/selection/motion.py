@@ -57,8 +57,12 @@ class MotionSelection:
 
 
 def due(cfg: Config, scene: Scene) -> bool:
-    """Whether the schedule asks for it, and the scene is one moving camera whose model may have time."""
-    if cfg.train.select_motion == 0 or cfg.ablation.static is not None or kind_of(scene, cfg).motion == "static":
+    """Whether the schedule asks for it, and the scene is one moving camera whose model may have time. False with a time
+    budget, all of which is for the schedule."""
+    train = cfg.train
+    if train.select_motion == 0 or train.time_budget_s is not None or cfg.ablation.static is not None:
+        return False
+    if kind_of(scene, cfg).motion == "static":
         return False
     poses = {view.camera.world_to_cam.tobytes() for view in scene.train}
     if len(poses) < len(scene.train):
@@ -71,7 +75,8 @@ def due(cfg: Config, scene: Scene) -> bool:
 
 
 def without_time(cfg: Config, scene: Scene) -> Config:
-    """The configuration of the static model of the same scene."""
+    """The configuration of the static model of the same scene. That of a clip has the overrides for clips, too, where
+    those for static scenes do not replace them."""
     return resolved(replace(cfg, ablation=replace(cfg.ablation, static=True)), scene)
 
 

@@ -52,7 +52,8 @@ def mean_and_error(gains: np.ndarray, poses: Sequence[Hashable]) -> tuple[float,
 
 
 def trained_psnr(part: Scene, cfg: Config, cloud: Reconstruction | None, threads: int) -> np.ndarray:
-    """(test views,) dB, of a model trained on `part.train`."""
+    """(test views,) dB, of a model trained on `part.train`, with smaller batches if it has fewer views than one."""
+    cfg = replace(cfg, train=replace(cfg.train, batch=min(cfg.train.batch, len(part.train))))
 
     def evaluate_fn(model: Model, progress: Progress) -> dict:
         return {"psnr": float(held_out_psnr(model, part, cfg, threads).mean())}

@@ -153,10 +153,11 @@ def test_schedule():
     assert not due(20, 20.0, TrainConfig(densify=DensifyConfig(start=20, stop=100)))
 
 
-def train_with(path: Path, time_split: bool = True, **densify) -> list[dict]:
+def train_with(path: Path, time_split: bool = True, add_by_error: bool | None = None, **densify) -> list[dict]:
     cfg = tiny_config()
     rules = replace(cfg.train.densify, space_gradient=1e9, use_time_gradient=False, **densify)
-    cfg = replace(cfg, ablation=AblationConfig(time_split=time_split), train=replace(cfg.train, densify=rules))
+    ablation = AblationConfig(time_split=time_split, add_by_error=add_by_error)
+    cfg = replace(cfg, ablation=ablation, train=replace(cfg.train, densify=rules))
     train_tiny(path, cfg, sphere_scene())
     return [row for row in TinyRun(path).rows("log.jsonl") if row["event"] == "add_by_error"]
 
@@ -167,7 +168,10 @@ def test_training_adds_up_to_the_cap_and_never_without_densification_in_time(tmp
     assert all(0 < row["added"] <= 30 and row["n_gaussians"] <= 400 for row in events)
     capped = train_with(tmp_path / "capped", error_points=30, error_points_every=10, max_gaussians=210)
     assert all(row["n_gaussians"] <= 210 for row in capped)
-    assert train_with(tmp_path / "ablation", time_split=False, error_points=30, error_points_every=10) == []
+    rules = dict(error_points=30, error_points_every=10)
+    assert train_with(tmp_path / "ablation", time_split=False, **rules) == []
+    assert len(train_with(tmp_path / "kept", time_split=False, add_by_error=True, **rules)) == 4
+    assert train_with(tmp_path / "without", add_by_error=False, **rules) == []
 
 
 def test_a_share_of_what_pruning_leaves_bounds_the_additions(tmp_path: Path):
@@ -179,3 +183,10 @@ def test_a_share_of_what_pruning_leaves_bounds_the_additions(tmp_path: Path):
         assert row["n_gaussians"] - row["added"] == left["n_gaussians"]
         assert row["added"] == min(30, int(0.1 * left["n_gaussians"]))
     assert added[0]["added"] > 0
+
+
+def test_what_a_mask_leaves_out_attracts_no_gaussians():
+    """Here those are all pixels with an error."""
+    scene = sphere_scene()
+    masked = replace(scene, train=tuple(replace(view, mask=~view.image.any(axis=2)) for view in scene.train))
+    assert draw(scene) is not None and draw(masked) is None

@@ -182,6 +182,7 @@ def test_pruning_updates_moments_keeps_the_sphere_and_never_removes_all():
     assert prune_by_sensitivity(adam, change, 1e-3) == count // 2 - 5
     kept = [i for i in range(count) if i % 2 or i < 10]
     assert adam.first["mean"][:, 0].tolist() == kept
+    assert prune_by_sensitivity(adam, torch.zeros(len(kept)), 0.5) == 0, "only the sphere would be left"
     model.sphere = None
     assert prune_by_sensitivity(adam, torch.zeros(len(kept)), 0.5) == 0 and len(model) == len(kept)
 
@@ -214,6 +215,8 @@ def test_when_pruning_is_due():
     rules = DensifyConfig(prune_sensitivity=0.01, prune_sensitivity_every=100, start=150, stop=300)
     cfg = TrainConfig(iterations=580, densify=rules)
     # Also after the last densification; not at 500, less than a period before the end.
-    assert [i for i in range(581) if due(i, cfg)] == [200, 300, 400]
+    assert [i for i in range(581) if due(i, i, cfg)] == [200, 300, 400]
+    # With a time budget that ends at half of the iterations, by the clock: 200 is at 400 of 580, 300 at 600.
+    assert [i for i in range(291) if due(i, 2 * i, cfg)] == [200]
     off = TrainConfig(densify=DensifyConfig(prune_sensitivity_every=1))
-    assert not any(due(i, off) for i in range(1000))  # by default
+    assert not any(due(i, i, off) for i in range(1000))  # by default

@@ -85,13 +85,14 @@ def test_pruning_updates_moments_keeps_the_sphere_and_never_removes_all():
     assert prune_hidden(adam, visible, 0.1) == count // 2 - 5
     kept = [i for i in range(count) if i % 2 or i < 10]
     assert adam.first["mean"][:, 0].tolist() == kept
+    assert prune_hidden(adam, torch.zeros(len(kept)), 0.1) == 0, "only the sphere would be left"
     model.sphere = None
     assert prune_hidden(adam, torch.zeros(len(kept)), 0.1) == 0 and len(model) == len(kept)
 
 
 def test_training_prunes_what_is_hidden(tmp_path):
     cfg = tiny_config(60)
-    assert not any(due(iteration, cfg) for iteration in range(61)), "off unless it is set"
+    assert not any(due(iteration, iteration, cfg) for iteration in range(61)), "off unless it is set"
     cfg.train.densify = dataclasses.replace(cfg.train.densify, prune_hidden=0.9, prune_sensitivity_every=20)
     train_tiny(tmp_path, cfg)
     events = [row for row in TinyRun(tmp_path).rows("log.jsonl") if row["event"] == "prune_hidden"]

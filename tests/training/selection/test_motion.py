@@ -64,6 +64,7 @@ def test_due_for_one_moving_camera_whose_model_may_have_time() -> None:
     assert not due(replace(cfg, train=replace(cfg.train, select_motion=0.0)), moving)
     for static in (True, False):  # the user has decided
         assert not due(replace(cfg, ablation=AblationConfig(static=static)), moving)
+    assert not due(replace(cfg, train=replace(cfg.train, time_budget_s=9.0)), moving), "all of it is for the schedule"
     same_place = replace(moving, train=tuple(replace(view, camera=moving.train[0].camera) for view in moving.train))
     assert not due(cfg, same_place), "one camera that stands still, or several: all moments are seen from each place"
 
@@ -71,3 +72,9 @@ def test_due_for_one_moving_camera_whose_model_may_have_time() -> None:
 def test_the_static_model_has_no_time() -> None:
     found = without_time(config(), scene(changes=False))
     assert found.ablation.static is True
+
+
+def test_batches_larger_than_the_part_of_the_views_become_smaller() -> None:
+    """18 of the 24 views are trained on."""
+    found = select_motion(scene(changes=True), config(8, batch=VIEWS), None, 1, lambda line: None)
+    assert found.views == VIEWS // 4
