@@ -42,10 +42,12 @@ def main(arguments: list[str]) -> int:
     options = parser.parse_intermixed_args(arguments)
     cfg = _composed(options.keys)
     path = options.model / FILE_NAME if options.model.is_dir() else options.model
+    if not path.is_file():  # before what structure from motion may take
+        raise ValueError(f"{path}: expected a run folder or a file of a model, found none")
     data = prepare(cfg, log)
     cfg = resolved(cfg, data.scene)
     model = read_model(path, data.canonical)
-    out = options.out or Path("results") / "evaluated" / cfg.scene.name / options.model.stem
+    out = options.out or Path("results") / "evaluated" / cfg.scene.name / name_of(options.model)
     log(f"evaluate: {len(model)} Gaussians of {path} on {len(data.scene.test)} test views of {cfg.scene.name}")
     (out / "renders").mkdir(parents=True, exist_ok=True)
     found = evaluate_with_images(model, data.scene, cfg, thread_count(cfg.threads), out / "renders")
@@ -54,6 +56,11 @@ def main(arguments: list[str]) -> int:
     Console(highlight=False, soft_wrap=True).print(_table(found))
     log(f"written to {out}")
     return 0
+
+
+def name_of(model: Path) -> str:
+    """Of the folder of its results: `full_fast_seed0` of the run folder …/full/fast/seed0."""
+    return "_".join(model.resolve().parts[-3:]) if model.is_dir() else model.stem
 
 
 def _composed(keys: list[str]) -> Config:

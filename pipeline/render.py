@@ -37,7 +37,11 @@ PICTURES = 24  # a path of at most so many frames is written as pictures
 
 @command
 def main(arguments: list[str]) -> int:
-    options = _parser().parse_args(arguments)
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    if options.frames is not None:
+        parser.require(options.path == ORBIT, "--frames", f"--path {ORBIT}", f"--path {options.path}")
+        parser.require(options.frames >= 1, "--frames", "at least 1", options.frames)
     run = open_run(options.run, log)
     renderer = Renderer(run.model, run.scene, run.cfg, Rasterizer(threads=thread_count(run.cfg.threads)))
     frames = path_frames(renderer, run.canonical, options.path, options.times, options.frames)
@@ -77,9 +81,12 @@ class Times:
 
     @classmethod
     def parse(cls, text: str) -> Times:
-        values = tuple(float(part) for part in text.replace(":", ",").split(","))
-        if (":" in text and len(values) != 2) or not np.isfinite(values).all():
-            raise ValueError(text)
+        try:
+            values = tuple(float(part) for part in text.replace(":", ",").split(","))
+        except ValueError:
+            values = ()
+        if not values or (":" in text and len(values) != 2) or not np.isfinite(values).all():
+            raise argparse.ArgumentTypeError(f"expected times such as 0.5, 0:1 or 0,0.5,1, found {text}")
         return cls(values, listed="," in text)
 
     def of(self, frames: int) -> list[float]:
@@ -95,6 +102,8 @@ def render_path(
 ) -> list[str]:
     """Writes render.mp4, depth.mp4 and flow.mp4, or 0000_render.png … each, or both; returns their names."""
     out.mkdir(parents=True, exist_ok=True)
+    for old in out.glob("[0-9][0-9][0-9][0-9]_*.png"):  # of a longer path
+        old.unlink()
     step = renderer.scene.frame_spacing
     moves = renderer.model.kind.motion != "static"
     sampled = [

@@ -30,10 +30,13 @@ def adam_step(
     """Update `param` (N,) or (N, C) and its moments m, v in place; all contiguous float32.
 
     lr: one learning rate, or one per column. step: counts from 1. sparse_rows (N,) uint8: rows with 0 are skipped,
-    moments included (dense Adam would still move them by their momentum). ValueError for a wrong number of rates, and
-    for tensors that are not contiguous float32.
+    moments included (dense Adam would still move them by their momentum). ValueError for tensors that are not
+    contiguous float32 of one shape, a wrong number of rates or rows, and a step below 1.
     """
-    _check_in_place(param=param, m=m, v=v)
+    _check(param.shape, param=param, grad=grad, m=m, v=v)
+    if param.ndim not in (1, 2):
+        raise ValueError(f"param must be (N,) or (N, C), got {list(param.shape)}")
+    _check_rows(sparse_rows, len(param), step)
     columns = param.shape[1] if param.ndim == 2 else 1
     rates = [float(lr)] * columns if isinstance(lr, (int, float)) else [float(rate) for rate in lr]
     if len(rates) != columns:
@@ -72,7 +75,12 @@ def sh_adam_step(
     gradient. lr: four learning rates: of the constant coefficient; of those that depend on the viewing direction; on
     time; on both. sparse_rows, errors: as in `adam_step`.
     """
-    _check_in_place(sh=sh, m=m, v=v)
+    if sh.ndim != 3 or sh.shape[1] not in SH_LAYOUTS or sh.shape[2] != 3:
+        raise ValueError(f"sh must be (N, K, 3) with K among {', '.join(map(str, SH_LAYOUTS))}, got {list(sh.shape)}")
+    _check(gradients.sh_shape, sh=sh, m=m, v=v)
+    _check_rows(sparse_rows, len(sh), step)
+    if len(lr) != 4:
+        raise ValueError(f"lr must hold four rates, got {len(lr)}")
     coefficients, orders = SH_LAYOUTS[sh.shape[1]]
     used_orders = 1 + max((view.fourier_order for view in gradients.views), default=0)
     used_coefficients = (1 + max((view.sh_degree for view in gradients.views), default=0)) ** 2
@@ -95,9 +103,18 @@ def sh_adam_step(
     )
 
 
-def _check_in_place(**tensors: Tensor) -> None:
-    """ValueError naming the first tensor that the kernel can't write."""
+def _check(shape: torch.Size, **tensors: Tensor) -> None:
+    """ValueError naming the first tensor that is not contiguous float32 of this shape: the kernel would write a copy,
+    or past its end."""
     for name, tensor in tensors.items():
-        if tensor.dtype != torch.float32 or not tensor.is_contiguous():
+        if tensor.dtype != torch.float32 or not tensor.is_contiguous() or tensor.shape != shape:
             layout = "contiguous" if tensor.is_contiguous() else "strided"
-            raise ValueError(f"{name} must be contiguous float32, got {layout} {dtype_name(tensor.dtype)}")
+            found = f"{layout} {dtype_name(tensor.dtype)} {list(tensor.shape)}"
+            raise ValueError(f"{name} must be contiguous float32 {list(shape)}, got {found}")
+
+
+def _check_rows(rows: Tensor | None, count: int, step: int) -> None:
+    if rows is not None and (rows.dtype != torch.uint8 or list(rows.shape) != [count]):
+        raise ValueError(f"sparse_rows must be uint8 [{count}], got {dtype_name(rows.dtype)} {list(rows.shape)}")
+    if step < 1:
+        raise ValueError(f"step must be at least 1, got {step}")

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from rasterizer.camera import Camera
 from rasterizer.gaussians import Gaussians
@@ -26,15 +27,20 @@ class _Rasterize(torch.autograd.Function):
         gaussians = Gaussians.from_tensors({name: tensor.detach() for name, tensor in named if tensor is not None})
         rasterizer = Rasterizer(threads)
         out = rasterizer.render(gaussians, request, differentiable=any(ctx.needs_input_grad))
-        ctx.rasterizer, ctx.gaussians, ctx.outputs = rasterizer, gaussians, tuple(request.outputs)
+        ctx.rasterizer, ctx.outputs = rasterizer, tuple(request.outputs)
+        ctx.save_for_backward(*tensors)  # of which autograd refuses those that were changed in place since
         ctx.set_materialize_grads(False)
         images = {name: getattr(out, name) for name in ctx.outputs}
         _check_no_overflow(images, "with these Gaussians and this camera", rasterizer.threads)
         return tuple(images.values())
 
     @staticmethod
+    @once_differentiable
     def backward(ctx, *image_gradients: Tensor | None) -> tuple[Tensor | None, ...]:
-        gradients = Gradients.zeros_like(ctx.gaussians)
+        named_tensors = zip(_FIELDS, ctx.saved_tensors, strict=True)
+        gradients = Gradients.zeros_like(
+            Gaussians.from_tensors({name: tensor for name, tensor in named_tensors if tensor is not None})
+        )
         threads = ctx.rasterizer.threads
         d_images = {f"d_{name}": gradient for name, gradient in zip(ctx.outputs, image_gradients, strict=True)}
         ctx.rasterizer.backward(gradients, **d_images)
@@ -86,6 +92,9 @@ def rasterize(
     )
     check_layout(gaussians)
     check_finite(gaussians)
-    images = _Rasterize.apply(request, threads, *(getattr(gaussians, name) for name in _FIELDS))
+    tensors = [getattr(gaussians, name) for name in _FIELDS]
+    if not torch.is_grad_enabled():  # inside `apply` it never is: what only the backward pass needs is not computed
+        tensors = [None if tensor is None else tensor.detach() for tensor in tensors]
+    images = _Rasterize.apply(request, threads, *tensors)
     rendered = dict(zip(request.outputs, images, strict=True))
     return RenderOutput(**{name: rendered.get(name) for name in OUTPUT_NAMES})

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import os
 
+from rasterizer.validation import is_integer_in, short_repr
+
+MAX_THREADS = 1024
+
 
 def usable_cores() -> int:
     """Cores this process may run on (its CPU affinity)."""
@@ -11,5 +15,7 @@ def usable_cores() -> int:
 
 
 def thread_count(threads: int) -> int:
-    """`threads`, or all usable cores for 0."""
+    """`threads`, or all usable cores for 0. ValueError for anything but such an integer."""
+    if not is_integer_in(threads, 0, MAX_THREADS):
+        raise ValueError(f"threads must be in 0..{MAX_THREADS}, got {short_repr(threads)}")
     return threads or usable_cores()

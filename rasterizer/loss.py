@@ -35,6 +35,8 @@ class PhotometricLoss:
 
         share: weight of this pair in the mean over a batch; scales the gradient only.
         """
+        if image.ndim != 3 or image.numel() == 0:
+            raise ValueError(f"image must be float32 [3, H, W] with at least one pixel, got {list(image.shape)}")
         for name, tensor in (("image", image), ("target", target)):
             expected = [3, *image.shape[1:]]
             if tensor.dtype != torch.float32 or tensor.ndim != 3 or list(tensor.shape) != expected:

@@ -19,12 +19,11 @@ from rasterizer.gradients import Gradients, ViewColors, ViewGradient
 from rasterizer.kernel_loader import kernel
 from rasterizer.render_output import OUTPUT_CHANNELS, RenderOutput
 from rasterizer.request import Request
-from rasterizer.validation import as_float, check_layout, dtype_name, is_integer_in, short_repr
+from rasterizer.validation import as_float, check_layout, dtype_name
 
 # In the order of `enum Stage` in src/view_state.hpp: four of the forward pass, two of the backward pass.
 STAGES = ("preprocess", "sort", "intersect_tiles", "blend", "blend_backward", "preprocess_backward")
 _EXTRAS = ("depth", "flow", "stats")  # outputs that preprocess computes per Gaussian only on request
-MAX_THREADS = 1024
 MISSING: dict[str, Any] = dict.fromkeys(OPTIONAL)  # to the kernel, None
 
 
@@ -36,12 +35,10 @@ class Rasterizer:
 
         kernel: another build, for measurements; one in float64 reads and writes float64 tensors.
         """
-        if not is_integer_in(threads, 0, MAX_THREADS):
-            raise ValueError(f"threads must be in 0..{MAX_THREADS}, got {short_repr(threads)}")
-        self.threads = thread_count(int(threads))
+        self.threads = thread_count(threads)
         self._kernel, self._state = kernel, kernel.Frame()
         self.dtype = torch.float64 if kernel.choices["float64"] else torch.float32
-        self._model: Any = None  # the Gaussians as the kernel sees them; None before the first view
+        self._model: Any = None  # the Gaussians as the kernel sees them; None before the first view, or if one failed
         self._differentiable = False
 
     def render(self, gaussians: Gaussians, request: Request, differentiable: bool = True) -> RenderOutput:
@@ -56,14 +53,18 @@ class Rasterizer:
         self.fourier_order = gaussians.fourier_order if request.fourier_order is None else int(request.fourier_order)
         coefficients, orders = SH_LAYOUTS[gaussians.sh.shape[1]]
         detached = {name: tensor.detach() for name, tensor in gaussians.tensors().items()}
-        self._model = self._kernel.Model(**{**MISSING, **detached}, coefficients=coefficients, stored_order=orders - 1)
+        self._model = None  # should this view fail, there is nothing to go backward from
+        model = self._kernel.Model(**{**MISSING, **detached}, coefficients=coefficients, stored_order=orders - 1)
+        self._shapes = {name: tensor.shape for name, tensor in detached.items()}
         self._set_view(request)
         size = request.camera.height, request.camera.width
         images = {name: self._empty(OUTPUT_CHANNELS[name], *size) for name in request.outputs}
         # Detached: autograd's graph references this object, which must not reference the graph.
         self._images = {name: image.detach() for name, image in images.items()}
-        self._versions = {name: image._version for name, image in self._images.items()}
-        self._state.render(self._model, **{name: self._images.get(name) for name in OUTPUT_CHANNELS})
+        # Under torch.inference_mode tensors have no version, and no backward pass.
+        self._versions = {name: image._version for name, image in self._images.items() if not image.is_inference()}
+        self._state.render(model, **{name: self._images.get(name) for name in OUTPUT_CHANNELS})
+        self._model = model
         return RenderOutput(**{name: images.get(name) for name in OUTPUT_CHANNELS})
 
     def _set_view(self, request: Request) -> None:
@@ -102,16 +103,17 @@ class Rasterizer:
 
         Follows the last `render`; neither the Gaussians nor the returned images may have changed since. Raises
         RuntimeError without such a render or when an image was changed in place, ValueError for an output that was not
-        rendered or a gradient of another shape or type.
+        rendered, a gradient of another shape or type, or `gradients` of other Gaussians.
         """
         if self._model is None or not self._differentiable:
             raise RuntimeError(
                 "Rasterizer.backward must follow Rasterizer.render with differentiable=True, got no such view"
             )
+        self._check_gradients(gradients)
         given = {"color": d_color, "alpha": d_alpha, "depth": d_depth, "flow": d_flow, "stats": d_stats}
         d_images = {f"d_{name}": self._checked(name, d_image) for name, d_image in given.items()}
         for name, image in self._images.items():
-            if image._version != self._versions[name]:
+            if name in self._versions and image._version != self._versions[name]:
                 raise RuntimeError(
                     f"Rasterizer.backward reads the rendered {name}, which was changed in place after "
                     "Rasterizer.render: clone it first"
@@ -134,6 +136,14 @@ class Rasterizer:
         )
         gradients.views.append(colors)
         return out
+
+    def _check_gradients(self, gradients: Gradients) -> None:
+        """ValueError unless `gradients` have the fields and shapes of the rendered Gaussians."""
+        found = {name: tensor.shape for name, tensor in gradients.dense().items()} | {"sh": gradients.sh_shape}
+        for name in self._shapes.keys() | found.keys():
+            if (expected := self._shapes.get(name)) != found.get(name):
+                shapes = (None if shape is None else list(shape) for shape in (expected, found.get(name)))
+                raise ValueError("gradients.{} must be {}, as the rendered Gaussians, got {}".format(name, *shapes))
 
     def _checked(self, name: str, d_image: Tensor | None) -> Tensor | None:
         """∂L/∂image of output `name`, contiguous; ValueError if it does not fit the rendered image."""

@@ -41,7 +41,9 @@ class Request:
         if not math.isfinite(time):
             raise ValueError(f"time must be finite, got {short_repr(self.time)}")
         if not abs(offset) <= MAX_FLOAT32:
-            raise ValueError(f"marginal_offset must be finite, got {short_repr(self.marginal_offset)}")
+            raise ValueError(
+                f"marginal_offset must be a number that float32 holds, got {short_repr(self.marginal_offset)}"
+            )
         if not (math.isfinite(duration) and duration > 0):
             raise ValueError(f"duration must be finite and > 0, got {short_repr(self.duration)}")
         if duration < MIN_DURATION:
@@ -50,7 +52,7 @@ class Request:
             raise ValueError(f"near must be finite and >= 0, got {short_repr(self.near)}")
         background = tuple(as_float(value) for value in _as_list(self.background))
         if len(background) != 3 or not all(abs(value) <= MAX_FLOAT32 for value in background):
-            raise ValueError(f"background must be 3 finite numbers, got {short_repr(self.background)}")
+            raise ValueError(f"background must be 3 numbers that float32 holds, got {short_repr(self.background)}")
         outputs = self._checked_outputs()
         # Scalars of any type are accepted and stored as floats; duplicate outputs are dropped.
         for name, value in (
@@ -71,7 +73,9 @@ class Request:
         if not outputs:
             raise ValueError(f"outputs must be some of {', '.join(OUTPUT_NAMES)}, got none")
         if "flow" in outputs and not abs(as_float(self.flow_dt)) <= MAX_FLOW_DT:
-            raise ValueError(f"flow_dt must be finite when outputs has 'flow', got {short_repr(self.flow_dt)}")
+            raise ValueError(
+                f"flow_dt must be a number up to {MAX_FLOW_DT:g} for the output 'flow', got {short_repr(self.flow_dt)}"
+            )
         return tuple(dict.fromkeys(outputs))
 
     def check_against(self, gaussians: Gaussians) -> None:

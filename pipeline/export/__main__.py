@@ -8,6 +8,7 @@ that SuperSplat plays. Lengths and times are canonical (docs/conventions.md); --
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 import textwrap
 from pathlib import Path
@@ -26,6 +27,8 @@ SEQUENCE = 30  # frames
 def main(arguments: list[str]) -> int:
     parser = _parser()
     options = parser.parse_args(arguments)
+    if (duration := options.duration) is not None:
+        parser.require(0 < duration < math.inf, "--duration", "a positive time", f"{duration:g}")
     source = open_source(options.model, options.start, options.duration, log)
     folder = options.out or source.folder
     for name in options.formats:
@@ -72,7 +75,10 @@ def _parser() -> CommandParser:
 
 
 def _numbers(text: str) -> list[float]:
-    return [float(part) for part in text.split(",")]
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"expected times such as 0,0.5,1, found {text}") from None
 
 
 def _table() -> str:

@@ -13,7 +13,8 @@ from pipeline.export.source import Source
 
 
 def write_files(name: str, source: Source, times: Sequence[float], folder: Path, world: bool = False) -> Iterator[Path]:
-    """Writes `source` in format `name`, a file at a time, and yields the paths: `scene_0000.ply` … for several frames.
+    """Writes `source` in format `name`, a file at a time, and yields the paths: `scene_0000.ply` … for several frames,
+    of which those of an earlier export are removed.
 
     times: canonical, of a static format's frames. world: in the coordinates of the data's files. ValueError where model
     and format do not fit.
@@ -27,6 +28,8 @@ def write_files(name: str, source: Source, times: Sequence[float], folder: Path,
         moving = moving_gaussians(model, line.start, line.duration)
         yield _written(folder / f"{source.name}.{name}", form.content(moving, line))
     else:
+        for old in folder.glob(f"{source.name}_[0-9][0-9][0-9][0-9].{name}"):  # of a longer sequence
+            old.unlink()
         for index, time in enumerate(times):
             numbered = f"{source.name}_{index:04d}" if len(times) > 1 else source.name
             frame = frame_at(model, source.time_in_world(time) if world else time, line.duration)

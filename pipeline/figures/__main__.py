@@ -47,7 +47,8 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--lengths", type=Path, metavar="RUNS", help="folder of runs of several scene.frames")
     parser.add_argument("--out", type=Path, metavar="DIR", help="default: RUN/figures")
     options = parser.parse_args(arguments)
-    lengths = lengths_of(collect(options.lengths)) if options.lengths else None
+    collection = collect(options.lengths) if options.lengths else None
+    lengths = None if collection is None else lengths_of(collection)
     run = open_run(options.run, log)
     renderer = Renderer(run.model, run.scene, run.cfg, Rasterizer(threads=thread_count(run.cfg.threads)))
     out = options.out or options.run / "figures"
@@ -59,8 +60,8 @@ def main(arguments: list[str]) -> int:
             temporary.write_bytes(figure.png)
         figures.append(figure)
     page = markdown(f"{run.cfg.scene.name}, {run.cfg.ablation.name}, {run.cfg.train.name}", figures)
-    if lengths is not None:
-        write_text(out / LENGTHS, draw(lengths, run.cfg.scene.name))
+    if lengths is not None and collection is not None:
+        write_text(out / LENGTHS, draw(lengths, ", ".join(dict.fromkeys(collection.runs["scene"]))))
         growth = f"N = c · frames^{exponent(lengths, 'gaussians'):.2f} over {len(lengths)} lengths, each trained alone."
         page += f"\n## Trained on videos of several lengths\n\n{growth}\n\n![{growth}]({LENGTHS})\n"
         log(f"{LENGTHS}: {growth}")

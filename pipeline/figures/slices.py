@@ -18,9 +18,9 @@ def slices_figure(renderer: Renderer, view: MovingView) -> Figure:
     scene, camera = renderer.scene, view.target.camera
     count = min(STEPS, 4 * len(scene.train_times))
     times = np.linspace(scene.time_start, scene.time_end, count)
-    images = np.stack([renderer.image(camera, float(time)) for time in times])  # (T, H, W, 3)
-    row = _row(view, images)
-    parts = [("render", images[:, row])]
+    row = _row(view, renderer, times)
+    rendered = np.stack([renderer.image(camera, float(time))[row] for time in times])  # (T, W, 3)
+    parts = [("render", rendered)]
     same = sorted((v for v in scene.test if _stands_still(v, scene.test[view.index])), key=lambda v: v.time)
     scale = renderer.cfg.train.resolution_scale
     if len(same) > 2:
@@ -36,7 +36,7 @@ def slices_figure(renderer: Renderer, view: MovingView) -> Figure:
         axis.imshow(np.clip(image, 0, 1), aspect="auto", extent=extent, interpolation="nearest")
         axis.set(xlabel="x, pixels", ylabel="t")
         axis.set_title(f"{title}, row {row}", fontsize=9, loc="left")
-    change = float(np.abs(np.diff(images[:, row], axis=0)).sum(axis=0).mean())
+    change = float(np.abs(np.diff(rendered, axis=0)).sum(axis=0).mean())
     beside = f"; its true frames are beside it ({len(same)} of them)" if len(parts) > 1 else ""
     seen = (
         f"Row {row} over time, {count} rendered moments: what rests draws vertical lines, what moves slanted ones; a "
@@ -45,11 +45,15 @@ def slices_figure(renderer: Renderer, view: MovingView) -> Figure:
     return Figure("slices", "Slices through time", seen, png_of(figure))
 
 
-def _row(view: MovingView, images: np.ndarray) -> int:
+def _row(view: MovingView, renderer: Renderer, times: np.ndarray) -> int:
     """The row with most moving pixels; where they are unknown, with most change over time in the render."""
     if view.moving is not None and view.moving.any():
         return int(view.moving.sum(axis=1).argmax())
-    return int((images.max(axis=0) - images.min(axis=0)).sum(axis=(1, 2)).argmax())
+    lowest = highest = renderer.image(view.target.camera, float(times[0]))
+    for time in times[1:]:
+        image = renderer.image(view.target.camera, float(time))
+        lowest, highest = np.minimum(lowest, image), np.maximum(highest, image)
+    return int((highest - lowest).sum(axis=(1, 2)).argmax())
 
 
 def _stands_still(view: View, other: View) -> bool:

@@ -26,13 +26,14 @@ class Cameras:
     data: bytes
 
 
-def cameras_of(scene: Scene, scale: float, with_truths: bool = True) -> Cameras:
-    """scale: of the images, as in training (training_views.camera_at)."""
+def cameras_of(scene: Scene, scale: float, with_truths: bool = True, renders: int = 0) -> Cameras:
+    """scale: of the images, as in training (training_views.camera_at). renders: how many test views have pictures in
+    the run's folder (`evaluate.renders`), whose images come first."""
     views = [*scene.test, *scene.train]
     held_out = len(scene.test)
     truths: list[dict] = []
     data, of_view = bytearray(), {}
-    for index in _worth_showing(held_out, len(scene.train)) if with_truths else ():
+    for index in _worth_showing(held_out, len(scene.train), renders) if with_truths else ():
         image = _encoded(views[index], camera_at(views[index].camera, scale))
         if len(data) + len(image) > MOST_BYTES:
             continue
@@ -66,9 +67,14 @@ def _intrinsics(camera: Camera) -> dict:
     }
 
 
-def _worth_showing(held_out: int, training: int) -> list[int]:
-    """Indices of the views whose images are embedded: held-out ones, then training ones, each evenly spaced."""
-    test = evenly_spaced(held_out, MOST_TRUTHS)
+def _worth_showing(held_out: int, training: int, renders: int) -> list[int]:
+    """Indices of the views whose images are embedded: held-out ones, then training ones, each evenly spaced. Before
+    them those of the pictures in the run's folder, which the report's links open."""
+    pictured = evenly_spaced(held_out, renders)
+    if len(pictured) > MOST_TRUTHS:
+        pictured = [pictured[i] for i in evenly_spaced(len(pictured), MOST_TRUTHS)]
+    others = [index for index in evenly_spaced(held_out, MOST_TRUTHS) if index not in pictured]
+    test = pictured + [others[i] for i in evenly_spaced(len(others), MOST_TRUTHS - len(pictured))]
     return test + [held_out + index for index in evenly_spaced(training, MOST_TRUTHS - len(test))]
 
 

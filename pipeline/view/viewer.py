@@ -11,7 +11,7 @@ import numpy as np
 from datasets.files.atomic_write import write_text
 from datasets.scene import Scene
 from pipeline.config.schema import Config
-from pipeline.model.model import Model
+from pipeline.model.model import Model, kind_of
 from pipeline.view.cameras import QUALITY, Cameras, cameras_of
 from pipeline.view.pack import POSITION_PX, SH_STEP, Packed, pack
 from pipeline.view.page import page
@@ -37,9 +37,9 @@ def write_viewer(path: Path, shown: Sequence[Shown], scene: Scene, cfg: Config) 
     if not 1 <= len(shown) <= MOST_MODELS:
         raise ValueError(f"{path}: expected 1 to {MOST_MODELS} models side by side, found {len(shown)}")
     packed = [pack(one.model, scene) for one in shown]
-    cameras = cameras_of(scene, cfg.train.resolution_scale)
+    cameras = cameras_of(scene, cfg.train.resolution_scale, renders=cfg.evaluate.renders)
     header = {
-        **page_header(scene, cfg, cameras),
+        **page_header(scene, cfg, cameras, any(one.model.kind.motion != "static" for one in shown)),
         "labels": [one.label for one in shown],
         "facts": " · ".join(map(_fact, shown)),
         "notes": notes(packed, cameras),
@@ -51,9 +51,9 @@ def write_viewer(path: Path, shown: Sequence[Shown], scene: Scene, cfg: Config) 
 
 def live_page(label: str, scene: Scene, cfg: Config) -> str:
     """The page of a run that is being trained: it asks its server for the models."""
-    cameras = cameras_of(scene, cfg.train.resolution_scale)
+    cameras = cameras_of(scene, cfg.train.resolution_scale, renders=cfg.evaluate.renders)
     header = {
-        **page_header(scene, cfg, cameras),
+        **page_header(scene, cfg, cameras, kind_of(scene, cfg).motion != "static"),
         "labels": [label],
         "facts": f"{label}, in training",
         "notes": notes([], cameras),
@@ -63,8 +63,8 @@ def live_page(label: str, scene: Scene, cfg: Config) -> str:
     return page(_title(cfg), header, cameras.data, [])
 
 
-def page_header(scene: Scene, cfg: Config, cameras: Cameras) -> dict:
-    """What a page needs besides the models: the scene, its cameras, about what to turn."""
+def page_header(scene: Scene, cfg: Config, cameras: Cameras, has_time: bool) -> dict:
+    """What a page needs besides the models: the scene, its cameras, about what to turn. has_time: a model has."""
     seconds = LOOP_SECONDS
     if scene.frame_rate is not None:  # frames a unit of time; playback_rate: frames a second
         seconds = scene.duration * scene.frame_rate / (scene.playback_rate or scene.frame_rate)
@@ -74,6 +74,7 @@ def page_header(scene: Scene, cfg: Config, cameras: Cameras) -> dict:
         "scene": {
             "name": cfg.scene.name,
             "static": scene.is_static,
+            "has_time": has_time,  # lifetimes and speeds to colour by
             "start": scene.time_start,
             "end": scene.time_end,
             "duration": scene.duration,

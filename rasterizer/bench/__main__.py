@@ -127,7 +127,7 @@ def measure_frames(
     work = work_of(counts, sh_bytes=4 * workload.gaussians.sh[0].numel())
     bound = bound_ms(work, rates)
     log_frames(name, counts, times, bound, log)
-    stages = {stage: ms.minimum for stage, ms in times[threads[0]].stages.items()}
+    stages = {stage: ms.minimum for stage, ms in times[1 if 1 in times else threads[0]].stages.items()}
     result = {
         "counts": asdict(counts),
         "bound_ms": round(bound, 3),

@@ -1,6 +1,6 @@
 // Numerical choices: each trades accuracy for time, and none is part of the model.
 //
-// The macros are for `python -m pipeline.work_precision`, which builds the kernel with other values and
+// The macros are for `python -m pipeline.studies.kernel_precision`, which builds the kernel with other values and
 // measures what each costs and saves.
 #pragma once
 

@@ -11,6 +11,7 @@ from PIL import Image
 from shell import TINY, Shell
 
 from pipeline.evaluate import main as evaluate
+from pipeline.evaluate import name_of
 from pipeline.export.__main__ import main as export
 from pipeline.export.formats import FORMATS
 from pipeline.figures.__main__ import main as figures
@@ -106,3 +107,41 @@ def test_figures_are_in_the_run_folder(run: Path) -> None:
     ]  # fmt: skip
     page = (run / "figures/figures.md").read_text()
     assert all(row["seen"] in page and (run / "figures" / row["file"]).exists() for row in index)
+
+
+def test_frames_of_an_earlier_export_do_not_stay(run: Path, tmp_path: Path) -> None:
+    assert export([str(run), "splat", "--times", "0,0.2,0.4,1", "--out", str(tmp_path)]) == 0
+    (tmp_path / "synthetic_wheel_0000.png").write_text("kept")
+    assert export([str(run), "splat", "--times", "0,1", "--out", str(tmp_path)]) == 0
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "synthetic_wheel_0000.splat", "synthetic_wheel_0001.splat", "synthetic_wheel_0000.png"
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "main, arguments, error",
+    [
+        (export, ["ply", "--duration", "0"], "--duration: expected a positive time, found 0"),
+        (export, ["ply", "--times", "abc"], "expected times such as 0,0.5,1, found abc"),
+        (render, ["--times", "abc"], "expected times such as 0.5, 0:1 or 0,0.5,1, found abc"),
+        (render, ["--frames", "0"], "--frames: expected at least 1, found 0"),
+        (render, ["--frames", "3", "--path", "p.json"], "--frames: expected --path orbit, found --path p.json"),
+    ],
+)
+def test_wrong_values_end_in_a_line(capsys: pytest.CaptureFixture, main, arguments: list[str], error: str) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main(["run", *arguments])
+    assert stopped.value.code == 2 and error in capsys.readouterr().err
+
+
+def test_a_missing_model_is_named_before_the_scene_is_read(capsys: pytest.CaptureFixture) -> None:
+    assert evaluate(["nowhere.ply", "scene=dnerf", "scene.path=nowhere_else"]) == 1
+    assert "nowhere.ply: expected a run folder or a file of a model, found none" in capsys.readouterr().err
+
+
+def test_results_of_two_runs_have_two_folders(tmp_path: Path) -> None:
+    for ablation in ("full", "no_4drot"):
+        (tmp_path / ablation / "fast" / "seed0").mkdir(parents=True)
+    assert name_of(tmp_path / "full/fast/seed0") == "full_fast_seed0"
+    assert name_of(tmp_path / "no_4drot/fast/seed0") == "no_4drot_fast_seed0"
+    assert name_of(tmp_path / "model.ply") == "model"

@@ -178,8 +178,25 @@ def test_denormal_moments_are_flushed_to_zero_inside_adam_only(threads: int):
 def test_a_tensor_that_the_kernel_cannot_write_is_refused(name: str, wrong: Tensor) -> None:
     """nanobind would pass a copy, and the step would be lost."""
     tensors = {key: torch.zeros(5, 4) for key in ("param", "m", "v")} | {name: wrong}
-    with pytest.raises(ValueError, match=f"{name} must be contiguous float32, got"):
+    with pytest.raises(ValueError, match=f"{name} must be contiguous float32 .5, 4., got"):
         adam_step(tensors["param"], torch.ones(5, 4), tensors["m"], tensors["v"], 0.1, 1)
+
+
+def test_tensors_of_other_shapes_are_refused() -> None:
+    """The kernel takes its size from the parameter alone."""
+    zeros = torch.zeros
+    for grad, m, v, rows, step, message in (
+        (zeros(1), zeros(5, 4), zeros(5, 4), None, 1, "grad must be contiguous float32 .5, 4., got .* .1."),
+        (zeros(5, 4), zeros(5), zeros(5, 4), None, 1, "m must be contiguous float32 .5, 4., got .* .5."),
+        (zeros(5, 4), zeros(5, 4), zeros(6, 4), None, 1, "v must be contiguous float32 .5, 4., got .* .6, 4."),
+        (zeros(5, 4), zeros(5, 4), zeros(5, 4), zeros(4, dtype=torch.uint8), 1, "sparse_rows must be uint8 .5., got"),
+        (zeros(5, 4), zeros(5, 4), zeros(5, 4), None, 0, "step must be at least 1, got 0"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            adam_step(zeros(5, 4), grad, m, v, 0.1, step, sparse_rows=rows)
+    with pytest.raises(ValueError, match=r"sh must be \(N, K, 3\) with K among .*, got \[5, 5, 3\]"):
+        gradients = Gradients.zeros_like(random_gaussians(5, "full", generator(1)).to(torch.float32))
+        sh_adam_step(zeros(5, 5, 3), gradients, zeros(5, 5, 3), zeros(5, 5, 3), [0.1] * 4, 1)
 
 
 def test_the_kernel_refuses_to_write_a_copy() -> None:

@@ -231,3 +231,30 @@ def test_flow_is_zero_where_the_gaussian_would_cross_the_near_plane():
         torch.testing.assert_close(found.flow, truth.float(), rtol=1e-3, atol=1e-4)
         assert (truth.abs().max() > 1e-3).item() is expect_flow
         assert all(torch.isfinite(gradient).all() for gradient in gradients.values())
+
+
+@pytest.mark.parametrize("log_time_scale", [-30.0, -36.0, -40.0, -80.0])
+def test_a_gaussian_of_hardly_any_lifetime_keeps_its_size(log_time_scale: float):
+    """At t = μt, without a tilt of the time axis, it looks as one that is always there."""
+    gaussians = random_gaussians(1, "full", generator(3), log_scale=(-1.5, -1.5)).to(torch.float32)
+    gaussians.mean[:] = torch.tensor([[0.0, 0.0, 3.0, 0.5]])
+    gaussians.quat_left[:] = gaussians.quat_right[:] = torch.tensor([[1.0, 0, 0, 0]])
+    images = []
+    for scale in (log_time_scale, 0.0):
+        gaussians.log_scale[:, 3] = scale
+        images.append(rasterize(gaussians, front_camera(), time=0.5, outputs=("alpha",)).alpha)
+    assert images[1].sum() > 20
+    torch.testing.assert_close(images[0], images[1], rtol=0, atol=IMAGE_TOLERANCE)
+
+
+@pytest.mark.parametrize("motion", ["full", "separable", "velocity"])
+def test_a_huge_lifetime_has_a_finite_gradient(motion: str):
+    """Σtt = exp(2 × 60) is more than float32 holds."""
+    gaussians = random_gaussians(5, motion, generator(3)).to(torch.float32)
+    gaussians.log_scale[:, 3] = 60.0
+    for tensor in gaussians.tensors().values():
+        tensor.requires_grad_()
+    rasterize(gaussians, off_centre_camera(), time=0.5).color.sum().backward()
+    assert gaussians.mean.grad.abs().max() > 0
+    for name, tensor in gaussians.tensors().items():
+        assert tensor.grad.isfinite().all(), name

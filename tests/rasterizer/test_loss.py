@@ -160,3 +160,9 @@ def test_the_layout_of_the_image_does_not_matter() -> None:
     strided = image.permute(1, 2, 0).contiguous().permute(2, 0, 1)  # as an image of (H, W, 3)
     loss, l1, ssim, gradient = photometric_loss(strided, target)
     assert (loss, l1, ssim) == expected[:3] and torch.equal(gradient, expected[3])
+
+
+@pytest.mark.parametrize("shape", [(3, 0, 4), (3, 4, 0), (3, 5), (1, 3, 4, 4)])
+def test_an_image_without_pixels_or_of_another_form_is_refused(shape: tuple[int, ...]) -> None:
+    with pytest.raises(ValueError, match=r"image must be float32 \[3, H, W\] with at least one pixel, got"):
+        photometric_loss(torch.zeros(shape), torch.zeros(shape))

@@ -20,6 +20,7 @@ from builders import (
 from torch import Tensor
 
 from rasterizer import Gaussians, Gradients, Rasterizer, Request, ViewGradient, rasterize
+from rasterizer.loss import PhotometricLoss
 from rasterizer.reference import render as reference
 from rasterizer.reference.blend import blend, splat_alpha
 from rasterizer.reference.discontinuities import away_from_discontinuities, smooth_pixels
@@ -258,3 +259,72 @@ def test_rendering_without_gradients_gives_the_same_image_and_no_backward(motion
         torch.testing.assert_close(getattr(images[0], name), getattr(images[1], name), rtol=0, atol=5e-7)
     with pytest.raises(RuntimeError, match="differentiable=True"):
         rasterizer.backward(Gradients.zeros_like(gaussians), **image_gradients(request))
+
+
+def test_gradients_of_other_gaussians_are_refused():
+    gaussians = random_gaussians(9, "full", generator(12)).to(torch.float32)
+    rasterizer = Rasterizer(threads=1)
+    rasterizer.render(gaussians, Request(off_centre_camera()))
+    fewer = random_gaussians(8, "full", generator(12)).to(torch.float32)
+    separable = random_gaussians(9, "separable", generator(12)).to(torch.float32)
+    for other, message in (
+        (fewer, r"gradients\.\w+ must be \[9"),
+        (separable, r"quat_right must be \[9, 4\], .* got None"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            rasterizer.backward(Gradients.zeros_like(other), d_color=torch.zeros(3, 37, 45))
+
+
+def test_backward_does_not_follow_a_render_that_failed(monkeypatch):
+    gaussians = random_gaussians(9, "full", generator(12)).to(torch.float32)
+    rasterizer = Rasterizer(threads=1)
+    rasterizer.render(gaussians, Request(off_centre_camera()))
+
+    def fail(*shape):
+        raise MemoryError
+
+    monkeypatch.setattr(rasterizer, "_empty", fail)
+    with pytest.raises(MemoryError):
+        rasterizer.render(gaussians, Request(off_centre_camera()))
+    with pytest.raises(RuntimeError, match="must follow Rasterizer.render"):
+        rasterizer.backward(Gradients.zeros_like(gaussians))
+
+
+def test_autograd_refuses_parameters_changed_in_place_and_second_derivatives():
+    gaussians = random_gaussians(9, "full", generator(12)).to(torch.float32)
+    mean = gaussians.mean.requires_grad_()
+    loss = rasterize(gaussians, off_centre_camera()).color.square().sum()
+    (gradient,) = torch.autograd.grad(loss, mean, create_graph=True)
+    with pytest.raises(RuntimeError, match="once_differentiable"):
+        gradient.sum().backward()
+    loss = rasterize(gaussians, off_centre_camera()).color.square().sum()
+    with torch.no_grad():
+        mean += 0.1
+    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+        loss.backward()
+
+
+@pytest.mark.parametrize("mode", [torch.no_grad, torch.inference_mode])
+def test_rendering_without_a_graph(mode, monkeypatch):
+    """The same image, and nothing computed for a backward pass."""
+    gaussians = random_gaussians(9, "full", generator(12)).to(torch.float32)
+    gaussians.mean.requires_grad_()
+    expected = rasterize(gaussians, off_centre_camera()).color.detach()
+    asked, original = [], Rasterizer.render
+
+    def render(self, *arguments, differentiable):
+        asked.append(differentiable)
+        return original(self, *arguments, differentiable=differentiable)
+
+    monkeypatch.setattr(Rasterizer, "render", render)
+    with mode():
+        found = rasterize(gaussians, off_centre_camera()).color
+    assert asked == [False]
+    torch.testing.assert_close(found.clone(), expected, rtol=0, atol=5e-7)  # separate template instances
+
+
+@pytest.mark.parametrize("threads", [-1, 2000, 1.5])
+def test_a_wrong_number_of_threads_is_named(threads):
+    for make in (Rasterizer, lambda threads: PhotometricLoss(threads=threads)):
+        with pytest.raises(ValueError, match=f"threads must be in 0..1024, got {threads}"):
+            make(threads)

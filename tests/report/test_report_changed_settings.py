@@ -104,3 +104,16 @@ def test_changes_of_the_scene_are_not_changes_of_the_schedule() -> None:
     assert set(of_two) == {"batch=2", "batch=4"}
     assert of_two["batch=2"]["dnerf/lego"].value == 0.5
     assert of_two["batch=2"][f"dnerf/lego ({small})"].value == 1.0 and of_two["batch=2"]["mean"].value == 0.75
+
+
+def test_a_missing_number_is_not_measured_and_the_note_is_of_standard_errors() -> None:
+    without = [{**row, "final.fps_render": math.nan} for row in rows("fast (batch=2)", "synthetic/wheel", [20.0, 22.0])]
+    (table,) = changed_settings(
+        collection(
+            rows("fast", "synthetic/wheel", [20.0, 22.0]),
+            without,
+            rows("fast (dropout=0.1)", "synthetic/wheel", [21.0]),
+        )
+    )
+    text = markdown(table)
+    assert "n/a" in text and "standard deviation over seeds" not in text and comma_separated(table)

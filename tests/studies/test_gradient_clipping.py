@@ -12,6 +12,7 @@ from tiny import tiny_config, tiny_scene
 
 from pipeline.config.train_schema import LearningRates
 from pipeline.model.model import Model
+from pipeline.presentation.seed_statistics import TOO_FEW_SEEDS
 from pipeline.studies.gradient_clipping.clipping_adam import ClippingAdam, squared_norms
 from pipeline.studies.gradient_clipping.table import spike, verdict
 from pipeline.studies.gradient_clipping.training_runs import CASES, Outcome, study_config, train_case, with_lr_factor
@@ -92,6 +93,10 @@ def outcome(psnr: float) -> Outcome:
 )
 def test_verdict(clipped: list[float], unclipped: list[float], word: str) -> None:
     assert verdict([outcome(p) for p in clipped], [outcome(p) for p in unclipped])[1] == word
+
+
+def test_one_seed_gives_no_verdict_and_no_error() -> None:
+    assert verdict([outcome(26.0)], [outcome(25.0)]) == ("+1.00", TOO_FEW_SEEDS)
 
 
 def test_learning_rates_are_scaled_and_their_decay_is_kept() -> None:

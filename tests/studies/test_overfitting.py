@@ -84,7 +84,7 @@ def test_effective_view_count_of_equal_views_is_their_number():
 
 def write_run(folder, rows):
     folder.mkdir()
-    (folder / "metrics.json").write_text(json.dumps({"train": "fast", "ablation": "full", "scene": "s"}))
+    (folder / "metrics.json").write_text(json.dumps({"train": "fast", "ablation": "full", "scene": "s", "seed": 1}))
     (folder / "log.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
 
 
@@ -100,7 +100,10 @@ def test_history_of_a_log_keeps_one_of_repeated_evaluations(tmp_path):
         for k, i in enumerate((500, 1000, 1000, 1500))
     ]
     write_run(tmp_path / "run", [{"event": "start"}, *rows])
+    with (tmp_path / "run" / "log.jsonl").open("a") as log:
+        log.write('{"event": "evalu')  # cut short by a kill
     found = read_history(tmp_path / "run")
+    assert found.label == "fast, seed 1"
     assert found.iteration.tolist() == [500, 1000, 1500]
     assert found.psnr.tolist() == [20, 22, 23]
     assert found.lifetimes.shape == (3, 5) and found.lifetime_counts.shape == (3, 64)

@@ -192,3 +192,20 @@ def test_a_run_of_another_process_is_followed(tmp_path: Path) -> None:
     with open(log, "a") as file:
         file.write('ain", "iteration": 200, "loss": 0.1, "psnr": 22.0, "n_gaussians": 5}\nnot json\n')
     assert tail.newest() == {**found, "iteration": 200, "psnr": 22.0}
+
+
+def test_a_run_that_begins_anew_is_seen(server: LiveServer) -> None:
+    packed = pack(viewed_model("full", count=20), viewed_scene())
+    server.feed.offer(5000, packed)
+    server.feed.report({"iteration": 5000})
+    assert server.feed.model_after(5000, 0) is None and server.feed.progress_after(5000, 0) is None
+    server.feed.offer(0, packed)
+    server.feed.report({"iteration": 10})
+    assert server.feed.model_after(5000, 0) is not None and server.feed.progress_after(5000, 0) == {"iteration": 10}
+
+
+def test_another_address_of_this_machine_serves_its_page() -> None:
+    with LiveServer(Address("127.0.0.2", 0), "page", Feed()) as other:
+        connection = http.client.HTTPConnection("127.0.0.2", other.address.port, timeout=20)
+        connection.request("GET", "/")
+        assert connection.getresponse().status == 200

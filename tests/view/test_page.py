@@ -12,7 +12,8 @@ from tiny_film import tiny_film
 from viewed import viewed_model, viewed_scene, write_page
 
 import pipeline.view.page as page_module
-from pipeline.view.cameras import MOST_TRUTHS, cameras_of
+from pipeline.data.training_views import evenly_spaced
+from pipeline.view.cameras import MOST_TRUTHS, _worth_showing, cameras_of
 from pipeline.view.page import FOLDER, joined, shader
 
 
@@ -82,3 +83,12 @@ def test_truths_are_bounded_and_held_out_ones_come_first() -> None:
     shown = [split for split, truth in known if truth is not None]
     assert len(shown) == len(cameras.truths) == MOST_TRUTHS and set(shown) == {"held out"}
     assert cameras.header[0]["width"] == 16  # at the scale of training
+
+
+def test_what_the_report_links_to_has_its_truth() -> None:
+    """The pictures of a run are of evenly spaced views, others than those that are embedded for their own sake."""
+    for held_out, renders in ((100, 12), (300, 12), (20, 12), (300, 100), (5, 0)):
+        found = _worth_showing(held_out, 50, renders)
+        assert len(found) == len(set(found)) == MOST_TRUTHS
+        pictured = evenly_spaced(held_out, renders)
+        assert set(pictured) <= set(found) or len(pictured) > MOST_TRUTHS

@@ -56,7 +56,8 @@ MADE_FOR = (
     MadeFor(
         "no_time_split",
         "synthetic/burst",
-        "objects appear and vanish; a split in space alone leaves the temporal means unchanged",
+        "objects appear and vanish; a split in space alone leaves the temporal means unchanged; ours also adds no "
+        "Gaussians by error (ablation.add_by_error=true keeps that)",
     ),
 )
 MADE_FOR_SCENE = MappingProxyType({(m.scene, m.ablation): m for m in MADE_FOR})

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from pipeline.presentation.seed_statistics import compare, estimate
-from pipeline.presentation.table import NO_RUN, Cell, Column, Row, Table, text
+from pipeline.presentation.table import NO_RUN, Cell, Column, Row, Table, number, text
 from pipeline.report.read import scenes
 from pipeline.report.tables.footnotes import held_out_notes
 from pipeline.runs.read.collect import Collection
@@ -28,8 +28,8 @@ _RATIOS = {"train_seconds": "Train s ×", "n_gaussians": "N ×", "model_mb": "MB
 NOTE = (
     "",
     "Changed − unchanged schedule: final PSNR in dB (and SSIM), ± standard error of the difference over seeds. The "
-    "mean is over common scenes, with the standard error propagated from theirs. ×: ratio of the means over seeds, "
-    "geometric mean over scenes.",
+    "mean is over common scenes, with the standard error propagated from theirs; no ±: one seed. In the CSV, _std is "
+    "the standard error. ×: ratio of the means over seeds, geometric mean over scenes.",
 )
 
 
@@ -87,7 +87,9 @@ def _table(schedule: str, ablation: str, names: list[str], rows: list[Row], note
     of = schedule if ablation == "full" else f"{schedule}, {ablation}"
     best_first = sorted(rows, key=lambda row: -(row.cells["mean"].value or 0.0))
     slug = file_name(STUDY + re.sub(r"[^\w.-]+", "_", of))
-    return Table(slug, f"Effect of changed settings of {of}", columns, tuple(best_first), notes=(NOTE, *notes))
+    return Table(
+        slug, f"Effect of changed settings of {of}", columns, tuple(best_first), notes=(NOTE, *notes), over_seeds=False
+    )
 
 
 def _row(change: str, variant: pd.DataFrame, unchanged: pd.DataFrame, names: list[str]) -> Row | None:
@@ -105,13 +107,12 @@ def _row(change: str, variant: pd.DataFrame, unchanged: pd.DataFrame, names: lis
         ssim.append(in_ssim)
         cells[scene] = _signed(*in_psnr)
         for key in _RATIOS:
-            ratios[key].append(changed[key].mean() / base[key].mean())
+            ratios[key].append(_ratio(changed[key], base[key]))
     if not psnr:
         return None
     cells["mean"], cells["ssim"] = _signed(*_mean(psnr)), _signed(*_mean(ssim), digits=4)
     for key, values in ratios.items():
-        ratio = float(np.exp(np.mean(np.log(values))))
-        cells[key] = Cell(f"{ratio:.2f}", ratio)
+        cells[key] = number(float(np.exp(np.mean(np.log(values)))))
     return Row(cells)
 
 
@@ -122,6 +123,12 @@ def _difference(changed: pd.Series, base: pd.Series) -> tuple[float, float] | No
         return None
     found = compare(after, before)
     return found.difference, found.standard_error
+
+
+def _ratio(changed: pd.Series, base: pd.Series) -> float:
+    """Ratio of the means; NaN where a run lacks the number."""
+    after, before = estimate(changed), estimate(base)
+    return math.nan if after is None or before is None else after.mean / before.mean
 
 
 def _of_common_seeds(one: pd.DataFrame, other: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:

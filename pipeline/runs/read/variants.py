@@ -23,7 +23,7 @@ import pandas as pd
 from pipeline.config.renamed_keys import renamed_key
 from pipeline.runs.read import model_labels as models
 from pipeline.runs.read.collect import Collection
-from pipeline.runs.read.run_names import with_parts
+from pipeline.runs.read.run_names import parts_of, with_parts
 
 # Keys that do not affect the trained model, and the seed: paths, threads, checkpoint interval, kinds of output.
 _IGNORED = (
@@ -110,13 +110,28 @@ def _distinct_names(
     Expected are the settings that `preset` gives for the name; where it gives None, the scene's usual settings.
     """
     names: dict[str, str] = {}
+    differences: dict[str, dict[str, Any]] = {}
     for (_, name), group in runs.groupby(["scene", column], sort=False)["run"]:
         given, usual = preset(name), _usual([settings[run] for run in group if settings[run]])
         for run in group:
             own = settings[run]
             expected = usual if given is None else {key: given.get(key) for key in own}
             names[run] = with_parts(name, _difference(own, expected) if own else [])
+            differences[run] = {key: own.get(key) for key in _differing(own, expected)} if own else {}
+        _number_apart(names, differences, list(group))
     return runs["run"].map(names)
+
+
+def _number_apart(names: dict[str, str], differences: dict[str, dict[str, Any]], group: list[str]) -> None:
+    """Of `group`, runs whose settings differ in keys that their names do not show get a number; in place."""
+    for name in {names[run] for run in group}:
+        same = [run for run in group if names[run] == name]
+        texts = [json.dumps(differences[run], sort_keys=True, default=str) for run in same]
+        distinct = sorted(set(texts))
+        if len(distinct) > 1:
+            base, parts = parts_of(name)
+            for run, text in zip(same, texts):
+                names[run] = with_parts(base, [*parts, f"variant {distinct.index(text) + 1}"])
 
 
 def _model_names(runs: pd.DataFrame, settings: dict[str, dict[str, Any]]) -> pd.Series:

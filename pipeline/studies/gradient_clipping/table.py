@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from pipeline.presentation.seed_statistics import compare, estimate
+from pipeline.presentation.seed_statistics import TOO_FEW_SEEDS, compare, estimate
 from pipeline.presentation.table import measured
 from pipeline.studies.gradient_clipping.clipping_adam import LARGEST
 from pipeline.studies.gradient_clipping.training_runs import CaseRuns, Outcome
@@ -16,17 +16,20 @@ WINDOW = 50  # iterations before one, whose median norm its norm is compared wit
 
 def markdown(runs: list[CaseRuns], heading: str) -> str:
     """Both tables, and what they say."""
-    better = [
-        f"{found.case.name}, threshold {clipped.quantile:.0%}"
+    verdicts = {
+        f"{found.case.name}, threshold {clipped.quantile:.0%}": verdict(clipped.outcomes, found.unclipped)[1]
         for found in runs
         for clipped in found.clipped
-        if verdict(clipped.outcomes, found.unclipped)[1] == "better"
-    ]
-    conclusion = (
-        f"Clipping improves PSNR in: {', '.join(better)}."
-        if better
-        else "No case, healthy or hostile, shows a benefit beyond two standard errors: the pipeline clips nothing."
-    )
+    }
+    better = [case for case, word in verdicts.items() if word == "better"]
+    if better:
+        conclusion = f"Clipping improves PSNR in: {', '.join(better)}."
+    elif TOO_FEW_SEEDS in verdicts.values():
+        conclusion = "Too few seeds for a verdict in every case."
+    else:
+        conclusion = (
+            "No case, healthy or hostile, shows a benefit beyond two standard errors: the pipeline clips nothing."
+        )
     return "\n".join(
         [
             "### Gradient clipping",
@@ -101,6 +104,8 @@ def verdict(clipped: list[Outcome], unclipped: list[Outcome]) -> tuple[str, str]
     assert with_clipping is not None and without is not None  # no PSNR is NaN: no run was stopped
     found = compare(with_clipping, without)
     word = {"worse": "better", "better": "worse"}.get(found.word, found.word)  # it is the verdict on the second
+    if math.isnan(found.standard_error):
+        return f"{found.difference:+.2f}", word
     return f"{found.difference:+.2f} ± {2 * found.standard_error:.2f}", word
 
 

@@ -61,6 +61,7 @@ def main(arguments: list[str]) -> int:
         help=f"these families of cases (default: all): {', '.join(FAMILIES)}",
     )
     options = parser.parse_args(arguments)
+    parser.require(options.steps >= 0, "--steps", "at least 0", options.steps)
     torch.set_num_threads(1)
     cases = [case for case in CASES if not options.only or case.family in options.only]
     console = Console()

@@ -29,7 +29,7 @@ def read_history(folder: Path) -> History:
         lines = (folder / "log.jsonl").read_text().splitlines()
     except (OSError, json.JSONDecodeError) as error:
         raise ValueError(f"{folder}: expected a finished run, found {error}") from None
-    rows = [row for row in map(json.loads, lines) if row.get("event") == "evaluate"]
+    rows = [row for row in map(_parsed, lines) if row.get("event") == "evaluate"]
     if not rows or any("train_psnr" not in row or isinstance(row["lifetimes"], list) for row in rows):
         raise ValueError(
             f"{folder / 'log.jsonl'}: expected evaluations with train_psnr, found "
@@ -41,4 +41,15 @@ def read_history(folder: Path) -> History:
         quantiles, counts = (np.array([row["lifetimes"][key] for row in rows]) for key in ("quantiles", "counts"))
     column = {name: np.array([row[name] for row in rows]) for name in ("iteration", "train_psnr", "psnr")}
     label = metrics["train"] if metrics["ablation"] == "full" else f"{metrics['train']}, {metrics['ablation']}"
-    return History(label, metrics["scene"], **column, lifetimes=quantiles, lifetime_counts=counts)
+    return History(
+        f"{label}, seed {metrics['seed']}", metrics["scene"], **column, lifetimes=quantiles, lifetime_counts=counts
+    )
+
+
+def _parsed(line: str) -> dict:
+    """A line of log.jsonl; nothing of one that was cut short by a kill."""
+    try:
+        row = json.loads(line)
+    except json.JSONDecodeError:
+        return {}
+    return row if isinstance(row, dict) else {}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -27,7 +28,7 @@ def draw(histories: Sequence[History], view_counts: Sequence[np.ndarray], theme:
         figure = svg_figure(11.0, 6.6, layout="constrained")
         above, below = figure.subfigures(2, 1, squeeze=False, height_ratios=(1.15, 1.0))[:, 0]
         quality, counts = above.subplots(1, 2)
-        for run, found, colour in zip(histories, view_counts, theme.ablations, strict=False):
+        for run, found, colour in zip(histories, view_counts, itertools.cycle(theme.ablations)):
             progress = run.iteration / run.iteration[-1]
             quality.plot(progress, run.train_psnr, "--", color=colour, lw=1.2)
             quality.plot(progress, run.psnr, color=colour, lw=1.8, label=run.label)

@@ -54,7 +54,8 @@ class Feed:
         return self._ended
 
     def model_after(self, iteration: int, seconds: float) -> bytes | None:
-        """The newest model if it is of a later iteration, as `<u4` length of its header, header, data.
+        """The newest model if it is of another iteration, an earlier one after a new start: `<u4` length of its header,
+        header, data.
 
         Waits for one up to `seconds`; None where none came.
         """
@@ -67,14 +68,14 @@ class Feed:
         """Likewise the newest numbers."""
 
         def newer() -> bool:
-            return self._progress is not None and self._progress["iteration"] > iteration
+            return self._progress is not None and self._progress["iteration"] != iteration
 
         with self._changed:
             self._wait(newer, seconds)
             return self._progress if newer() else None
 
     def _is_after(self, iteration: int) -> bool:
-        return self._model is not None and self._model[0] > iteration
+        return self._model is not None and self._model[0] != iteration
 
     def _wait(self, condition: Callable[[], bool], seconds: float) -> None:
         self._changed.wait_for(lambda: condition() or self._ended, seconds)

@@ -97,7 +97,8 @@ class LiveServer:
         """Why the request is refused, or None."""
         host, origin = request.headers.get("Host", ""), request.headers.get("Origin")
         if self.address.is_local:
-            hosts = {f"{name}:{self.address.port}" for name in ("127.0.0.1", "localhost", "[::1]")}
+            names = ("127.0.0.1", "localhost", "[::1]")
+            hosts = {str(self.address), *(f"{name}:{self.address.port}" for name in names)}
             if host not in hosts:
                 return f"Host: expected {self.address}, found {host}"
         if origin is not None and origin != f"http://{host}":

@@ -97,5 +97,6 @@ function quantiles(values, of) {
     const ordered = Float32Array.from(values, of).sort();
     const at = (share) => ordered[Math.floor(share * (ordered.length - 1))];
     const [low, high] = [at(0.05), at(0.95)];
+    if (!Number.isFinite(low + high)) return [0, 1]; // a model without time beside one that has it
     return high > low ? [low, high] : [low, low + 1];
 }

@@ -21,7 +21,7 @@ export class Panel {
             const open = document.body.classList.toggle("panel-open");
             $("panel-button").setAttribute("aria-expanded", String(open));
         };
-        if (scene.static)
+        if (!scene.has_time)
             for (const value of ["lifetime", "speed"]) $("colour-by").querySelector(`[value=${value}]`).remove();
         state.listen(() => this.show());
         this.show();

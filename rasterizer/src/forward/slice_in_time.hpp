@@ -76,8 +76,21 @@ struct Slice {
     Real factor[3][kAxes<motion>];  // A
 };
 
-// Σtt is at least this: 1/Σtt must not overflow.
-inline constexpr scalar kMinTimeVariance = 1e-30f;
+// Σtt is at least and at most this: neither 1/Σtt nor Σtt may overflow.
+inline constexpr scalar kMinTimeVariance = 1e-30f, kMaxTimeVariance = 1e38f;
+
+// m_t/|m_t|, given 1/√Σtt. Where Σtt is clamped, m_t is scaled by a power of two first.
+template <class Real>
+SPLAT_INLINE void unit_time_row(const Real (&m_t)[4], const Real& inverse_deviation, Real (&v)[4]) {
+    Real scaled[4], norm2(0.f);
+    for (int j = 0; j < 4; ++j) {
+        scaled[j] = m_t[j] * Real(0x1p100f);
+        norm2 += scaled[j] * scaled[j];
+    }
+    const MaskOf<Real> clamped = inverse_deviation > Real(0.999e15f);  // of the largest, 1/√kMinTimeVariance
+    const Real inverse = Real(1.f) / sqrt(max(norm2, Real(kMinTimeVariance)));
+    for (int j = 0; j < 4; ++j) v[j] = select(clamped, scaled[j] * inverse, m_t[j] * inverse_deviation);
+}
 
 template <Motion motion, class Real>
 SPLAT_INLINE Slice<motion, Real> slice_in_time(const Stored<motion, Real>& s,
@@ -100,7 +113,7 @@ SPLAT_INLINE Slice<motion, Real> slice_in_time(const Stored<motion, Real>& s,
         for (int i = 0; i < 3; ++i)
             for (int j = 0; j < 3; ++j) g.axes[i][j] = R[i][j] * g.scale[j];
         if constexpr (motion == Motion::kSeparable)
-            g.var_t = max(g.scale[3] * g.scale[3], Real(kMinTimeVariance));
+            g.var_t = clamp(g.scale[3] * g.scale[3], Real(kMinTimeVariance), Real(kMaxTimeVariance));
     }
     if constexpr (motion == Motion::kStatic) {
         g.log2_marginal = 0.f;
@@ -111,8 +124,7 @@ SPLAT_INLINE Slice<motion, Real> slice_in_time(const Stored<motion, Real>& s,
         g.log2_marginal = g.dt_marginal * g.dt_marginal * g.inverse_var * Real(-0.5f * kLog2E);
     }
     Real v[4];
-    if constexpr (motion == Motion::kFull)
-        for (int j = 0; j < 4; ++j) v[j] = g.axes[3][j] * sqrt(g.inverse_var);
+    if constexpr (motion == Motion::kFull) unit_time_row(g.axes[3], sqrt(g.inverse_var), v);
     for (int i = 0; i < 3; ++i) {
         const Real(&m)[4] = g.axes[i];
         g.offset[i] = (s.mean[i] - Real(c.position[i])) - Real(c.position_low[i]);

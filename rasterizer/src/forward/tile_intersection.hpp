@@ -7,6 +7,9 @@
 #pragma once
 
 #include <algorithm>
+#include <cstdint>
+#include <exception>
+#include <stdexcept>
 #include <utility>
 #include <vector>
 
@@ -74,8 +77,9 @@ inline void intersect_tiles(ViewState& view) {
     auto thread_begin = [&](int t) { return n * t / threads; };
 
     // Each thread lists (tile, mask) of its share of the splats. The result does not depend on the shares.
+    std::exception_ptr failed;  // for lack of memory: no exception may leave the region
 #pragma omp parallel for schedule(static, 1) num_threads(threads)
-    for (int t = 0; t < threads; ++t) {
+    for (int t = 0; t < threads; ++t) try {
         ViewState::ThreadIntersections& list = view.thread_intersections[t];
         list.tile_count.assign(tiles, 0);
         size_t n_intersections = 0;
@@ -105,7 +109,16 @@ inline void intersect_tiles(ViewState& view) {
                 }
             view.gradient_range[splat_index].count = static_cast<uint32_t>(n_intersections - before);
         }
+    } catch (...) {
+#pragma omp critical
+        failed = std::current_exception();
     }
+
+    if (failed) std::rethrow_exception(failed);
+    size_t all = 0;
+    for (const auto& list : view.thread_intersections)
+        for (uint32_t count : list.tile_count) all += count;
+    if (all > UINT32_MAX - kLanes) throw std::length_error("more than 4294967000 intersections of Gaussians with tiles");
 
     // Where each tile's list begins, and in it each thread's part.
     view.tile_begin.resize(tiles + 1);

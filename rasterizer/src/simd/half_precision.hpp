@@ -1,7 +1,7 @@
 // Loads SH coefficients, stored in 16 or 32 bits, as Floats.
 //
 // By default they are stored as `scalar`. What 16-bit storage saves and costs (ShStored in
-// numerical_choices.hpp) is measured by `python -m pipeline.work_precision`.
+// numerical_choices.hpp) is measured by `python -m pipeline.studies.kernel_precision`.
 #pragma once
 
 #include "numerical_choices.hpp"

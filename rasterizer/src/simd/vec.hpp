@@ -156,7 +156,6 @@ SPLAT_INLINE Mask operator>(const Float& a, const Float& b) {
     return {_mm512_cmp_ps_mask((__m512)a.part[0], (__m512)b.part[0], _CMP_GT_OQ)};
 }
 SPLAT_INLINE Mask operator&(Mask a, Mask b) { return {static_cast<__mmask16>(a.bits & b.bits)}; }
-SPLAT_INLINE Mask operator|(Mask a, Mask b) { return {static_cast<__mmask16>(a.bits | b.bits)}; }
 SPLAT_INLINE unsigned bits(Mask m) { return m.bits; }
 SPLAT_INLINE Float select(Mask m, const Float& yes, const Float& no) {
     Float r;
@@ -181,10 +180,6 @@ SPLAT_INLINE Mask operator>(const Float& a, const Float& b) {
 }
 SPLAT_INLINE Mask operator&(Mask a, Mask b) {
     for (int i = 0; i < kParts; ++i) a.part[i] &= b.part[i];
-    return a;
-}
-SPLAT_INLINE Mask operator|(Mask a, Mask b) {
-    for (int i = 0; i < kParts; ++i) a.part[i] |= b.part[i];
     return a;
 }
 SPLAT_INLINE unsigned bits(const Mask& m) {

@@ -120,7 +120,7 @@ SPLAT_INLINE Float exp2(const Float& x) { return exp2_poly<5>(x); }
 // The one for alpha (numerical_choices.hpp).
 SPLAT_INLINE Float exp2_fast(const Float& x) { return exp2_poly<kAlphaExpDegree>(x); }
 
-// e^x with x clamped to ±80, beyond every meaningful log scale and logit in float32.
+// e^x with x clamped to ±80, beyond every meaningful log scale and logit in float32; NaN counts as -80.
 inline constexpr scalar kLargestExponent = 80.f;
 SPLAT_INLINE Float exp(const Float& x) {
     return exp2(clamp(x, -kLargestExponent, kLargestExponent) * Float(kLog2E));

@@ -65,3 +65,13 @@ def test_runs_with_different_settings_are_not_averaged(tmp_path: Path) -> None:
     write_run(tmp_path, "synthetic/wheel", seed=1)
     write_run(tmp_path, "synthetic/wheel", seed=2, iterations=600)
     assert names(tmp_path) == ["fast", "fast", "fast (iterations=600)"]
+
+
+def test_runs_that_differ_only_in_keys_that_are_not_named_stay_apart(tmp_path: Path) -> None:
+    for seed in range(5):
+        values = (0, 0, 0, 0) if seed < 3 else (1, 1, 1, seed)  # the fourth of them differs in the last two
+        settings = "".join(f"  {key}: {value}\n" for key, value in zip("abcd", values))
+        write_run(tmp_path, "synthetic/wheel", seed=seed, settings=settings)
+    found = names(tmp_path)
+    assert found[:3] == ["fast"] * 3
+    assert found[3:] == [f"fast (a=1, b=1, c=1, 1 more, variant {i})" for i in (1, 2)]
