@@ -79,17 +79,20 @@ struct Slice {
 // Σtt is at least and at most this: neither 1/Σtt nor Σtt may overflow.
 inline constexpr scalar kMinTimeVariance = 1e-30f, kMaxTimeVariance = 1e38f;
 
-// m_t/|m_t|, given 1/√Σtt. Where Σtt is clamped, m_t is scaled by a power of two first.
+// v = m_t/|m_t|, given 1/√Σtt. Where Σtt is clamped, m_t is scaled by a power of two first.
 template <class Real>
 SPLAT_INLINE void unit_time_row(const Real (&m_t)[4], const Real& inverse_deviation, Real (&v)[4]) {
+    for (int j = 0; j < 4; ++j) v[j] = m_t[j] * inverse_deviation;
+    const MaskOf<Real> clamped = inverse_deviation > Real(0.999e15f);  // 1/√kMinTimeVariance is 1e15
+    if (!bits(clamped)) [[likely]]
+        return;
     Real scaled[4], norm2(0.f);
     for (int j = 0; j < 4; ++j) {
         scaled[j] = m_t[j] * Real(0x1p100f);
         norm2 += scaled[j] * scaled[j];
     }
-    const MaskOf<Real> clamped = inverse_deviation > Real(0.999e15f);  // of the largest, 1/√kMinTimeVariance
     const Real inverse = Real(1.f) / sqrt(max(norm2, Real(kMinTimeVariance)));
-    for (int j = 0; j < 4; ++j) v[j] = select(clamped, scaled[j] * inverse, m_t[j] * inverse_deviation);
+    for (int j = 0; j < 4; ++j) v[j] = select(clamped, scaled[j] * inverse, v[j]);
 }
 
 template <Motion motion, class Real>

@@ -21,6 +21,7 @@ inline double clamp(double a, double low, double high) { return std::min(std::ma
 inline double exp(double a) {  // clamped as Float's
     return std::exp(clamp(a, -static_cast<double>(kLargestExponent), static_cast<double>(kLargestExponent)));
 }
+inline unsigned bits(bool m) { return m; }
 inline double select(bool m, double yes, double no) { return m ? yes : no; }
 inline double zero_unless(bool m, double a) { return m ? a : 0.0; }
 
