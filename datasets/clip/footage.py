@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -66,11 +66,12 @@ class Clip:
     options: ClipOptions
 
     def to_scene(self, cameras: Mapping[str, Camera], radial: float = 0.0, unit: float | None = None) -> Scene:
-        """The scene of the frames that have a camera (name -> camera of ClipFrame.image). Other frames are left out.
+        """The scene of the frames that have a camera (name -> camera of its photograph). Other frames are left out.
 
         radial: the lens's distortion (OpenCV's k1). unit: world units per normalised unit; None: the canonical unit.
         """
         kept = [frame for frame in self.frames if frame.name in cameras]
+        cameras = {frame.name: self.frame_camera(cameras[frame.name]) for frame in kept}
         held_out = set(range(self.options.test_every // 2, len(kept), self.options.test_every))
         views: dict[str, list[View]] = {"train": [], "test": []}
         lens = Undistortion.of(cameras[kept[0].name], radial).maps(_size(kept[0].image)) if radial else None
@@ -88,6 +89,22 @@ class Clip:
             rate=playback_rate([frame.time for frame in kept]),
             test_split=f"every {ordinal(self.options.test_every)} frame",
         )
+
+    @property
+    def further(self) -> int:
+        """Photographs for structure from motion are at 1/further of ClipFrame.image."""
+        return _sfm_reduction((self.size[0] // self.reduced, self.size[1] // self.reduced))
+
+    def photograph(self, frame: ClipFrame) -> np.ndarray:
+        """(H, W, 3) uint8: the frame for structure from motion, SFM_SIDE pixels at most on the longer side."""
+        return reduce_image(frame.image, self.further)
+
+    def frame_camera(self, camera: Camera) -> Camera:
+        """The camera of ClipFrame.image, of that of the frame's photograph."""
+        if self.further == 1:
+            return camera
+        whole = camera.resized(camera.width * self.further, camera.height * self.further)
+        return replace(whole, width=self.size[0] // self.reduced, height=self.size[1] // self.reduced)
 
     def training_view(self, camera: Camera, image: np.ndarray) -> tuple[Camera, np.ndarray]:
         """Camera and image of a frame (undistorted) at the size of training."""
@@ -166,8 +183,8 @@ class SurveyedClip:
         source, options = self.source, self.options
         left, top, right, bottom = self.content
         size = size or self.size
-        reduced = max(1, -(-max(size) // SFM_SIDE))
         downscale = options.downscale or chosen_downscale(size)
+        reduced = min(_sfm_reduction(size), downscale)  # training images are never enlarged
         times = dict(zip(self.choice.indices, self.choice.times))
         frames = []
         for frame in source.frames(keep=set(self.choice.indices)):
@@ -199,6 +216,11 @@ class _Source:
 
 def _videos(folder: Path) -> list[Path]:
     return sorted(p for p in folder.iterdir() if p.suffix.lower() in FOOTAGE_SUFFIXES and not p.name.startswith("."))
+
+
+def _sfm_reduction(size: tuple[int, int]) -> int:
+    """By which images of `size` are reduced for structure from motion."""
+    return max(1, -(-max(size) // SFM_SIDE))
 
 
 def _size(image: np.ndarray) -> tuple[int, int]:

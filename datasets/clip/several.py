@@ -85,12 +85,13 @@ class ClipSet:
         unit: float,
         colors: Mapping[str, ColorCorrection] | None = None,
     ) -> Scene:
-        """The scene of the frames whose photograph has a pose, of ClipFrame.image. Other frames are left out.
+        """The scene of the frames whose photograph has a pose. Other frames are left out.
 
         radial: camera -> distortion of its lens (OpenCV's k1). unit: world units per normalised unit. colors: of the
         cameras whose colours are corrected.
         """
         views: dict[str, list[View]] = {"train": [], "test": []}
+        poses = {name: camera.clip.frame_camera(poses[name]) for name, camera, _ in self.photographs() if name in poses}
         kept = {c.name: [f for f in c.clip.frames if c.photograph(f) in poses] for c in self.cameras}
         times = [camera.time(frame) for camera in self.cameras for frame in kept[camera.name]]
         start, end = min(times), max(times)

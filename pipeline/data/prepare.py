@@ -195,7 +195,7 @@ def _from_clip(cfg: Config, clip: Clip, log: Callable[[str], None]) -> Prepared:
     """Poses and points from the frames in use; the training images are these frames, undistorted and reduced."""
     from pipeline.data.sfm.cache import clip_reconstruct_cached
 
-    photographs = [Photograph(frame.name, frame.image) for frame in clip.frames]
+    photographs = [Photograph(frame.name, clip.photograph(frame)) for frame in clip.frames]
     width, height = photographs[0].image.shape[1], photographs[0].image.shape[0]
     log(f"sfm: {len(photographs)} frames of {clip.source.name}, {width} x {height}")
     cloud, folder = clip_reconstruct_cached(photographs, cfg.init, clip.source, Path(cfg.scene.cache), log)
@@ -214,7 +214,7 @@ def _from_clip_set(cfg: Config, found: ClipSet, log: Callable[[str], None]) -> P
     from pipeline.data.sfm.cache import clip_reconstruct_cached
 
     photographs = [
-        Photograph(name, frame.image, lens=camera.name, time=camera.time(frame))
+        Photograph(name, camera.clip.photograph(frame), lens=camera.name, time=camera.time(frame))
         for name, camera, frame in found.photographs()
     ]
     log(f"sfm: {len(photographs)} frames of {len(found.cameras)} cameras in {found.source.name}")

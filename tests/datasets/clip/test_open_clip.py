@@ -14,6 +14,7 @@ from imageio_ffmpeg import get_ffmpeg_exe
 
 from datasets.clip import Clip, ClipOptions, is_clip, open_clip
 from datasets.files.errors import SceneError
+from rasterizer.camera import Camera
 
 SIZE = (96, 64)
 
@@ -151,6 +152,30 @@ def test_images_in_the_order_of_their_numbers(tmp_path: Path) -> None:
         cv2.imwrite(str(tmp_path / f"shot{i}.png"), image[..., ::-1])  # shot10 after shot9, not after shot1
     clip, _ = opened(tmp_path)
     assert all((frame.image == image).all() for frame, image in zip(clip.frames, images, strict=True))
+
+
+@pytest.mark.parametrize("downscale, width", [(1, 1301), (2, 650), (0, 433)])
+def test_wide_frames_are_never_enlarged(tmp_path: Path, downscale: int, width: int) -> None:
+    """Structure from motion sees 650 pixels of 1301; its camera, 100 pixels of focal length, is that of the view."""
+    images = [textured_plane(9 * i, (1301, 400))[:399] for i in range(14)]
+    for i, image in enumerate(images):
+        cv2.imwrite(str(tmp_path / f"{i:02d}.png"), image[..., ::-1])
+    clip, _ = opened(tmp_path, downscale=downscale)
+    cameras = {}
+    for i, frame in enumerate(clip.frames):
+        assert clip.photograph(frame).shape == (199, 650, 3)
+        pose = np.eye(4)
+        pose[0, 3] = -i
+        cameras[frame.name] = Camera(650, 199, 100.0, 100.0, 325.0, 99.5, pose)
+    view = clip.to_scene(cameras).train[0]
+    factor = downscale or 3
+    whole = images[0][: 399 // factor * factor, : 1301 // factor * factor]
+    if factor < 3:  # of 3, 650 pixels are scaled to 433
+        small = whole.reshape(399 // factor, factor, width, factor, 3).mean(axis=(1, 3))
+        assert np.abs(np.asarray(view.image) - small).max() <= 0.5
+    assert np.asarray(view.image).shape == (399 // factor, width, 3) and view.camera.width == width
+    assert view.camera.fx == pytest.approx(200 / factor, rel=2e-3)
+    assert view.camera.cx == pytest.approx(650 / factor, rel=2e-3)
 
 
 @pytest.mark.parametrize("content, expected", [(b"no video", "cannot be opened"), (None, "nothing there")])

@@ -62,8 +62,8 @@ def opened(videos: Path, **settings: object) -> tuple[ClipSet, str]:
 def scene_of(found: ClipSet) -> Scene:
     """With poses made up, each photograph to the right of the one before."""
     poses = {}
-    for place, (name, _, frame) in enumerate(found.photographs()):
-        height, width = frame.image.shape[:2]
+    for place, (name, camera, frame) in enumerate(found.photographs()):
+        height, width = camera.clip.photograph(frame).shape[:2]
         pose = np.eye(4)
         pose[0, 3] = -0.1 * place
         poses[name] = Camera(width, height, 90.0, 90.0, width / 2, height / 2, pose)
@@ -121,6 +121,18 @@ def test_a_camera_that_stands_still_has_one_pose_and_images_one_size(videos: Pat
     poses = {view.camera.world_to_cam.tobytes() for view in scene.train if "/c_" in view.name}
     assert len(poses) == 1
     assert sum(camera.name == "c" for _, camera, _ in opened(videos, moving_cameras=True)[0].photographs()) > 12
+
+
+def test_images_keep_their_size_where_structure_from_motion_sees_smaller_ones(
+    videos: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("datasets.clip.footage.SFM_SIDE", 48)
+    found, _ = opened(videos)
+    assert {camera.clip.photograph(frame).shape for _, camera, frame in found.photographs()} == {(32, 48, 3)}
+    frames = {f"{c.name}_{f.name[-5:]}": f.image for c in found.cameras for f in c.clip.frames}
+    for view in scene_of(found).train:
+        assert (view.camera.width, view.camera.fx, view.camera.cx) == (96, 180, 48)
+        assert (np.asarray(view.image) == frames[view.name.split("/")[1]]).all() and view.image.shape == (64, 96, 3)
 
 
 @pytest.mark.parametrize(
