@@ -16,7 +16,7 @@ import numpy as np
 from PIL import Image
 
 from pipeline.config.schema import InitConfig
-from pipeline.data.sfm.job import ColmapResult, SfmError, write_request
+from pipeline.data.sfm.job import ColmapResult, SfmError, image_file, write_request
 from pipeline.data.sfm.moving_masks import moving_masks
 from pipeline.data.sfm.pairs import by_lens, pairs_of
 from pipeline.data.sfm.photograph import CalibratedCamera, Photograph, Reconstruction
@@ -50,7 +50,7 @@ def reconstruct_clip(
         (folder / "images").mkdir()
         (folder / "masks").mkdir()
         for photograph in photographs:
-            Image.fromarray(photograph.image).save(folder / "images" / f"{photograph.name}.png", compress_level=1)
+            Image.fromarray(photograph.image).save(folder / "images" / image_file(photograph.name), compress_level=1)
         request = replace(request_for(photographs, cfg, 1.0), pairs=pairs_of(lenses), least_registered=FIRST_PASS)
         request = replace(request, observations=observations)
         if len(lenses) > 1 and cfg.shared_intrinsics:

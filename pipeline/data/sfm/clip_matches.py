@@ -8,7 +8,7 @@ import numpy as np
 import pycolmap
 
 from pipeline.data.sfm.features import set_intrinsics, verification_options
-from pipeline.data.sfm.job import Request, SfmError
+from pipeline.data.sfm.job import Request, SfmError, photograph_name
 
 STILL = 0.01  # image widths: matches between no two frames are farther apart than this if the camera stands still
 TURNED = 0.05  # image widths: frames whose matches are farther apart tell whether the camera turns or moves
@@ -46,7 +46,7 @@ def keep_unmasked_matches(database: Path, masks: Path, request: Request) -> None
 def _still(db: pycolmap.Database, image: pycolmap.Image, masks: Path) -> np.ndarray:
     """(features,) bool: not where the image's mask is true; all of them without a mask."""
     keypoints = db.read_keypoints(image.image_id)[:, :2]
-    file = masks / f"{Path(image.name).stem}.npy"
+    file = masks / f"{photograph_name(image.name)}.npy"
     if not file.exists():
         return np.ones(len(keypoints), bool)
     moving = np.load(file)

@@ -18,7 +18,16 @@ import pycolmap
 
 from pipeline.data.sfm.clip_matches import TURNS, camera_turns, keep_unmasked_matches, refuse_still_camera
 from pipeline.data.sfm.features import camera_record, extract_features, match_pairs, verification_options
-from pipeline.data.sfm.job import ColmapResult, Request, SfmError, read_request, write_error, write_result
+from pipeline.data.sfm.job import (
+    ColmapResult,
+    Request,
+    SfmError,
+    image_file,
+    photograph_name,
+    read_request,
+    write_error,
+    write_result,
+)
 from pipeline.data.sfm.registration import register_held_out
 
 MIN_MODEL = 3  # photographs; a third one is needed to verify two
@@ -42,13 +51,13 @@ def reconstruct(folder: Path, request: Request) -> ColmapResult:
         keep_unmasked_matches(database, folder / "masks", request)
     else:
         for lens in request.lenses or [used]:
-            extract_features(database, images, [f"{name}.png" for name in lens], request)
+            extract_features(database, images, [image_file(name) for name in lens], request)
         match_features(database, folder, request)
     if request.pairs is not None:
         refuse_still_camera(database)
     model = triangulate(folder, request) if request.poses_known else estimate_cameras(folder, used, request)
     filter_points(model, request)
-    registered = {Path(image.name).stem for image in model.images.values() if image.has_pose}
+    registered = {photograph_name(image.name) for image in model.images.values() if image.has_pose}
     cameras = {name: _camera_record(model, name) for name in used if name in registered}
     seen = _seen(model, list(cameras)) if request.observations else []
     if not request.poses_known:
@@ -80,7 +89,7 @@ def _seen(model: pycolmap.Reconstruction, cameras: list[str]) -> list[tuple[int,
     """(id of the point, place of its camera, x, y in pixels) of every feature that became a point."""
     seen = []
     for place, name in enumerate(cameras):
-        image = model.find_image_with_name(f"{name}.png")
+        image = model.find_image_with_name(image_file(name))
         seen += [(p.point3D_id, place, float(p.xy[0]), float(p.xy[1])) for p in image.points2D if p.has_point3D()]
     return seen
 
@@ -106,7 +115,7 @@ def triangulate(folder: Path, request: Request) -> pycolmap.Reconstruction:
     with pycolmap.Database.open(folder / "database.db") as db:
         for image in db.read_all_images():
             model.add_camera_with_trivial_rig(db.read_camera(image.camera_id))
-            pose = np.array(request.camera_of(Path(image.name).stem)["world_to_cam"])
+            pose = np.array(request.camera_of(photograph_name(image.name))["world_to_cam"])
             model.add_image_with_trivial_frame(
                 pycolmap.Image(name=image.name, camera_id=image.camera_id, image_id=image.image_id),
                 pycolmap.Rigid3d(pose[:3]),
@@ -144,7 +153,7 @@ def estimate_cameras(folder: Path, used: list[str], request: Request) -> pycolma
         found = f"no initial pair{TURNS if turns else ''}"
         raise SfmError(f"expected {len(used)} photographs of the same objects, found {found}", turns)
     model = max(models.values(), key=lambda m: (m.num_reg_images(), m.num_points3D()))
-    registered = {Path(image.name).stem for image in model.images.values() if image.has_pose}
+    registered = {photograph_name(image.name) for image in model.images.values() if image.has_pose}
     missing = [name for name in used if name not in registered]
     if request.pairs is not None and len(registered) < request.least_registered * len(used):
         turns = camera_turns(folder / "database.db")
@@ -212,7 +221,7 @@ def align_cameras(given: np.ndarray, refined: np.ndarray) -> pycolmap.Sim3d:
 
 
 def _camera_record(model: pycolmap.Reconstruction, name: str) -> dict:
-    image = model.find_image_with_name(f"{name}.png")
+    image = model.find_image_with_name(image_file(name))
     return camera_record(model.cameras[image.camera_id], image.cam_from_world())
 
 

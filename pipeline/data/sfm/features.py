@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
-from pipeline.data.sfm.job import Request
+from pipeline.data.sfm.job import Request, image_file, photograph_name
 
 
 def extract_features(database: Path, images: Path, files: list[str], request: Request) -> None:
@@ -31,7 +31,7 @@ def extract_features(database: Path, images: Path, files: list[str], request: Re
         with pycolmap.Database.open(database) as db:
             for image in db.read_all_images():
                 camera = db.read_camera(image.camera_id)
-                camera.params = request.camera_of(Path(image.name).stem)["intrinsics"]
+                camera.params = request.camera_of(photograph_name(image.name))["intrinsics"]
                 camera.has_prior_focal_length = True
                 db.update_camera(camera)
 
@@ -41,8 +41,8 @@ def set_intrinsics(database: Path, intrinsics: dict[str, list[float]]) -> None:
     with pycolmap.Database.open(database) as db:
         cameras = {camera.camera_id: camera for camera in db.read_all_cameras()}
         for image in db.read_all_images():
-            if Path(image.name).stem in intrinsics:
-                cameras[image.camera_id].params = intrinsics[Path(image.name).stem]
+            if photograph_name(image.name) in intrinsics:
+                cameras[image.camera_id].params = intrinsics[photograph_name(image.name)]
                 cameras[image.camera_id].has_prior_focal_length = True
         for camera in cameras.values():
             db.update_camera(camera)
@@ -52,7 +52,7 @@ def match_pairs(
     database: Path, file: Path, pairs: list[list[str]], options: pycolmap.FeatureMatchingOptions, request: Request
 ) -> None:
     """Matches and verifies pairs of photographs; writes them to `file`, where COLMAP reads them."""
-    file.write_text("".join(f"{a}.png {b}.png\n" for a, b in pairs))
+    file.write_text("".join(f"{image_file(a)} {image_file(b)}\n" for a, b in pairs))
     pairing = pycolmap.ImportedPairingOptions()
     pairing.match_list_path = file
     pycolmap.match_image_pairs(

@@ -1,6 +1,6 @@
 """Files of a COLMAP job, by which the run (run.py) and the COLMAP process (colmap.py) communicate.
 
-    images/<name>.png, request.json     input
+    images/<image_file>, request.json   input
     result.npz, result.json             output, or
     error.json                          an SfmError
 
@@ -10,12 +10,27 @@ Both processes import this module, so it imports neither pycolmap nor Pillow (se
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from urllib.parse import unquote
 
 import numpy as np
 
 ARRAYS = ("points", "colors", "errors", "track_lengths", "observations")  # of a result; the last may be None
+
+
+def image_file(name: str) -> str:
+    """The file of photograph `name` in the folder of images, and its name in COLMAP.
+
+    In its lists of pairs COLMAP splits at spaces and skips lines that begin with #.
+    """
+    return re.sub(r"[\s%#]", lambda found: "".join(f"%{byte:02X}" for byte in found[0].encode()), name) + ".png"
+
+
+def photograph_name(file: str) -> str:
+    """The name of the photograph with this image_file."""
+    return unquote(file.removesuffix(".png"))
 
 
 class SfmError(ValueError):

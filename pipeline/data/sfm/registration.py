@@ -13,7 +13,7 @@ import numpy as np
 import pycolmap
 
 from pipeline.data.sfm.features import camera_record, extract_features, verification_options
-from pipeline.data.sfm.job import Request
+from pipeline.data.sfm.job import Request, image_file
 
 MIN_PAIRS = 12  # inliers; fewer may be consistent by coincidence
 
@@ -28,10 +28,10 @@ def register_held_out(
     database = folder / f"with_{name}.db"
     with pycolmap.Database.open(folder / "database.db"):
         database.write_bytes((folder / "database.db").read_bytes())
-    extract_features(database, folder / "images", [f"{name}.png"], request)
+    extract_features(database, folder / "images", [image_file(name)], request)
     pairs = folder / f"with_{name}.txt"
     others = sorted(image.name for image in model.images.values() if image.has_pose)
-    pairs.write_text("".join(f"{name}.png {other}\n" for other in others))
+    pairs.write_text("".join(f"{image_file(name)} {other}\n" for other in others))
     matching, pairing = pycolmap.FeatureMatchingOptions(), pycolmap.ImportedPairingOptions()
     matching.use_gpu, matching.num_threads = False, 1
     pairing.match_list_path = pairs
@@ -45,7 +45,7 @@ def register_held_out(
 
     pixels, points, ids = [], [], []
     with pycolmap.Database.open(database) as db:
-        held_out = db.read_image_with_name(f"{name}.png")
+        held_out = db.read_image_with_name(image_file(name))
         assert held_out is not None  # extract_features has added it
         keypoints = db.read_keypoints(held_out.image_id)[:, :2]
         for image in model.images.values():

@@ -18,6 +18,7 @@ from pipeline.data.sfm.job import (
     PhotographRecord,
     Request,
     SfmError,
+    image_file,
     read_error,
     read_result,
     write_request,
@@ -46,7 +47,7 @@ def reconstruct(
         known = all(p.camera is not None for p in photographs)
         needed = used if known else photographs  # a held-out photograph with known pose is not used
         for photograph in needed:
-            Image.fromarray(photograph.image).save(folder / "images" / f"{photograph.name}.png", compress_level=1)
+            Image.fromarray(photograph.image).save(folder / "images" / image_file(photograph.name), compress_level=1)
         write_request(folder, replace(request_for(needed, cfg, unit), observations=observations))
         found = run_colmap(folder, source)
     if len(found.points) < cfg.min_points:
