@@ -99,14 +99,18 @@ def covering(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 
 def is_synchronised(videos: Sequence[Video], offsets: Offsets) -> bool:
-    """Whether the cameras have one size and rate, and started within half a frame, without drift."""
+    """Whether the cameras have one size and rate, and frames of one number within half a frame, without drift."""
     first = videos[0]
-    starts = np.array(offsets.seconds) * first.rate
-    return (
-        all(v.size == first.size and abs(v.rate - first.rate) <= RATE_TOLERANCE * first.rate for v in videos)
-        and float(np.ptp(starts)) < SAME_START
-        and not any(offsets.drift)
-    )
+    starts = np.array(offsets.seconds)
+    if (
+        any(v.size != first.size or abs(v.rate - first.rate) > RATE_TOLERANCE * first.rate for v in videos)
+        or float(np.ptp(starts * first.rate)) >= SAME_START
+        or any(offsets.drift)
+    ):
+        return False
+    shortest = min(v.count for v in videos)
+    times = np.stack([start + _times(video)[:shortest] for video, start in zip(videos, starts)])
+    return float(np.ptp(times, axis=0).max()) < SAME_START / first.rate
 
 
 def _times(video: Video) -> np.ndarray:

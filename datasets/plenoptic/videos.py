@@ -15,6 +15,8 @@ import numpy as np
 from datasets.files.errors import SceneError
 from datasets.plenoptic.decode import Stream
 from datasets.plenoptic.sync import drop_advice
+from datasets.video_files.decode import frame_times
+from datasets.video_files.probe import open_container
 
 FOOTAGE_SUFFIXES = (".mp4", ".mov", ".mkv", ".avi")
 PLENOPTIC_NAME = re.compile(r"cam(\d+)\.mp4")
@@ -127,6 +129,7 @@ def _probe(file: VideoFile, advice: str) -> Video:
             capture.get(key)
             for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT, cv2.CAP_PROP_FRAME_COUNT, cv2.CAP_PROP_FPS)
         )
+        count = _frame_count(file.path, count)
         if not (0 < rate < math.inf and 0 < count < math.inf and min(width, height) >= 1 and capture.grab()):
             raise SceneError(
                 file.path,
@@ -139,3 +142,11 @@ def _probe(file: VideoFile, advice: str) -> Video:
     finally:
         capture.release()
     return Video(file.name, file.number, file.path, (int(width), int(height)), rate, int(count), start, advice)
+
+
+def _frame_count(path: Path, stated: float) -> float:
+    """Frames of a video: OpenCV's number `stated`, which is an estimate where the header has none (Matroska)."""
+    with open_container(path) as container:
+        if container.streams.video[0].frames:
+            return stated
+    return len(frame_times(path)) or stated

@@ -8,10 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from clips import textured_plane, write_clip
 from plenoptic_folder import FRAMES, HEIGHT, RATE, WIDTH, inside, picture, write_camera
 
 from datasets import Footage, SceneError, load_footage, load_scene
 from datasets.plenoptic import Undistortion, read_footage
+from datasets.plenoptic.unsynchronised import AlignedStream
 from datasets.settings import SceneConfig
 from rasterizer.camera import Camera
 
@@ -145,3 +147,32 @@ def test_load_footage_by_config(filmed: Path, tmp_path: Path) -> None:
         load_footage(SceneConfig(path=str(filmed)))
     with pytest.raises(SceneError, match="scene.path: expected the folder of the data"):
         load_footage(SceneConfig(reader="video"))
+
+
+def test_matroska_has_as_many_frames_as_packets_and_their_times(tmp_path: Path) -> None:
+    """Headers say 30 frames a second and no number: 35 frames would fit the duration of 24, 20 a second."""
+    times = np.arange(24) / 20
+    for name in ("a", "b"):
+        write_clip(tmp_path / f"{name}.mkv", [textured_plane(i) for i in range(24)], times.tolist())
+    assert read(tmp_path, sync="none").count == 24
+    footage = read(tmp_path, sync="given", offsets=[0, 0.2])
+    for stream, start in zip(footage.streams, (0, 0.2)):
+        assert isinstance(stream, AlignedStream) and stream.video.count == 24
+        np.testing.assert_allclose(stream.times, start - 0.2 + times[list(stream.indices)], atol=2e-3)
+        assert len(list(stream.read(0, stream.count, 1))) == stream.count
+
+
+@pytest.mark.parametrize("late, aligned", [(0.0, False), (0.01, False), (0.04, True)])
+def test_frames_of_one_number_at_different_times_are_not_synchronised(
+    tmp_path: Path, late: float, aligned: bool
+) -> None:
+    """20 frames a second, of one camera up to `late` seconds late in the middle; both start and end together."""
+    even = np.arange(24) / 20
+    varying = even + late * np.sin(np.linspace(0, np.pi, 24))
+    for name, times in (("a", even), ("b", varying)):
+        write_clip(tmp_path / f"{name}.mp4", [textured_plane(i) for i in range(24)], times.tolist())
+    footage = read(tmp_path, sync="given", offsets=[0, 0])
+    assert all(isinstance(stream, AlignedStream) == aligned for stream in footage.streams)
+    if aligned:
+        stream = footage.streams[1]
+        np.testing.assert_allclose(stream.times, varying[list(stream.indices)], atol=1e-3)
