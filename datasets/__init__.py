@@ -14,7 +14,7 @@ from datasets.settings import LAYOUTS, SceneConfig
 from datasets.validation import hold_out_every, hold_out_outermost
 
 if TYPE_CHECKING:  # imports a video decoder, which other scenes do not need
-    from datasets.clip import Clip, ClipSet
+    from datasets.clip import Clip, ClipOptions, ClipSet
     from datasets.plenoptic import Footage, PosedFootage
 
 __all__ = [
@@ -134,11 +134,10 @@ def reads_clip(cfg: SceneConfig) -> bool:
 
 def load_clip(cfg: SceneConfig, log: Log = print) -> Clip:
     """The clip of a config: its frames in use, without cameras."""
-    from datasets.clip import ClipOptions, open_clip
+    from datasets.clip import open_clip
 
     _refuse_validation(cfg, "clips (scene.test_every holds out other frames)")
-    options = ClipOptions(cfg.name, cfg.downscale, cfg.frames, cfg.first_frame, cfg.test_every, log)
-    return open_clip(_path(cfg), options)
+    return open_clip(_path(cfg), _clip_options(cfg, log))
 
 
 def reads_clip_set(cfg: SceneConfig) -> bool:
@@ -153,10 +152,10 @@ def reads_clip_set(cfg: SceneConfig) -> bool:
 
 def load_clip_set(cfg: SceneConfig, log: Log = print) -> ClipSet:
     """The clips of several cameras of which some move: their frames in use, without poses."""
-    from datasets.clip import ClipOptions, SetOptions, open_clip_set
+    from datasets.clip import SetOptions, open_clip_set
 
     _refuse_validation(cfg, "clips (scene.test_every and scene.test_cameras hold out other views)")
-    options = ClipOptions(cfg.name, cfg.downscale, cfg.frames, cfg.first_frame, cfg.test_every, log)
+    options = _clip_options(cfg, log)
     # [0] is the default of cameras that stand still; of those that move every frame is a view of its own.
     whole = cfg.test_every == 0 or list(cfg.test_cameras) != [0]
     settings = SetOptions(
@@ -167,6 +166,20 @@ def load_clip_set(cfg: SceneConfig, log: Log = print) -> ClipSet:
         still=cfg.moving_cameras is not True,
     )
     return open_clip_set(_path(cfg), options, settings)
+
+
+def _clip_options(cfg: SceneConfig, log: Log) -> ClipOptions:
+    from datasets.clip import ClipOptions
+
+    return ClipOptions(
+        cfg.name,
+        cfg.downscale,
+        cfg.frames,
+        cfg.first_frame,
+        cfg.test_every,
+        log,
+        background_color(cfg.background) or BLACK,
+    )
 
 
 def background_color(setting: str | Sequence[float]) -> Color | None:

@@ -14,7 +14,7 @@ from datasets.cameras.lens import Undistortion, undistort
 from datasets.clip.choose import Choice, choose
 from datasets.clip.scene import playback_rate, scene_of_views
 from datasets.clip.survey import MOST_SURVEYED, survey
-from datasets.composition import chosen_downscale, reduced_camera
+from datasets.composition import BLACK, Color, chosen_downscale, reduced_camera
 from datasets.files.errors import SceneError
 from datasets.layouts.photographs import ordinal
 from datasets.plenoptic.decode import reduce_image
@@ -41,6 +41,7 @@ class ClipOptions:
     first_frame: int = 0
     test_every: int = 8  # every so many-th frame is held out
     log: Log = print
+    background: Color = BLACK  # RGB in [0, 1], under transparent pixels of images
 
 
 @dataclass(frozen=True)
@@ -88,6 +89,7 @@ class Clip:
             unit=unit,
             rate=playback_rate([frame.time for frame in kept]),
             test_split=f"every {ordinal(self.options.test_every)} frame",
+            background=self.options.background,
         )
 
     @property
@@ -138,7 +140,7 @@ def open_clip(path: Path, options: ClipOptions) -> Clip:
 def survey_clip(path: Path, options: ClipOptions, still: bool = False) -> SurveyedClip:
     """Chooses the frames in use. still: of a camera that stands still, whose frames may be alike."""
     header = None if path.is_dir() else probe(path)
-    source = _Source(path, header)
+    source = _Source(path, header, options.background)
     if header:
         for note in header.notes():
             options.log(f"{path.name}: {note}")
@@ -201,6 +203,7 @@ class _Source:
 
     path: Path
     header: Header | None
+    background: Color  # under transparent pixels of images
 
     def count(self) -> int:
         """Frames, an estimate where the header does not say."""
@@ -210,7 +213,7 @@ class _Source:
 
     def frames(self, keep: set[int] | None = None, every: int = 1) -> Iterator[Frame]:
         if self.header is None:
-            return image_frames(image_paths(self.path), keep, every)
+            return image_frames(image_paths(self.path), keep, every, self.background)
         return video_frames(self.path, self.header, keep, every)
 
 

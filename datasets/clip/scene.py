@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from datasets.canonical import canonical_space
-from datasets.composition import BLACK
+from datasets.composition import Color
 from datasets.scene import Scene, View, camera_extent, validate_scene
 
 PLAYBACK_RATES = (5.0, 60.0)  # frames a second of rendered videos
@@ -23,6 +23,7 @@ def scene_of_views(
     unit: float | None,
     rate: float,
     test_split: str,
+    background: Color,
     cameras_move: bool = False,
 ) -> Scene:
     """The scene of the views of both splits, "train" and "test", whose first time is 0; duration in seconds.
@@ -39,7 +40,7 @@ def scene_of_views(
             test=tuple(views["test"]),
             duration=duration,
             time_start=0.0,
-            background=BLACK,
+            background=background,
             extent=camera_extent(train),
             init_box=space.inverse.box((-1.2, 1.2)),
             source=source,

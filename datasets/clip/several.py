@@ -118,6 +118,7 @@ class ClipSet:
             unit=unit,
             rate=playback_rate([frame.time for frame in kept[longest.name]]),
             test_split=self._split(),
+            background=self.options.background,
             cameras_move=True,
         )
 

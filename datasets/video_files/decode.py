@@ -12,7 +12,7 @@ import av.error
 import cv2
 import numpy as np
 
-from datasets.composition import BLACK, compose
+from datasets.composition import BLACK, Color, compose
 from datasets.files.errors import SceneError
 from datasets.files.image_files import read_rgba
 from datasets.video_files.hdr import tone_mapped
@@ -86,14 +86,19 @@ def image_paths(folder: Path) -> list[Path]:
     return sorted(paths, key=lambda path: _natural(path.name))
 
 
-def image_frames(paths: list[Path], keep: set[int] | None = None, every: int = 1) -> Iterator[Frame]:
-    """Images as frames at IMAGE_RATE; a damaged file comes without an image. SceneError unless all have one size."""
+def image_frames(
+    paths: list[Path], keep: set[int] | None = None, every: int = 1, background: Color = BLACK
+) -> Iterator[Frame]:
+    """Images as frames at IMAGE_RATE; a damaged file comes without an image. SceneError unless all have one size.
+
+    background: under transparent pixels.
+    """
     first: tuple[str, tuple[int, int]] | None = None
     for index, path in enumerate(paths):
         if (keep is not None and index not in keep) or index % every:
             continue
         try:
-            image = compose(read_rgba(path), BLACK)
+            image = compose(read_rgba(path), background)
         except SceneError:
             image = None
         if image is not None:

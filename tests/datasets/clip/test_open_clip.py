@@ -12,8 +12,10 @@ import pytest
 from clips import textured_plane, write_clip
 from imageio_ffmpeg import get_ffmpeg_exe
 
+from datasets import load_clip
 from datasets.clip import Clip, ClipOptions, is_clip, open_clip
 from datasets.files.errors import SceneError
+from datasets.settings import SceneConfig
 from rasterizer.camera import Camera
 
 SIZE = (96, 64)
@@ -154,6 +156,29 @@ def test_images_in_the_order_of_their_numbers(tmp_path: Path) -> None:
     assert all((frame.image == image).all() for frame, image in zip(clip.frames, images, strict=True))
 
 
+def test_transparent_pixels_have_the_background(tmp_path: Path) -> None:
+    """Both of the frames and of the scene, whose background is black without the setting."""
+    images = frames(14)
+    for i, image in enumerate(images):
+        alpha = np.full((*image.shape[:2], 1), 255, np.uint8)
+        alpha[20:40, 30:60] = 0
+        cv2.imwrite(str(tmp_path / f"{i:02d}.png"), np.concatenate([image[..., ::-1], alpha], axis=2))
+    for setting, color in (("auto", (0, 0, 0)), ("white", (1, 1, 1)), ([1, 0, 0.2], (1, 0, 0.2))):
+        cfg = SceneConfig("clip", "video", str(tmp_path), background=setting, downscale=1)
+        clip = load_clip(cfg, log=lambda line: None)
+        assert (clip.frames[3].image[20:40, 30:60] == np.multiply(color, 255)).all()
+        assert (clip.frames[3].image[:20] == images[3][:20]).all()
+        cameras = {f.name: Camera(*SIZE, 90, 90, 48, 32, moved(i)) for i, f in enumerate(clip.frames)}
+        assert clip.to_scene(cameras).background == color
+
+
+def moved(x: float) -> np.ndarray:
+    """The pose of a camera that looks along z, `x` to the left of the origin."""
+    pose = np.eye(4)
+    pose[0, 3] = x
+    return pose
+
+
 @pytest.mark.parametrize("downscale, width", [(1, 1301), (2, 650), (0, 433)])
 def test_wide_frames_are_never_enlarged(tmp_path: Path, downscale: int, width: int) -> None:
     """Structure from motion sees 650 pixels of 1301; its camera, 100 pixels of focal length, is that of the view."""
@@ -164,9 +189,7 @@ def test_wide_frames_are_never_enlarged(tmp_path: Path, downscale: int, width: i
     cameras = {}
     for i, frame in enumerate(clip.frames):
         assert clip.photograph(frame).shape == (199, 650, 3)
-        pose = np.eye(4)
-        pose[0, 3] = -i
-        cameras[frame.name] = Camera(650, 199, 100.0, 100.0, 325.0, 99.5, pose)
+        cameras[frame.name] = Camera(650, 199, 100.0, 100.0, 325.0, 99.5, moved(i))
     view = clip.to_scene(cameras).train[0]
     factor = downscale or 3
     whole = images[0][: 399 // factor * factor, : 1301 // factor * factor]
