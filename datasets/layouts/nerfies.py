@@ -39,7 +39,7 @@ LATEST = 1e9  # frames
 def read_nerfies(root: Path, options: LayoutOptions) -> Scene:
     """The scene, with the layout's own split where it holds out frames."""
     ids, test = _split(root)
-    factor = _scale_folder(root, options.downscale, ids)
+    factor, remaining = _scale_folder(root, options.downscale, ids)
     metadata = _object(root / "metadata.json") if (root / "metadata.json").is_file() else {}
     size = common_size([root / "rgb" / f"{factor}x" / f"{name}.png" for name in ids])
     photographs = [_photograph(root, name, factor, size, metadata, name in test if test else None) for name in ids]
@@ -48,9 +48,6 @@ def read_nerfies(root: Path, options: LayoutOptions) -> Scene:
         f"Nerfies: {len(ids)} frames of rgb/{factor}x, {size[0]} x {size[1]}, {len(test)} held out by the folder, "
         f"{len(points.positions) if points else 0} points"
     )
-    # The folder's own reduction counts: what remains of scene.downscale is done on reading.
-    full = (size[0] * factor, size[1] * factor)
-    remaining = max(1, (options.downscale or chosen_downscale(full)) // factor)
     return to_scene(root, photographs, replace(options, downscale=remaining), points)
 
 
@@ -77,8 +74,11 @@ def _ids(content: dict[str, Any], key: str, file: Path) -> list[str]:
     return [str(name) for name in names]
 
 
-def _scale_folder(root: Path, downscale: int, ids: list[str]) -> int:
-    """The reduction of the folder rgb/<factor>x in use: the largest that is not above scene.downscale."""
+def _scale_folder(root: Path, downscale: int, ids: list[str]) -> tuple[int, int]:
+    """The reduction of the folder rgb/<factor>x in use, and what remains of scene.downscale on reading.
+
+    The largest factor that divides scene.downscale; without one images are reduced by the least possible above it.
+    """
     folders = sorted(int(p.name[:-1]) for p in root.glob("rgb/*x") if re.fullmatch(r"[1-9]\d?x", p.name) and p.is_dir())
     if not folders:
         raise SceneError(root / "rgb", "a folder 1x, 2x, 4x, …", "none")
@@ -86,7 +86,9 @@ def _scale_folder(root: Path, downscale: int, ids: list[str]) -> int:
     if not wanted:
         width, height = common_size([root / "rgb" / f"{folders[0]}x" / f"{ids[0]}.png"])
         wanted = chosen_downscale((width * folders[0], height * folders[0]))
-    return max([factor for factor in folders if factor <= wanted], default=folders[0])
+    remaining = {factor: -(-wanted // factor) for factor in folders}
+    factor = min(folders, key=lambda factor: (factor * remaining[factor], -factor))
+    return factor, remaining[factor]
 
 
 def _photograph(

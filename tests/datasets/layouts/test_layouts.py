@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -135,6 +136,48 @@ def test_nerfies(tmp_path: Path) -> None:
     assert [view.name for view in scene.test] == ["test/0_00009", "test/0_00010", "test/0_00011"]
     masks = [view.mask for view in scene.test]
     assert masks[0] is not None and masks[0][:10].all() and not masks[0][10:].any() and masks[1] is None
+
+
+@pytest.mark.parametrize(
+    "folders, downscale, expected",
+    [  # factor of the folder, of the image in use; the full images are 80 x 60 pixels
+        ((1, 2, 4), 4, (4, 4)),
+        ((1, 2, 4), 3, (1, 3)),
+        ((1, 2), 4, (2, 4)),
+        ((2, 8), 4, (2, 4)),
+        ((2,), 3, (2, 4)),
+        ((4,), 2, (4, 4)),
+    ],
+)
+def test_nerfies_obeys_downscale(
+    tmp_path: Path, folders: tuple[int, ...], downscale: int, expected: tuple[int, int]
+) -> None:
+    root = write_nerfies(tmp_path)
+    names = [path.name for path in (root / "rgb/2x").iterdir()]
+    shutil.rmtree(root / "rgb")
+    shutil.rmtree(root / "covisible")
+    for factor in folders:
+        (root / f"rgb/{factor}x").mkdir(parents=True)
+        for name in names:
+            Image.new("RGB", (80 // factor, 60 // factor), (factor, 0, 0)).save(root / f"rgb/{factor}x" / name)
+    camera, image = (view := read(root, downscale=downscale)[0].train[0]).camera, np.asarray(view.image)
+    factor, reduction = expected
+    assert image.shape == (60 // reduction, 80 // reduction, 3) and (image == [factor, 0, 0]).all()
+    assert (camera.width, camera.fx) == (80 // reduction, pytest.approx(100 / reduction, rel=0.02))
+
+
+@pytest.mark.parametrize("folders, side", [((2,), 1400), ((1, 2, 4), 1921), ((2, 4), 1281)])
+def test_nerfies_chooses_640_pixels_at_most(tmp_path: Path, folders: tuple[int, ...], side: int) -> None:
+    """side: pixels of the first folder."""
+    root = write_nerfies(tmp_path, 4)
+    names = [path.name for path in (root / "rgb/2x").iterdir()]
+    shutil.rmtree(root / "rgb")
+    shutil.rmtree(root / "covisible")
+    for factor in folders:
+        (root / f"rgb/{factor}x").mkdir(parents=True)
+        for name in names:
+            Image.new("RGB", (side * folders[0] // factor, 16)).save(root / f"rgb/{factor}x" / name)
+    assert 400 < read(root)[0].train[0].camera.width <= 640
 
 
 def test_llff(tmp_path: Path) -> None:
