@@ -16,6 +16,7 @@ from datasets.clip.scene import playback_rate, scene_of_views
 from datasets.clip.survey import MOST_SURVEYED, survey
 from datasets.composition import BLACK, Color, chosen_downscale, reduced_camera
 from datasets.files.errors import SceneError
+from datasets.files.image_files import read_rgba
 from datasets.layouts.photographs import ordinal
 from datasets.plenoptic.decode import reduce_image
 from datasets.plenoptic.unsynchronised import covering
@@ -73,7 +74,7 @@ class Clip:
         """
         kept = [frame for frame in self.frames if frame.name in cameras]
         cameras = {frame.name: self.frame_camera(cameras[frame.name]) for frame in kept}
-        held_out = set(range(self.options.test_every // 2, len(kept), self.options.test_every))
+        held_out = _held_out(self.source, len(kept), self.options.test_every)
         views: dict[str, list[View]] = {"train": [], "test": []}
         lens = Undistortion.of(cameras[kept[0].name], radial).maps(_size(kept[0].image)) if radial else None
         for index, frame in enumerate(kept):
@@ -134,7 +135,9 @@ def open_clip(path: Path, options: ClipOptions) -> Clip:
         path = videos[0]
     if options.test_every == 0:
         raise SceneError("scene.test_every", "at least 2 for one camera that moves", "0")
-    return survey_clip(path, options).read()
+    clip = survey_clip(path, options).read()
+    _held_out(path, len(clip.frames), options.test_every)  # before structure from motion
+    return clip
 
 
 def survey_clip(path: Path, options: ClipOptions, still: bool = False) -> SurveyedClip:
@@ -148,15 +151,26 @@ def survey_clip(path: Path, options: ClipOptions, still: bool = False) -> Survey
     every = max(1, -(-total // MOST_SURVEYED))
     found = survey((f for f in source.frames(every=every) if f.index >= options.first_frame), total)
     if found is None:
+        _refuse_late_first_frame(source, options.first_frame, every, total)
+        if header is None and (images := image_paths(path)):
+            read_rgba(images[0])  # says what it is instead
         raise SceneError(path, "frames that can be decoded", "none")
     choice = choose(found, options.most, still)
     for note in choice.notes:
         options.log(f"{path.name}: {note}")
     if len(choice.indices) < FEWEST_FRAMES:
+        sharp = len(choose(found, found.total, still).indices)
+        if sharp >= FEWEST_FRAMES:
+            raise SceneError(
+                f"{path}: scene.frames",
+                f"more, to use {FEWEST_FRAMES} of the clip's {sharp} sharp frames at least",
+                f"{options.most}, which uses {len(choice.indices)}",
+            )
+        start = f" from scene.first_frame={options.first_frame} on" if options.first_frame else ""
         raise SceneError(
             path,
             f"at least {FEWEST_FRAMES} sharp frames of one take",
-            f"{len(choice.indices)} of {found.total}; film 5 to 20 seconds while walking around what you film",
+            f"{sharp} of {found.total}{start}; film 5 to 20 seconds while walking around what you film",
         )
     left, top, right, bottom = found.content
     size = (right - left, bottom - top)
@@ -219,6 +233,23 @@ class _Source:
 
 def _videos(folder: Path) -> list[Path]:
     return sorted(p for p in folder.iterdir() if p.suffix.lower() in FOOTAGE_SUFFIXES and not p.name.startswith("."))
+
+
+def _held_out(path: Path, count: int, every: int) -> set[int]:
+    """Places of the held-out ones of `count` frames; SceneError if there is none."""
+    held_out = set(range(every // 2, count, every))
+    if not held_out:
+        raise SceneError(f"{path}: scene.test_every", f"below {2 * count}, twice the frames in use", f"{every}")
+    return held_out
+
+
+def _refuse_late_first_frame(source: _Source, first_frame: int, every: int, total: int) -> None:
+    """SceneError if the clip has ended before `first_frame`."""
+    whole = survey(source.frames(every=every), total) if first_frame else None
+    if whole is not None and (last := int(whole.index[-1])) < first_frame:
+        raise SceneError(
+            f"{source.path}: scene.first_frame", f"below the {last + 1} frames of the clip", f"{first_frame}"
+        )
 
 
 def _sfm_reduction(size: tuple[int, int]) -> int:

@@ -167,7 +167,13 @@ def open_clip_set(root: Path, options: ClipOptions, settings: SetOptions) -> Cli
         for file, clip, start, drift, stands in zip(kept, surveyed, starts, drifts, still, strict=True)
     )
     _refuse_other_times(root, cameras)
-    return ClipSet(root, cameras, options, settings)
+    found = ClipSet(root, cameras, options, settings)
+    if not found.counts()[1]:
+        longest = max(len(camera.clip.frames) for camera in cameras)
+        raise SceneError(
+            f"{root}: scene.test_every", f"below {2 * longest}, twice the frames of a camera", f"{options.test_every}"
+        )
+    return found
 
 
 def _refuse_other_times(root: Path, cameras: Sequence[MovingCamera]) -> None:

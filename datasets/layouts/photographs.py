@@ -95,9 +95,9 @@ def to_scene(
 ) -> Scene:
     """The scene of photographs in any order. SceneError where they do not make one."""
     photographs = _timed(_natural_order(photographs), options)
-    photographs = _limited(photographs, options)
     if len(photographs) < FEWEST:
         raise SceneError(root, f"at least {FEWEST} photographs with a camera", f"{len(photographs)}")
+    photographs = _limited(root, photographs, options)
     (name, count), *_ = Counter(photograph.name for photograph in photographs).most_common(1)
     if count > 1:
         raise SceneError(root, "each photograph once", f"{name} {count} times")
@@ -184,15 +184,27 @@ def _timed(photographs: Sequence[Photograph], options: LayoutOptions) -> list[Ph
     return sorted((replace(p, time=t) for p, t in zip(photographs, times)), key=lambda p: p.time or 0.0)
 
 
-def _limited(photographs: Sequence[Photograph], options: LayoutOptions) -> list[Photograph]:
-    """Those of at most options.frames different times, evenly spread, from options.first_frame on."""
+def _limited(root: Path, photographs: Sequence[Photograph], options: LayoutOptions) -> list[Photograph]:
+    """Those of at most options.frames different times, evenly spread, from options.first_frame on.
+
+    SceneError for settings that leave fewer than FEWEST.
+    """
     times = sorted({photograph.time for photograph in photographs if photograph.time is not None})
     chosen = times[options.first_frame :]
     if len(chosen) > options.frames:
         chosen = [chosen[i] for i in np.unique(np.linspace(0, len(chosen) - 1, options.frames).round().astype(int))]
         options.log(f"{options.frames} of {len(times)} times are used, evenly spread (scene.frames={options.frames})")
     kept = set(chosen)
-    return [photograph for photograph in photographs if photograph.time in kept]
+    found = [photograph for photograph in photographs if photograph.time in kept]
+    if len(found) < FEWEST:
+        cut = len(times) - options.first_frame > options.frames
+        key, value = ("frames", options.frames) if cut else ("first_frame", options.first_frame)
+        raise SceneError(
+            f"{root}: scene.{key}",
+            f"a number that leaves at least {FEWEST} of {len(photographs)} photographs of {len(times)} times",
+            f"{value}, which leaves {len(found)}",
+        )
+    return found
 
 
 def _held_out(root: Path, photographs: Sequence[Photograph], options: LayoutOptions) -> tuple[set[str], str]:

@@ -104,6 +104,12 @@ def split_frames(
         test = train[validation_every // 2 :: validation_every]
         train = [frame for frame in train if frame not in set(test)]
         rule = f"every {ordinal(validation_every)} of the training frames (validation)"
+        if not test or not train:
+            raise SceneError(
+                f"{log.source}: scene.validation_every",
+                f"a number that leaves both training and held-out ones of {len(train) + len(test)} frames",
+                f"{validation_every}",
+            )
     if not test or not train:
         raise SceneError(f"{log.source}: scene.test_every", f"at most the {len(frames)} frames in use", str(test_every))
     return train, test, rule

@@ -136,6 +136,25 @@ def test_too_few_frames_are_refused(tmp_path: Path, count: int) -> None:
         opened(write_clip(tmp_path / "a.mp4", frames(count), evenly(count)))
 
 
+@pytest.mark.parametrize(
+    "settings, expected",
+    [
+        ({"first_frame": 40}, r"a\.mp4: scene\.first_frame: expected below the 20 frames of the clip, found 40"),
+        ({"first_frame": 12}, r"sharp frames of one take, found 8 of 20 from scene\.first_frame=12 on; film"),
+        ({"most": 5}, r"a\.mp4: scene\.frames: expected more, to use 12 of the clip's 20 .*found 5, which uses 5"),
+        ({"test_every": 40}, r"a\.mp4: scene\.test_every: expected below 40, twice the frames in use, found 40"),
+    ],
+)
+def test_settings_that_leave_nothing_are_named(tmp_path: Path, settings: dict, expected: str) -> None:
+    path = write_clip(tmp_path / "a.mp4", frames(20), evenly(20))
+    with pytest.raises(SceneError, match=expected):
+        opened(path, **settings)
+
+
+def test_one_held_out_frame_is_enough(tmp_path: Path) -> None:
+    assert len(opened(write_clip(tmp_path / "a.mp4", frames(20), evenly(20)), test_every=39)[0].frames) == 20
+
+
 def test_names_and_folders(tmp_path: Path) -> None:
     folder = tmp_path / "Küche und Bad"
     folder.mkdir()

@@ -141,6 +141,10 @@ def test_images_keep_their_size_where_structure_from_motion_sees_smaller_ones(
         ({"sync": "given", "offsets": [0, 1]}, r"scene.offsets: expected 3 numbers"),
         ({"sync": "given", "offsets": [0, 60, 0]}, r"b.mp4: expected frames of the time that another camera filmed"),
         ({"test_cameras": [5]}, "scene.test_cameras: expected cameras among 0, 1, 2, found 5"),
+        (
+            {"test_every": 500},
+            r"videos: scene\.test_every: expected below \d+, twice the frames of a camera, found 500",
+        ),
         ({"test_cameras": [0, 1, 2]}, "expected at least one camera to train on"),
         ({"first_frame": 55}, "expected at least 12 sharp frames of one take"),
     ],

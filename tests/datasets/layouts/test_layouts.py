@@ -89,6 +89,19 @@ def test_colmap_lens_without_a_formula_is_refused_by_name(tmp_path: Path) -> Non
         read(write_colmap(tmp_path, True, "FOV", (0.5,)))
 
 
+@pytest.mark.parametrize(
+    "settings, expected",
+    [
+        ({"first_frame": 11}, r"scene\.first_frame: expected .* at least 3 of 12 .*, found 11, which leaves 1$"),
+        ({"first_frame": 20, "frames": 2}, r"scene\.first_frame: .*, found 20, which leaves 0$"),
+        ({"frames": 2}, r"scene\.frames: expected .* at least 3 of 12 .*, found 2, which leaves 2$"),
+    ],
+)
+def test_settings_that_leave_too_few_photographs_are_named(tmp_path: Path, settings: dict, expected: str) -> None:
+    with pytest.raises(SceneError, match=expected):
+        read(write_llff(tmp_path), **settings)
+
+
 def test_nerfstudio(tmp_path: Path) -> None:
     scene, lines = read(write_nerfstudio(tmp_path))
     check(scene)

@@ -46,9 +46,9 @@ def test_frames_and_cameras_are_selected(tmp_path: Path) -> None:
     scene = load_scene(config(folder, first_frame=2, frames=5, log_cameras=[3], test_every=5), log=lambda line: None)
     assert frames(scene.train + scene.test) == [2, 3, 4, 5, 6] and frames(scene.test) == [6]
     assert {view.name for view in scene.test} == {"test/cam3_000006"}
-    for wrong in ({"log_cameras": [1]}, {"first_frame": 50}, {"test_every": 10}):
-        with pytest.raises(SceneError):
-            load_scene(config(folder, **wrong), log=lambda line: None)
+    for key, wrong in (("log_cameras", [1]), ("first_frame", 50), ("test_every", 10), ("validation_every", 30)):
+        with pytest.raises(SceneError, match=f"scene.{key}: expected"):
+            load_scene(config(folder, **{key: wrong}), log=lambda line: None)
 
 
 FRONT = Camera(400, 200, 300.0, 300.0, 200.0, 100.0, np.eye(4))
