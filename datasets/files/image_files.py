@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -39,10 +40,12 @@ def read_rgba(path: Path) -> np.ndarray:
     """(H, W, 4) uint8 RGBA with straight alpha, which is 255 if the file has none. SceneError for more than 8 bits."""
     try:
         with Image.open(path) as image:
-            mode = image.mode
+            # Pillow would keep the upper 8 bits of 16 in colour; then only the packing of the file's pixels says so.
+            found = next((str(tile[3]) for tile in image.tile if re.search(";16[BLN]", str(tile[3]))), "")
+            found = image.mode if image.mode.startswith(("I", "F")) else found
             rgba = np.asarray(image.convert("RGBA"))
     except Exception as error:  # a truncated file is detected only on decoding
         raise SceneError(path, "a readable image", str(error)) from None
-    if mode.startswith(("I", "F")):
-        raise SceneError(path, "8 bits a channel", f"image mode {mode}")
+    if found:
+        raise SceneError(path, "8 bits a channel", f"image mode {found}")
     return rgba

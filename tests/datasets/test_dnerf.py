@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from dnerf_folder import ANGLE_X, SIZE, blender_pose, edit, read, write_folder, write_json, write_split
@@ -198,6 +199,10 @@ INVALID_INPUT: dict[str, tuple[Callable[[Path], object], str]] = {
         r"r_1\.png: expected a readable image",
     ),
     "image truncated": (truncate, r"r_1\.png: expected a readable image, found .*truncated"),
+    "image of 16 bits in colour": (
+        lambda f: cv2.imwrite(str(f / "train/r_1.png"), np.full((SIZE, SIZE, 3), 500, dtype=np.uint16)),
+        r"r_1\.png: expected 8 bits a channel, found image mode RGB;16B",
+    ),
     "image of 16 bits": (
         lambda f: Image.fromarray(np.zeros((SIZE, SIZE), dtype=np.uint16)).save(f / "train/r_1.png"),
         r"r_1\.png: expected 8 bits a channel, found image mode I;16",

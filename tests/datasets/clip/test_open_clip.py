@@ -229,6 +229,13 @@ def test_what_is_no_clip_is_refused(tmp_path: Path, content: bytes | None, expec
         opened(path)
 
 
+def test_images_that_cannot_be_read_are_refused_with_the_reason(tmp_path: Path) -> None:
+    for i, image in enumerate(frames(14)):
+        cv2.imwrite(str(tmp_path / f"{i:02d}.png"), image.astype(np.uint16) * 256)
+    with pytest.raises(SceneError, match=r"00\.png: expected 8 bits a channel, found image mode RGB;16B"):
+        opened(tmp_path)
+
+
 def test_images_of_two_sizes_are_no_clip(tmp_path: Path) -> None:
     for i, image in enumerate(frames(14)):
         cv2.imwrite(str(tmp_path / f"{i}.png"), image[:-2] if i == 5 else image)
