@@ -45,7 +45,7 @@ def _load(file: Path) -> tuple[dict, list]:
     try:
         content = read_json(file, SceneError)
     except FileNotFoundError:
-        raise SceneError(file, "a file (D-NeRF layout)", "none") from None
+        raise SceneError(file, "a transforms file", "none") from None
     if not isinstance(content, dict):
         raise SceneError(file, "an object with camera_angle_x and frames", type(content).__name__)
     entries = get_key(content, "frames", file)

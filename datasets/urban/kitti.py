@@ -179,7 +179,6 @@ def _log(
             if number in sweeps
         ),
         USUAL,
-        RATE,
     )
 
 

@@ -68,7 +68,6 @@ class DrivingLog:
     images: tuple[LogImage, ...]
     sweeps: tuple[LogSweep, ...]
     usual_cameras: tuple[int, ...]  # numbers of the cameras that are read by default, those of them that are there
-    rate: float  # frames a second
 
     @property
     def frames(self) -> int:

@@ -29,7 +29,6 @@ class Header:
     bits: int  # a channel
     transfer: int  # code point of the transfer function
     pixel_aspect: float  # width / height of a pixel as stored; frames are widened to square pixels
-    sound: bool
 
     @property
     def hdr(self) -> str | None:
@@ -93,7 +92,6 @@ def probe(path: Path) -> Header:
             max(component.bits for component in frame.format.components),
             int(frame.color_trc),
             aspect,
-            bool(container.streams.audio),
         )
 
 

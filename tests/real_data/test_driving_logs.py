@@ -38,7 +38,7 @@ def test_a_real_clip_survives_each_layout(layout: str, kitti: DrivingLog, tmp_pa
     """To 1e-4: sweeps are float32 within 100 m of the car."""
     images = tuple(image for image in kitti.images if image.frame < FRAMES and image.number in (2, 3))
     sweeps = tuple(sweep for sweep in kitti.sweeps if sweep.frame < FRAMES)
-    log = DrivingLog(kitti.layout, kitti.source, images, sweeps, kitti.usual_cameras, kitti.rate)
+    log = DrivingLog(kitti.layout, kitti.source, images, sweeps, kitti.usual_cameras)
     vehicle = [np.linalg.inv(image.camera.world_to_cam) for image in images if image.number == 2]
     # Waymo's vehicle axes are x forward, y left, z up: those of camera 2, turned.
     axes = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])

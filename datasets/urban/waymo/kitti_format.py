@@ -77,7 +77,7 @@ def open_kitti_format(path: Path) -> DrivingLog:
         if number in sweeps:
             read = partial(_read_sweep, sweeps[number], vehicle_to_world)
             found_sweeps.append(LogSweep(frame, times[frame], sweeps[number], read))
-    return DrivingLog("Waymo in KITTI's format", path, tuple(found), tuple(found_sweeps), USUAL, RATE)
+    return DrivingLog("Waymo in KITTI's format", path, tuple(found), tuple(found_sweeps), USUAL)
 
 
 def _camera(

@@ -91,7 +91,6 @@ def open_processed(path: Path) -> DrivingLog:
             if frame in sweeps
         ),
         USUAL,
-        RATE,
     )
 
 

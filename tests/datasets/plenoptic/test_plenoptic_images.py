@@ -189,7 +189,10 @@ def resize(folder: Path, camera: int, frames: range) -> None:
 
 WHERE = r"transforms_train\.json: frames\[1\]"
 INVALID_INPUT: dict[str, tuple[Callable[[Path], object], str]] = {
-    "no test file": (lambda f: (f / "transforms_test.json").unlink(), r"transforms_test\.json: expected a file"),
+    "no test file": (
+        lambda f: (f / "transforms_test.json").unlink(),
+        r"transforms_test\.json: expected a transforms file, found none",
+    ),
     "json invalid": (lambda f: (f / "transforms_train.json").write_text("{"), r"transforms_train\.json: .*valid JSON"),
     "image missing": (
         lambda f: (f / "images" / "cam02_0001.png").unlink(),
