@@ -6,6 +6,8 @@ A reader (`datasets/dnerf.py`, …) turns one layout on disk into a `Scene`; no 
 from __future__ import annotations
 
 import math
+import statistics
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -111,16 +113,32 @@ class Scene:
         """The distinct times of the training views, ascending."""
         return tuple(sorted({view.time for view in self.train}))
 
-    @property
+    @cached_property
+    def _times_of_cameras(self) -> list[list[float]]:
+        """The distinct times, ascending, of each training camera of videos; of photographs all in one list."""
+        found: dict[bytes, set[float]] = defaultdict(set)
+        for view in self.train:
+            found[b"" if self.frame_rate is None else view.camera.world_to_cam.tobytes()].add(view.time)
+        return [sorted(times) for times in found.values()]
+
+    @cached_property
     def frame_spacing(self) -> float:
-        """Mean difference of consecutive training times; the duration if there is only one time."""
-        times = self.train_times
-        return (times[-1] - times[0]) / (len(times) - 1) if len(times) > 1 else self.duration
+        """Mean difference of consecutive training times, in videos of those of one camera, as cameras need not be
+        synchronised; the duration if there is only one time."""
+        spacings = [(t[-1] - t[0]) / (len(t) - 1) for t in self._times_of_cameras if len(t) > 1]
+        return statistics.mean(spacings) if spacings else self.duration  # exact for equal ones
+
+    @property
+    def frame_count(self) -> int:
+        """The number of distinct training times, in videos of those of one camera."""
+        return max(map(len, self._times_of_cameras))
 
     @property
     def several_cameras(self) -> bool:
-        """Whether the training views show each time from two places or more, on average."""
-        return len(self.train) >= 2 * len(self.train_times)
+        """Whether the training views show each time from two places or more, on average; in videos, whose cameras need
+        not be synchronised, whether they are of two cameras or more."""
+        shared = len(self.train) >= 2 * len(self.train_times)
+        return shared or (self.frame_rate is not None and len(self._times_of_cameras) > 1)
 
     @property
     def is_clip(self) -> bool:

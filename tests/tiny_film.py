@@ -46,6 +46,20 @@ def tiny_film(frames: int = 4, height: int = SIZE, held_out: tuple[str, ...] = (
     )
 
 
+def unsynchronised_film(frames: int = 30) -> Scene:
+    """Four training cameras that stand still, 30 frames a second, which started 0, 4, 11 and 7 ms after the first."""
+    film = tiny_film(frames)
+    cameras = [film.train[i * frames].camera for i in range(3)] + [film.test[0].camera]
+    train = [
+        View(camera, offset + frame / 30, film.train[frame].image, f"train/cam{number:02d}_{frame:04d}")
+        for number, (camera, offset) in enumerate(zip(cameras, (0.0, 0.004, 0.011, 0.007), strict=True))
+        for frame in range(frames)
+    ]
+    return replace(
+        film, train=tuple(train), duration=0.011 + frames / 30, frame_rate=30.0, playback_rate=30.0, test=film.test[:2]
+    )
+
+
 def texture(seed: int = 0) -> np.ndarray:
     """(3 H, 3 W) in [0, 255], of PLANE: noise without details below two pixels."""
     noise = np.random.default_rng(seed).normal(size=(3 * PLANE[0], 3 * PLANE[1]))

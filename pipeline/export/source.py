@@ -23,7 +23,7 @@ class Timeline:
     start: float
     duration: float
     seconds: float = PLAYED_SECONDS  # of playback
-    frames: int = FRAMES  # distinct times of the data; for a player's slider
+    frames: int = FRAMES  # Scene.frame_count; for a player's slider
 
     @property
     def end(self) -> float:
@@ -66,5 +66,5 @@ def open_source(path: Path, start: float | None, duration: float | None, log: Ca
     run = open_run(path, log)
     scene = run.scene
     seconds = PLAYED_SECONDS if scene.frame_rate is None else scene.duration  # 30 frames of a film are a unit
-    timeline = Timeline(scene.time_start, scene.duration, seconds, len(scene.train_times))
+    timeline = Timeline(scene.time_start, scene.duration, seconds, scene.frame_count)
     return Source(run.model, timeline, run.canonical, run.cfg.scene.name.replace("/", "_"), path / "exports")

@@ -14,7 +14,7 @@ def lifetimes_figure(renderer: Renderer) -> Figure:
     """Of a model with time."""
     found = lifetimes(renderer.model, renderer.scene)
     assert found is not None
-    frames = len(renderer.scene.train_times)
+    frames = renderer.scene.frame_count
     figure = canvas(7.2, 3.2)
     axis = figure.subplots()
     axis.stairs(found["counts"], BIN_EDGES, fill=True, color=LIGHT.ablations[0])

@@ -16,7 +16,7 @@ STEPS = 200  # times of a rendered slice, at most 4 for each of the scene's
 def slices_figure(renderer: Renderer, view: MovingView) -> Figure:
     """The row with most motion of the view's camera; the truth beside it where that camera stands still in the data."""
     scene, camera = renderer.scene, view.target.camera
-    count = min(STEPS, 4 * len(scene.train_times))
+    count = min(STEPS, 4 * scene.frame_count)
     times = np.linspace(scene.time_start, scene.time_end, count)
     row = _row(view, renderer, times)
     rendered = np.stack([renderer.image(camera, float(time))[row] for time in times])  # (T, W, 3)

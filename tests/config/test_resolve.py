@@ -8,14 +8,14 @@ import pytest
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 from tiny import tiny_scene
-from tiny_film import tiny_film
+from tiny_film import tiny_film, unsynchronised_film
 
 from datasets.settings import SceneConfig
 from pipeline.config.compose import CONFIG_DIR, one_line, register_schema, to_config
 from pipeline.config.scene_overrides import without_given
 from pipeline.config.schema import AblationConfig, Config
 from pipeline.config.train_schema import ResolutionStep, TrainConfig
-from pipeline.model.scene_settings import resolved
+from pipeline.model.scene_settings import overrides_for, resolved
 from pipeline.training.selection.motion import without_time
 
 DIFFERENCES = {"init_points": 70, "lr": {"sh_rest": 1e-3}, "resolution_steps": [{"until": 0.5, "scale": 0.5}]}
@@ -63,6 +63,10 @@ def test_and_clips_by_one_camera() -> None:
     cfg = Config(scene=BLACK, train=TrainConfig(iterations=40, clip_overrides={"dropout": 0.25}))
     found = [resolved(cfg, scene).train.dropout for scene in (one, clip, film, replace(film, playback_rate=10.0))]
     assert found == [0, 0.25, 0, 0]
+
+
+def test_cameras_that_are_not_synchronised_are_a_multi_view_video() -> None:
+    assert overrides_for(unsynchronised_film(), Config()) == "multi_view_overrides"
 
 
 def test_a_model_that_selection_makes_static_has_the_static_ones() -> None:

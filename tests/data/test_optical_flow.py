@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from tiny import tiny_scene
-from tiny_film import PLANE, RATE, moving_plane, plane_image, texture, tiny_film
+from tiny_film import PLANE, RATE, moving_plane, plane_image, texture, tiny_film, unsynchronised_film
 
 from pipeline.data.optical_flow import FlowTargets, measure_flow, measured_size, neighbours, resized_flow
 
@@ -45,6 +45,14 @@ def test_pairs_are_consecutive_frames_of_one_camera() -> None:
     assert neighbours(views, gap) == {i: i + 1 if i % 4 < 3 else i - 1 for i in range(12)}
     assert neighbours(views[::2], gap) == {}, "frames in between are missing"
     assert neighbours(tiny_scene(views=12).train, 1.0 / 11) == {}, "a camera that moves"
+
+
+def test_views_of_cameras_that_are_not_synchronised_have_flow() -> None:
+    film = unsynchronised_film(frames=4)
+    targets = FlowTargets(film)
+    found = [targets.at(index, view.camera) for index, view in enumerate(film.train)]
+    steps = [None if flow is None else round(flow.step * 30, 9) for flow in found]
+    assert steps == [1, 1, 1, -1] * 4
 
 
 def test_flow_of_a_film_has_the_sign_of_its_step() -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tiny_film import tiny_film, unsynchronised_film
 
 from datasets.files.errors import SceneError
 from datasets.scene import Scene, View, camera_extent, validate_scene
@@ -54,6 +55,21 @@ def test_frame_spacing_is_that_of_the_training_times_even_if_the_duration_is_lon
     views = tuple(view(str(i), float(i), time) for i, time in enumerate(times))
     assert scene(train=views).frame_spacing == pytest.approx(0.2)
     assert scene(train=views[:1], duration=0.5).frame_spacing == 0.5
+
+
+def test_cameras_that_are_not_synchronised_are_several_with_the_spacing_of_one() -> None:
+    film = unsynchronised_film()
+    assert len(film.train) == len(film.train_times) == 4 * 30  # every view has a time of its own
+    assert film.several_cameras and not film.is_clip and film.frame_count == 30
+    assert film.frame_spacing == pytest.approx(1 / 30, rel=1e-12)
+    photographs = replace(film, frame_rate=None)  # so many poses of one camera that moves
+    assert not photographs.several_cameras and photographs.is_clip and photographs.frame_count == 120
+
+
+def test_spacing_of_synchronised_cameras_is_that_of_all_times_to_the_bit() -> None:
+    film = tiny_film(frames=7)
+    times = film.train_times
+    assert film.frame_spacing == (times[-1] - times[0]) / 6 and film.frame_count == 7 and film.several_cameras
 
 
 def test_extent_is_that_of_3dgs() -> None:

@@ -72,14 +72,19 @@ def scoring_views(scene: Scene) -> list[View]:
     """The views that sensitivity is measured on: all training views; or, with more than MAX_VIEWS and several cameras
     at each time, the views of evenly spread times.
 
-    All views of a chosen time are used, so that its Gaussians are scored from every camera.
+    All views of a chosen time are used, so that its Gaussians are scored from every camera. Of videos that are not
+    synchronised, the times within one frame spacing count as one.
     """
-    cameras = Counter(view.time for view in scene.train)
-    if len(scene.train) <= MAX_VIEWS or min(cameras.values()) < 2:
+    if len(scene.train) <= MAX_VIEWS:
         return list(scene.train)
-    times = sorted(cameras)
+    moments = [view.time for view in scene.train]
+    if min(Counter(moments).values()) < 2:
+        if scene.frame_rate is None or not scene.several_cameras:
+            return list(scene.train)
+        moments = [(time - scene.time_start) // scene.frame_spacing for time in moments]
+    times = sorted(set(moments))
     chosen = {times[i] for i in evenly_spaced(len(times), max(1, MAX_VIEWS * len(times) // len(scene.train)))}
-    return [view for view in scene.train if view.time in chosen]
+    return [view for view, moment in zip(scene.train, moments) if moment in chosen]
 
 
 def due(iteration: int, clock: float, cfg: TrainConfig) -> bool:

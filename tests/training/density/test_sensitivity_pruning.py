@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+from collections import Counter
 
 import numpy as np
 import pytest
 import torch
 from tiny import TinyRun, tiny_config, tiny_scene, train_tiny
+from tiny_film import unsynchronised_film
 
 from pipeline.config.train_schema import DensifyConfig, TrainConfig
 from pipeline.model.environment_map import EnvironmentMap
@@ -131,6 +133,14 @@ def test_scoring_views_are_all_views_or_all_cameras_of_evenly_spread_times():
     assert len(scoring) == cameras * len(chosen) and 0.9 * MAX_VIEWS < len(scoring) <= MAX_VIEWS
     assert {0.0, 1.0} <= chosen  # from first to last
     assert scoring_views(scene) == list(scene.train)
+
+
+def test_scoring_views_of_cameras_that_are_not_synchronised_are_those_of_evenly_spread_moments():
+    film = unsynchronised_film(frames=300)
+    scoring = scoring_views(film)
+    cameras = Counter(view.name.partition("_")[0] for view in scoring)
+    assert 0.9 * MAX_VIEWS < len(scoring) <= MAX_VIEWS and len(cameras) == 4
+    assert max(cameras.values()) - min(cameras.values()) <= 0.1 * MAX_VIEWS / 4
 
 
 def test_least_sensitive_is_the_largest_set_within_the_share():
