@@ -147,7 +147,7 @@ def _missing_split(root: Path, split: str) -> str:
 def _time_range(root: Path, entries: list[TransformsEntry]) -> tuple[float, float]:
     """(time_start, duration): [0, 1] for D-NeRF's own times and for none, else from the first time to the last.
 
-    SceneError if only some entries have a time, or if the first or last time is an outlier.
+    SceneError if only some entries have a time, or if the first or last time is an outlier outside [0, 1].
     """
     missing = [entry for entry in entries if entry.time is None]
     if missing and len(missing) < len(entries):
@@ -164,7 +164,7 @@ def _time_range(root: Path, entries: list[TransformsEntry]) -> tuple[float, floa
     low, high = times[0], times[-1]
     if low >= 0 and high <= 1 and (high - low > UNIT_INTERVAL_SPAN or high == low):
         return 0.0, 1.0
-    if len(timed) > 1:
+    if len(timed) > 1 and (low < 0 or high > 1):
         _refuse_outlier(root, *timed[0], times[1:])
         _refuse_outlier(root, *timed[-1], times[:-1])
     duration = high - low or 1.0

@@ -37,7 +37,11 @@ def read_nerfstudio(root: Path, options: LayoutOptions) -> Scene:
     content = read_json(file, SceneError)
     test = {name for key in ("val_filenames", "test_filenames") for name in _names(content, key, file)}
     size = common_size([entry.image_path for entry in entries])
-    photographs = [_photograph(root, entry, size, test) for entry in entries]
+    groups: dict[Path, int] = {}  # images/left/1.png, images/right/1.png: a camera each
+    photographs = [
+        _photograph(root, entry, size, test, groups.setdefault(entry.image_path.parent, len(groups)))
+        for entry in entries
+    ]
     repeated = {p.name for p in photographs}
     if len(repeated) < len(photographs):  # images/left/1.png and images/right/1.png
         photographs = [replace(p, name=f"{index:05d}_{p.name}") for index, p in enumerate(photographs)]
@@ -53,7 +57,7 @@ def _names(content: dict[str, Any], key: str, file: Path) -> list[str]:
     return [Path(str(name)).as_posix() for name in names]
 
 
-def _photograph(root: Path, entry: TransformsEntry, size: tuple[int, int], test: set[str]) -> Photograph:
+def _photograph(root: Path, entry: TransformsEntry, size: tuple[int, int], test: set[str], group: int) -> Photograph:
     camera, lens = _camera(entry, size)
     mask = entry.intrinsics.get("mask_path")
     return Photograph(
@@ -62,6 +66,7 @@ def _photograph(root: Path, entry: TransformsEntry, size: tuple[int, int], test:
         camera,
         lens,
         entry.time,
+        group,
         test=Path(entry.file_path).as_posix() in test if test else None,
         mask=root / str(mask) if mask else None,
     )

@@ -168,7 +168,10 @@ def scene_points(positions: np.ndarray, colors: np.ndarray | None = None) -> Sce
 
 
 def _timed(photographs: Sequence[Photograph], options: LayoutOptions) -> list[Photograph]:
-    """All with a time, ascending: the layout's, else the numbers in the names, else evenly spaced."""
+    """All with a time, ascending: the layout's, else the numbers in the names, else evenly spaced.
+
+    Numbers are times if no camera has one twice; cameras in folders of their own count alike.
+    """
     known = [photograph.time for photograph in photographs if photograph.time is not None]
     if known and len(known) < len(photographs):
         missing = next(photograph for photograph in photographs if photograph.time is None)
@@ -176,7 +179,8 @@ def _timed(photographs: Sequence[Photograph], options: LayoutOptions) -> list[Ph
     if known:
         return sorted(photographs, key=lambda p: (p.time, p.name))
     numbers = [_last_number(photograph.path.stem) for photograph in photographs]
-    if None not in numbers and len(set(numbers)) == len(numbers):
+    of_cameras = {(photograph.group, number) for photograph, number in zip(photographs, numbers)}
+    if None not in numbers and len(of_cameras) == len(numbers) and len(set(numbers)) > 1:
         times, how = [float(number) for number in numbers if number is not None], "the numbers in the file names"
     else:
         times, how = [float(index) for index in range(len(photographs))], "evenly spaced, in the order of the names"

@@ -120,6 +120,15 @@ def test_times_in_other_units_set_start_and_duration(folder: Path, step: float, 
     assert (scene.time_start, scene.duration) == (start, pytest.approx(step)) and not scene.is_static
 
 
+@pytest.mark.parametrize("times", [(0.0, 0.2, 0.5), (0.0, 0.4, 0.5)])
+def test_irregular_times_in_the_unit_interval_are_no_outliers(folder: Path, times: tuple[float, ...]) -> None:
+    edit(folder, lambda c: [e.update(time=t) for e, t in zip(c["frames"], times, strict=True)])
+    edit(folder, lambda c: [e.update(time=times[1]) for e in c["frames"]], "test")
+    scene = read(folder)
+    assert tuple(view.time for view in scene.train) == times
+    assert (scene.time_start, scene.duration) == (times[0], pytest.approx(times[-1] - times[0]))
+
+
 def test_times_over_most_of_the_unit_interval_keep_duration_1(folder: Path) -> None:
     for split in ("train", "test"):
         edit(folder, lambda c: [e.update(time=0.2 + 0.6 * e["time"]) for e in c["frames"]], split)

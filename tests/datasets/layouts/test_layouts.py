@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -116,6 +117,25 @@ def test_nerfstudio_splits_and_missing_masks(tmp_path: Path) -> None:
     (tmp_path / "masks/frame_00002.png").unlink()
     with pytest.raises(SceneError, match="expected the mask of frame_00002, found no such file"):
         read(tmp_path)
+
+
+def test_folders_of_several_cameras_count_alike(tmp_path: Path) -> None:
+    """Four numbers in each of three folders are four times."""
+    write_nerfstudio(tmp_path)
+    content = json.loads((tmp_path / "transforms.json").read_text())
+    for index, frame in enumerate(content["frames"]):
+        moved = f"images/cam{index // 4}/{index % 4:04d}.png"
+        (tmp_path / moved).parent.mkdir(exist_ok=True)
+        (tmp_path / frame["file_path"]).rename(tmp_path / moved)
+        frame["file_path"] = moved
+    (tmp_path / "transforms.json").write_text(json.dumps(content))
+    scene, lines = read(tmp_path)
+    assert any("times: the numbers in the file names" in line for line in lines) and scene.test_split == "camera 0"
+    assert [view.time for view in scene.test] == [0, 1, 2, 3] and scene.several_cameras and not scene.is_clip
+    shown = {(view.time, view.camera.world_to_cam.tobytes()): np.asarray(view.image) for view in scene.train}
+    for index in range(4, COUNT):
+        key = next(key for key in shown if key[0] == index % 4 and np.array_equal(shown[key], picture(index)))
+        np.testing.assert_allclose(np.frombuffer(key[1]).reshape(4, 4), cameras()[index].world_to_cam, atol=1e-6)
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
