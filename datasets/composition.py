@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import cast
 
@@ -79,3 +79,25 @@ def border_color(images: Sequence[np.ndarray]) -> Color | None:
     if np.ptp(snapped) == 0 and snapped[0] in (0, 255):
         return (float(snapped[0] / 255),) * 3
     return tuple((np.median(borders[similar], axis=0) / 255).tolist())
+
+
+def chosen_background(
+    images: Sequence[np.ndarray], opaque: bool, requested: Color | None, log: Callable[[str], None]
+) -> Color:
+    """`requested`, or if that is None the border colour of `images`, (H, W, 3) uint8, if all of the scene's are
+    `opaque`, or else black. log: gets a line where the border colour is no black, or another one than requested."""
+    border = border_color(images) if opaque else None
+    if requested is None:
+        if border not in (None, BLACK):
+            log(f"scene.background: {_color_name(border)}, the border colour of the images; "
+                "scene.background=black overrides")  # fmt: skip
+        return border or BLACK
+    requested = as_color(requested)
+    if border is not None and border != requested:
+        log(f"scene.background: {_color_name(requested)} as set, but the images' borders are {_color_name(border)}")
+    return requested
+
+
+def _color_name(color: Color) -> str:
+    names = {BLACK: "black", WHITE: "white"}
+    return names.get(color) or "[" + ",".join(f"{channel:.3g}" for channel in color) + "]"

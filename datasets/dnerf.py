@@ -14,7 +14,7 @@ where the headers suffice.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +22,7 @@ import numpy as np
 from datasets.cameras.intrinsics import read_distortion, read_pinhole
 from datasets.cameras.transforms import TransformsEntry, read_transforms
 from datasets.canonical import canonical_space
-from datasets.composition import BLACK, WHITE, Color, as_color, border_color, compose, coverage, reduced_camera
+from datasets.composition import BLACK, Color, as_color, chosen_background, compose, coverage, reduced_camera
 from datasets.files.errors import SceneError
 from datasets.files.image_files import common_size, read_rgba
 from datasets.ground_truth import truth_beside
@@ -79,6 +79,8 @@ def read_dnerf(
         for split, listed in splits.items()
     }
     train_cameras = [view.camera for view in views["train"]]
+    train_images = [np.asarray(view.image) for view in views["train"]]
+    opaque = all(view.coverage is None for view in views["train"])
     space = canonical_space(train_cameras)
     scene = Scene(
         name=name,
@@ -86,7 +88,7 @@ def read_dnerf(
         test=views[test_split] if test_split else (),
         duration=duration,
         time_start=time_start,
-        background=_background(views["train"], background, log),
+        background=chosen_background(train_images, opaque, background, log),
         extent=camera_extent(train_cameras),
         init_box=space.inverse.box((init_box[0], init_box[1])),
         source=root,
@@ -103,26 +105,6 @@ def has_split(path: str | Path, split: str) -> bool:
 def view_name(entry: TransformsEntry) -> str:
     """ "train/r_0" """
     return Path(entry.file_path).as_posix().removesuffix(".png")
-
-
-def _background(views: Sequence[View], requested: Color | None, log: Callable[[str], None]) -> Color:
-    """`requested`, or if that is None the border colour of opaque images, or else black."""
-    opaque = all(view.coverage is None for view in views)
-    border = border_color([np.asarray(view.image) for view in views]) if opaque else None
-    if requested is None:
-        if border not in (None, BLACK):
-            log(f"scene.background: {_color_name(border)}, the border colour of the images; "
-                "scene.background=black overrides")  # fmt: skip
-        return border or BLACK
-    requested = as_color(requested)
-    if border is not None and border != requested:
-        log(f"scene.background: {_color_name(requested)} as set, but the images' borders are {_color_name(border)}")
-    return requested
-
-
-def _color_name(color: Color) -> str:
-    names = {BLACK: "black", WHITE: "white"}
-    return names.get(color) or "[" + ",".join(f"{channel:.3g}" for channel in color) + "]"
 
 
 def _read_split(root: Path, split: str) -> list[TransformsEntry]:

@@ -41,14 +41,20 @@ def hold_out_outermost(scene: Scene, every: int) -> Scene:
     forward = np.stack([view.camera.world_to_cam[2, :3] for view in scene.train])
     along = forward @ forward.mean(axis=0)
     count = len(range(every // 2, len(scene.train), every))
-    return _hold_out(scene, set(np.argsort(along, kind="stable")[:count].tolist()), every)
+    outermost = set(np.argsort(along, kind="stable")[:count].tolist())
+    return _hold_out(scene, outermost, every, f"the {count} outermost")
 
 
-def _hold_out(scene: Scene, chosen: Set[int], every: int) -> Scene:
+def _hold_out(scene: Scene, chosen: Set[int], every: int, rule: str | None = None) -> Scene:
+    """rule: what was held out, for tables; None: every `every`-th view."""
+    from datasets.layouts.photographs import ordinal  # imports OpenCV, which few scenes need
+
     held_out = tuple(view for index, view in enumerate(scene.train) if index in chosen)
     kept = tuple(view for index, view in enumerate(scene.train) if index not in chosen)
     if not held_out or not kept:
         raise SceneError(
             f"{scene.source}: scene.validation_every", f"at most the {len(scene.train)} training views", f"{every}"
         )
-    return replace(scene, train=kept, test=held_out, extent=camera_extent([view.camera for view in kept]))
+    extent = camera_extent([view.camera for view in kept])
+    rule = f"{rule or f'every {ordinal(every)}'} of the training views (validation)"
+    return replace(scene, train=kept, test=held_out, extent=extent, test_split=rule)

@@ -36,6 +36,15 @@ def common_size(paths: Sequence[Path]) -> tuple[int, int]:
     return sizes[0]
 
 
+def has_alpha(path: Path) -> bool:
+    """Whether the image may be transparent somewhere, from its header. SceneError if the file is no image."""
+    try:
+        with Image.open(path) as image:
+            return image.mode in ("RGBA", "LA", "PA", "La", "RGBa") or "transparency" in image.info
+    except Exception as error:  # PIL raises many types for broken files
+        raise SceneError(path, "a readable image", str(error)) from None
+
+
 def read_rgba(path: Path) -> np.ndarray:
     """(H, W, 4) uint8 RGBA with straight alpha, which is 255 if the file has none. SceneError for more than 8 bits."""
     try:

@@ -1,7 +1,7 @@
 """Photographs with cameras and times, as any layout describes them, and the `Scene` that they make.
 
 Images are read when they are first used, so that memory does not grow with a folder of thousands: only their headers
-are read here.
+are read here, those with alpha, and a few for the background.
 """
 
 from __future__ import annotations
@@ -17,15 +17,16 @@ import numpy as np
 
 from datasets.cameras.lens import Lens, undistort, undistort_rgba
 from datasets.canonical import canonical_space
-from datasets.composition import BLACK, Color, chosen_downscale, compose, reduced_camera
+from datasets.composition import BLACK, Color, chosen_background, chosen_downscale, compose, coverage, reduced_camera
 from datasets.files.errors import SceneError
-from datasets.files.image_files import common_size, is_file, read_rgba
+from datasets.files.image_files import common_size, has_alpha, is_file, read_rgba
 from datasets.scene import Scene, ScenePoints, View, camera_extent, make_camera, validate_scene
 from rasterizer.camera import MAX_DISTANCE, Camera
 
 KEPT_BYTES = 1 << 30  # of decoded images, which are then kept; more are read again at each use
 PLAYBACK_RATE = 30.0  # frames a second of rendered videos of one moving camera
 FEWEST = 3  # photographs
+BORDER_IMAGES = 12  # evenly spread training images whose borders are looked at
 GREY = 128  # of 255
 
 Log = Callable[[str], None]
@@ -41,7 +42,7 @@ class LayoutOptions:
     test_cameras: Sequence[int] = (0,)  # where several cameras filmed
     first_frame: int = 0
     frames: int = 300  # largest number of different times in use
-    background: Color | None = None  # under transparent pixels; None: black
+    background: Color | None = None  # under transparent pixels; None: see composition.chosen_background
     log: Log = print
 
 
@@ -77,17 +78,7 @@ class FileImage:
         return image if dtype is None else image.astype(dtype, copy=False)
 
     def _read(self) -> np.ndarray:
-        photograph = self._photograph
-        rgba = read_rgba(photograph.path)
-        if rgba.shape[:2] != (photograph.camera.height, photograph.camera.width):
-            raise SceneError(
-                photograph.path,
-                f"{photograph.camera.width} x {photograph.camera.height} pixels, as its camera",
-                "{1} x {0}".format(*rgba.shape),
-            )
-        if photograph.lens:
-            rgba = undistort_rgba(rgba, photograph.lens.maps((photograph.camera.width, photograph.camera.height)))
-        return compose(rgba, self._background, self._downscale)
+        return compose(_undistorted(self._photograph), self._background, self._downscale)
 
 
 def to_scene(
@@ -114,7 +105,7 @@ def to_scene(
         raise SceneError(root, f"at least {downscale} pixels a side (scene.downscale)", "{} x {}".format(*size))
     held_out, how = _held_out(root, photographs, options)
     options.log(f"held out: {how}")
-    background = options.background or BLACK
+    composed_over = options.background or BLACK
     views: dict[str, list[View]] = {"train": [], "test": []}
     cameras: dict[int, Camera] = {}
     for photograph in photographs:
@@ -122,13 +113,14 @@ def to_scene(
         small = cameras.setdefault(
             id(photograph.camera), make_camera(photograph.path, partial(reduced_camera, photograph.camera, downscale))
         )
-        image = FileImage(photograph, (small.height, small.width, 3), downscale, background)
+        image = FileImage(photograph, (small.height, small.width, 3), downscale, composed_over)
         image.keep = len(photographs) * 3 * small.width * small.height <= KEPT_BYTES
         assert photograph.time is not None
-        views[split].append(
-            View(small, photograph.time, image, f"{split}/{photograph.name}", mask=_mask(photograph, downscale))
-        )
+        alpha = coverage(_undistorted(photograph), downscale) if has_alpha(photograph.path) else None
+        name, mask = f"{split}/{photograph.name}", _mask(photograph, downscale)
+        views[split].append(View(small, photograph.time, image, name, alpha, mask=mask))
     train_cameras = [view.camera for view in views["train"]]
+    background = _background(views["train"], options)
     space = canonical_space(train_cameras)
     times = [photograph.time for photograph in photographs if photograph.time is not None]
     low, high = min(times), max(times)
@@ -165,6 +157,24 @@ def scene_points(positions: np.ndarray, colors: np.ndarray | None = None) -> Sce
             colors = np.full(positions.shape, GREY)
         colors = np.nan_to_num(np.clip(colors[good], 0, 255), nan=GREY).round().astype(np.uint8)
     return ScenePoints(positions[good].astype(np.float64), colors) if good.any() else None
+
+
+def _undistorted(photograph: Photograph) -> np.ndarray:
+    """(H, W, 4) uint8 of the file at full size, with straight alpha."""
+    rgba = read_rgba(photograph.path)
+    width, height = photograph.camera.width, photograph.camera.height
+    if rgba.shape[:2] != (height, width):
+        raise SceneError(photograph.path, f"{width} x {height} pixels, as its camera", "{1} x {0}".format(*rgba.shape))
+    return undistort_rgba(rgba, photograph.lens.maps((width, height))) if photograph.lens else rgba
+
+
+def _background(views: Sequence[View], options: LayoutOptions) -> Color:
+    """By scene.background; auto: of opaque images, the border colour of BORDER_IMAGES of them."""
+    if any(view.coverage is not None for view in views):
+        return chosen_background([], False, options.background, options.log)
+    chosen = np.unique(np.linspace(0, len(views) - 1, BORDER_IMAGES).round().astype(int))
+    images = [np.asarray(views[index].image) for index in chosen]
+    return chosen_background(images, True, options.background, options.log)
 
 
 def _timed(photographs: Sequence[Photograph], options: LayoutOptions) -> list[Photograph]:

@@ -19,12 +19,15 @@ def test_hold_out_every_splits_training_views(every):
     assert sorted(names) == sorted(view.name for view in scene.train)
     assert len(names) == len(set(names))
     assert len(split.test) == len(range(every // 2, 17, every))
+    ending = {2: "nd", 3: "rd", 8: "th"}[every]
+    assert split.test_split == f"every {every}{ending} of the training views (validation)"
 
 
 def test_hold_out_outermost():
     scene = tiny_scene(views=16)  # four poses on an arc, symmetric about its middle
     split = hold_out_outermost(scene, 2)
     assert len(split.test) == 8 and len(split.train) == 8
+    assert split.test_split == "the 8 outermost of the training views (validation)"
     angles = [abs(view.camera.world_to_cam[2, 0]) for view in split.test + split.train]
     assert min(angles[:8]) > max(angles[8:])
 

@@ -138,6 +138,32 @@ def test_folders_of_several_cameras_count_alike(tmp_path: Path) -> None:
         np.testing.assert_allclose(np.frombuffer(key[1]).reshape(4, 4), cameras()[index].world_to_cam, atol=1e-6)
 
 
+def test_alpha_of_folders_is_kept(tmp_path: Path) -> None:
+    write_nerfstudio(tmp_path)
+    alpha = np.random.default_rng(0).integers(0, 256, (HEIGHT, WIDTH), np.uint8)
+    path = tmp_path / "images/frame_00002.png"
+    Image.fromarray(np.dstack([picture(1), alpha])).save(path)
+    scene, _ = read(tmp_path, background="white")
+    covered = {view.name: view.coverage for view in scene.train if view.coverage is not None}
+    assert list(covered) == ["train/frame_00002"] and (covered["train/frame_00002"] == alpha).all()
+    image = next(np.asarray(view.image) for view in scene.train if view.coverage is not None)
+    share = alpha[..., None] / 255
+    np.testing.assert_allclose(image, picture(1) * share + 255 * (1 - share), atol=0.501)  # rounded once
+    assert scene.background == (1.0, 1.0, 1.0) and read(tmp_path)[0].background == (0.0, 0.0, 0.0)
+
+
+def test_background_of_opaque_folders_is_their_border_colour(tmp_path: Path) -> None:
+    write_nerfstudio(tmp_path)
+    assert read(tmp_path)[0].background == (0.0, 0.0, 0.0)  # random pictures
+    for path in (tmp_path / "images").iterdir():
+        image = np.full((HEIGHT, WIDTH, 3), 255, np.uint8)
+        image[10:20, 10:20] = 60
+        Image.fromarray(image).save(path)
+    scene, lines = read(tmp_path)
+    assert scene.background == (1.0, 1.0, 1.0) and any(line.startswith("scene.background: white") for line in lines)
+    assert read(tmp_path, background="black")[0].background == (0.0, 0.0, 0.0)
+
+
 @pytest.mark.parametrize("mirrored", [False, True])
 def test_dynamic_gaussians(tmp_path: Path, mirrored: bool) -> None:
     """Some calibrations are of a mirrored world, which is mirrored back with its points."""
