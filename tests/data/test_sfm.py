@@ -16,9 +16,9 @@ from datasets.synthetic.world import World
 from datasets.synthetic.write_film import FilmSettings
 from pipeline.config.schema import InitConfig
 from pipeline.data.sfm.__main__ import main, read_photographs
-from pipeline.data.sfm.cache import fingerprint, load, reconstruct_cached
+from pipeline.data.sfm.cache import CLIP_VERSION, clip_reconstruct_cached, fingerprint, load, reconstruct_cached, save
 from pipeline.data.sfm.job import image_file, photograph_name
-from pipeline.data.sfm.photograph import Photograph, Reconstruction
+from pipeline.data.sfm.photograph import CalibratedCamera, Photograph, Reconstruction
 from pipeline.data.sfm.run import reconstruct
 from rasterizer import Camera
 
@@ -252,6 +252,21 @@ def test_cache_depends_on_inputs(posed: list[Photograph], tmp_path: Path) -> Non
         == 5
     )
     assert fingerprint(posed, replace(CFG, min_points=5, sphere_points=5), 1.0) == before
+    of_logs = replace(CFG, lidar_points=5, lidar_velocities=False, far_share=0.5)
+    assert fingerprint(posed, of_logs, 1.0) == before
+
+
+def test_a_cached_clip_with_too_few_points_is_refused(tmp_path: Path) -> None:
+    """Nothing is reconstructed: the cache holds seven points for these photographs."""
+    photographs = [Photograph(f"p{i}", np.full((4, 6, 3), i, np.uint8)) for i in range(2)]
+    cached = tmp_path / f"sfm-{fingerprint(photographs, CFG, 1.0, CLIP_VERSION)}"
+    points, colors, numbers = np.random.default_rng(0).random((7, 3)), np.zeros((7, 3), np.uint8), np.ones(7)
+    lens = CalibratedCamera(Camera(6, 4, 5.0, 5.0, 3.0, 2.0, np.eye(4)), 0.0)
+    save(Reconstruction(points, colors, numbers, numbers.astype(int), {"p0": lens}, "estimated", 2, 0.0), cached)
+    found, folder = clip_reconstruct_cached(photographs, replace(CFG, min_points=7), SOURCE, tmp_path, print)
+    assert folder == cached and len(found.points) == 7
+    with pytest.raises(ValueError, match=r"at least 8 points \(init.min_points\), found 7"):
+        clip_reconstruct_cached(photographs, replace(CFG, min_points=8), SOURCE, tmp_path, print)
 
 
 def test_command_line(posed: list[Photograph], tmp_path: Path, capsys) -> None:

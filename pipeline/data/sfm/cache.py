@@ -30,7 +30,9 @@ from rasterizer.camera import MAX_DISTANCE, Camera
 VERSION = 1  # to be increased by every change of this project that alters the result
 CLIP_VERSION = 1  # the same for the two passes over a clip
 # Settings of InitConfig that do not affect structure from motion.
-_UNRELATED = ("source", "min_points", "sphere_points", "sphere_radius")
+_UNRELATED = (
+    "source", "min_points", "sphere_points", "sphere_radius", "lidar_points", "lidar_velocities", "far_share"
+)  # fmt: skip
 
 
 def reconstruct_cached(
@@ -45,12 +47,7 @@ def reconstruct_cached(
     folder = cache / f"sfm-{fingerprint(photographs, cfg, unit, observations=observations)}"
     if not (folder / "result.json").is_file():
         save(reconstruct(photographs, cfg, unit, source, observations), folder)
-    result = load(folder)
-    if len(result.points) < cfg.min_points:  # the cache was written with a smaller min_points
-        raise ValueError(
-            f"{folder}: expected at least {cfg.min_points} points (init.min_points), found {len(result.points)}"
-        )
-    return result, folder
+    return _with_enough_points(folder, cfg), folder
 
 
 def clip_reconstruct_cached(
@@ -65,7 +62,17 @@ def clip_reconstruct_cached(
     folder = cache / f"sfm-{fingerprint(photographs, cfg, 1.0, CLIP_VERSION, observations)}"
     if not (folder / "result.json").is_file():
         save(reconstruct_clip(photographs, cfg, source, log, observations), folder)
-    return load(folder), folder
+    return _with_enough_points(folder, cfg), folder
+
+
+def _with_enough_points(folder: Path, cfg: InitConfig) -> Reconstruction:
+    """`load`; ValueError for fewer points than init.min_points, which may have been smaller when they were written."""
+    result = load(folder)
+    if len(result.points) < cfg.min_points:
+        raise ValueError(
+            f"{folder}: expected at least {cfg.min_points} points (init.min_points), found {len(result.points)}"
+        )
+    return result
 
 
 def fingerprint(
