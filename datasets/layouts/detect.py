@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from datasets.files.errors import SceneError
+from datasets.files.errors import SceneError, read_json
 from datasets.layouts.colmap import sparse_folder
 from datasets.layouts.llff import image_folder
+from datasets.plenoptic.images import FRAME_NAME, SPLITS
 from datasets.plenoptic.videos import FOOTAGE_SUFFIXES, PLENOPTIC_NAME
+
+IMAGE_SUFFIX = re.compile(r"\.(png|jpe?g)$", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -49,7 +53,25 @@ def _nerfies(path: Path) -> str | None:
 
 def _plenoptic(path: Path) -> str | None:
     numbered = any(PLENOPTIC_NAME.fullmatch(p.name) for p in path.iterdir())
-    return None if numbered and (path / "poses_bounds.npy").is_file() else "no cam00.mp4 with poses_bounds.npy"
+    if numbered and (path / "poses_bounds.npy").is_file() or _plenoptic_images(path):
+        return None
+    return "no cam00.mp4 with poses_bounds.npy, no images/cam00_0000 in transforms_train.json"
+
+
+def _plenoptic_images(path: Path) -> bool:
+    """Whether the transforms files name several frames of cameras that stand still, as plenoptic/images.py reads them.
+    Files without that, or that cannot be read, are left to other readers."""
+    poses: dict[str, list] = {}
+    for split in SPLITS:
+        try:
+            for frame in read_json(path / f"transforms_{split}.json", SceneError)["frames"]:
+                name = FRAME_NAME.fullmatch(IMAGE_SUFFIX.sub("", Path(frame["file_path"]).name))
+                if name is None:
+                    return False
+                poses.setdefault(name["camera"], []).append(frame["transform_matrix"])
+        except (OSError, SceneError, TypeError, KeyError):
+            return False
+    return len(poses) > 1 and all(len(of_one) > 1 and all(p == of_one[0] for p in of_one) for of_one in poses.values())
 
 
 def _dnerf(path: Path) -> str | None:

@@ -16,6 +16,7 @@ from plenoptic_folder import HEIGHT, WIDTH, picture, read, write_camera
 
 from datasets import SceneError
 from datasets.files.frame_store import StoredFrame
+from datasets.layouts.detect import detect
 
 FRAMES = 3
 # Like the released program's converter: sizes are floats, the principal point is an integer.
@@ -56,6 +57,14 @@ def edit(folder: Path, change: Callable[[dict], object], split: str = "train") -
     content = json.loads(path.read_text())
     change(content)
     path.write_text(json.dumps(content))
+
+
+def test_the_layout_is_detected(folder: Path) -> None:
+    assert detect(folder).reader == "plenoptic"
+    edit(folder, lambda content: content["frames"][1].update(transform_matrix=blender_pose(0.5)))  # a camera moves
+    assert detect(folder).reader == "dnerf"
+    (folder / "transforms_train.json").write_text("[1")
+    assert detect(folder).reader == "dnerf"  # which says what is wrong
 
 
 def test_images_become_stored_frames(folder: Path) -> None:
