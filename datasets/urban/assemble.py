@@ -157,7 +157,8 @@ def _view(image: LogImage, split: str, cfg: SceneConfig) -> View:
     if image.moving is not None:
         covered = _mask(image.moving, full, maps)[: shape[0] * cfg.downscale, : shape[1] * cfg.downscale]
         moving = any_moving(covered, shape[1], shape[0])
-    truth = None if image.truth is None else StoredTruth(image.truth, downscale=cfg.downscale)
+    # That of a distorted image is distorted as well.
+    truth = None if image.truth is None or maps is not None else StoredTruth(image.truth, downscale=cfg.downscale)
     return View(
         camera,
         image.time,

@@ -28,6 +28,7 @@ CAMERAS = ("FRONT", "FRONT_LEFT", "FRONT_RIGHT", "SIDE_LEFT", "SIDE_RIGHT")  # 1
 LASERS = ("TOP", "FRONT", "SIDE_LEFT", "SIDE_RIGHT", "REAR")  # likewise
 TIME = "key.frame_timestamp_micros"
 MOVING_SPEED = 1.0  # metres a second, of a box
+MARGIN = 0.1  # of an image's sides, around it
 
 Row = dict[str, Any]
 Calibration = tuple[np.ndarray, np.ndarray, tuple[int, int]]
@@ -199,17 +200,24 @@ def _camera(
     camera_to_world = vehicle_to_world @ camera_to_vehicle @ OPENCV_TO_WAYMO
     fx, fy, cx, cy = values[:4].tolist()
     camera = Camera(width, height, fx, fy, cx, cy, np.linalg.inv(camera_to_world))
-    moving = moving_boxes([one["box"] for one in boxes], camera, vehicle_to_world) if boxes else None
-    return FrameCamera(row["camera"], camera, row["jpeg"], tuple(values[4:].tolist()), moving=moving)
+    distortion = tuple(values[4:].tolist())
+    moving = moving_boxes([one["box"] for one in boxes], camera, vehicle_to_world, distortion) if boxes else None
+    return FrameCamera(row["camera"], camera, row["jpeg"], distortion, moving=moving)
 
 
-def moving_boxes(boxes: list[np.ndarray], camera: Camera, vehicle_to_world: np.ndarray) -> np.ndarray:
-    """(H, W) bool: convex hulls of the boxes that move faster than MOVING_SPEED, without the lens's distortion.
+def moving_boxes(
+    boxes: list[np.ndarray], camera: Camera, vehicle_to_world: np.ndarray, distortion: tuple[float, ...]
+) -> np.ndarray:
+    """(H, W) bool: outlines of the boxes that move faster than MOVING_SPEED, in the distorted image.
 
-    boxes: (9,) centre, size, heading in the vehicle's frame, velocity in x and y.
+    boxes: (9,) centre, size, heading in the vehicle's frame, velocity in x and y. distortion: k1, k2, p1, p2, k3.
     """
     import cv2
 
+    matrix = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
+    # Far outside the image the distortion's polynomial may lead back into it: hulls are cut off before.
+    sides = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * (1 + 2 * MARGIN) - MARGIN
+    shown = (sides * (camera.width, camera.height) - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
     mask = np.zeros((camera.height, camera.width), np.uint8)
     corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
     for box in boxes:
@@ -220,9 +228,14 @@ def moving_boxes(boxes: list[np.ndarray], camera: Camera, vehicle_to_world: np.n
         world = vehicle @ vehicle_to_world[:3, :3].T + vehicle_to_world[:3, 3]
         x, y, z = camera.world_to_cam[:3, :3] @ world.T + camera.world_to_cam[:3, 3:]
         if (z > 0.1).all():
-            pixels = np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], axis=1)
-            hull = cv2.convexHull(np.clip(pixels, -1e4, 1e4).round().astype(np.int32))
-            cv2.fillConvexPoly(mask, hull, 1)
+            hull = cv2.convexHull(np.stack([x / z, y / z], axis=1).astype(np.float32))
+            area, seen = cv2.intersectConvexConvex(hull, shown.astype(np.float32))
+            if area > 0:
+                ends = seen.reshape(-1, 2).astype(np.float64)
+                points = ends[:, None] + np.linspace(0, 1, 8)[:, None] * (np.roll(ends, -1, axis=0) - ends)[:, None]
+                rays = np.insert(points.reshape(-1, 2), 2, 1.0, axis=1)  # edges are bent
+                pixels, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), matrix, np.array(distortion))
+                cv2.fillPoly(mask, [pixels.round().astype(np.int32)], 1)
     return mask > 0
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import kitti_folder as k
@@ -12,6 +13,8 @@ from datasets import load_scene
 from datasets.files.errors import SceneError
 from datasets.scene import Sweep
 from datasets.settings import SceneConfig
+from datasets.urban import open_log
+from datasets.urban.assemble import scene_of_log
 from datasets.urban.moving import RangeImage, moving_mask, moving_points
 from datasets.urban.projection import hidden, project, seen
 from datasets.urban.sky import estimate_sky
@@ -49,6 +52,17 @@ def test_frames_and_cameras_are_selected(tmp_path: Path) -> None:
     for key, wrong in (("log_cameras", [1]), ("first_frame", 50), ("test_every", 10), ("validation_every", 30)):
         with pytest.raises(SceneError, match=f"scene.{key}: expected"):
             load_scene(config(folder, **{key: wrong}), log=lambda line: None)
+
+
+def test_truth_of_distorted_images_is_not_read(tmp_path: Path) -> None:
+    log = open_log("kitti", k.write_odometry(tmp_path, 9))
+    bent = (0.05, 0.0, 0.0, 0.0, 0.0)
+    images = tuple(replace(i, truth=i.path, distortion=bent if i.number == 3 else ()) for i in log.images)
+    scene = scene_of_log(replace(log, images=images), config(tmp_path, test_every=4))
+    assert {(view.name.split("/")[1][:4], view.truth is None) for view in scene.train} == {
+        ("cam2", False),
+        ("cam3", True),
+    }
 
 
 FRONT = Camera(400, 200, 300.0, 300.0, 200.0, 100.0, np.eye(4))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -14,9 +15,10 @@ from scipy.spatial.transform import Rotation
 
 from datasets.files.errors import SceneError
 from datasets.urban import open_log
-from datasets.urban.waymo.convert import TIME, convert, main
+from datasets.urban.waymo.convert import TIME, convert, main, moving_boxes
 from datasets.urban.waymo.processed import OPENCV_TO_WAYMO
 from datasets.urban.waymo.range_image import inclinations, points_of
+from rasterizer.camera import Camera
 
 ROWS, COLUMNS = 5, 12
 EXTRINSIC = np.eye(4)
@@ -157,6 +159,37 @@ def test_a_segment_is_converted_and_read(tmp_path: Path, capsys: pytest.CaptureF
         np.testing.assert_allclose(image.camera.world_to_cam, world_to_cam, atol=1e-6)
         assert image.distortion[:2] == (0.04, -0.3) and image.path.read_bytes() == jpeg(frame, 2)
         assert image.moving is not None and np.asarray(Image.open(image.moving)).any()
+
+
+@pytest.mark.parametrize("distortion", [(0.0,) * 5, (0.04, -0.3, 0.0, 0.0, 0.0), (-0.2, 0.05, 0.002, -0.001, 0.0)])
+def test_masks_of_boxes_are_those_of_the_distorted_image(distortion: tuple[float, ...]) -> None:
+    """A pixel is in a mask if the ray that the lens sends there meets the box; the border may be off by two pixels."""
+    camera = Camera(240, 160, 200.0, 205.0, 118.0, 82.0, np.linalg.inv(OPENCV_TO_WAYMO))
+    boxes = [  # in the corner, across the border, far outside, at rest
+        np.array([12.0, 5.5, 3.5, 4.0, 2.0, 1.5, 0.4, 5.0, 0.0]),
+        np.array([8.0, -5.0, -0.5, 4.0, 4.0, 2.0, 0.9, 0.0, 3.0]),
+        np.array([9.0, 20.0, -1.0, 4.0, 2.0, 1.5, 0.0, 5.0, 0.0]),
+        np.array([9.0, 0.0, 0.0, 2.0, 2.0, 2.0, 0.0, 0.5, 0.0]),
+    ]
+    found = moving_boxes(boxes, camera, np.eye(4), distortion)
+    columns, rows = np.meshgrid(np.arange(240) + 0.5, np.arange(160) + 0.5)
+    bent = np.stack([(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy], axis=-1).reshape(-1, 2)
+    straight, (k1, k2, p1, p2, _) = bent, distortion
+    for _ in range(100):  # the inverse of OpenCV's model, by fixed-point iteration
+        x, y, r2 = straight[:, 0], straight[:, 1], (straight**2).sum(axis=1)
+        tangential = np.stack([2 * p1 * x * y + p2 * (r2 + 2 * x**2), p1 * (r2 + 2 * y**2) + 2 * p2 * x * y], axis=1)
+        straight = straight + bent - straight * (1 + k1 * r2 + k2 * r2**2)[:, None] - tangential
+    rays = np.insert(straight, 2, 1.0, axis=1) @ OPENCV_TO_WAYMO[:3, :3].T
+    truth = np.zeros((160, 240), bool)
+    for box in boxes[:2]:
+        turned = Rotation.from_euler("z", -box[6]).as_matrix()
+        start, along = turned @ -box[:3], rays @ turned.T
+        ends = np.sort((np.array([[-0.5], [0.5]]) * box[3:6] - start)[:, None] / along, axis=0)
+        truth |= (ends[0].max(axis=1) < ends[1].min(axis=1)).reshape(160, 240)
+    assert truth[:, :60].any() and truth[:, -40:].any()
+    kernel = np.ones((5, 5), np.uint8)
+    widened, narrowed = (change(truth.astype(np.uint8), kernel) > 0 for change in (cv2.dilate, cv2.erode))
+    assert not (found & ~widened).any() and not (narrowed & ~found).any()
 
 
 def test_what_is_missing_is_named(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
