@@ -7,7 +7,8 @@ drawn in a cube around the origin, and float32 loses digits far from it. Every s
 
 Space: the origin is the least-squares intersection of the training cameras' optical axes, at a mean distance of 4
 units, as in D-NeRF's scenes and the released program's converter. There is no rotation. Time: photographs take
-[0, 1], D-NeRF's convention, and so do driving logs; 30 video frames are one unit, which is a second of Plenoptic Video.
+[0, 1], D-NeRF's convention, and so do clips, cameras that move and driving logs; of videos of cameras that stand still
+30 frames are one unit, which is a second of Plenoptic Video.
 
 A scene that follows the convention within 10 % is left unchanged, bit for bit. Two scalings of one world that are both
 within 10 % are therefore not made equal.
@@ -25,7 +26,7 @@ from datasets.scene import Box, Corner, Scene, Sweep, View, camera_extent
 from rasterizer.camera import Camera
 
 DISTANCE = 4.0  # mean distance of the training cameras from the origin
-FRAMES_PER_UNIT = 30.0  # of a video
+FRAMES_PER_UNIT = 30.0  # of videos of cameras that stand still
 SHORTEST_DRIVE = 40.0  # metres: what a parked car sees is no smaller
 TOLERANCE = 0.1  # relative deviation from the convention up to which a scene is left unchanged
 # Relative. Removes the rounding of a frame rate that was computed from times in float64.

@@ -92,8 +92,8 @@ class Scene:
     init_box: Box  # random initial points are drawn in it, world units
     source: Path  # the folder it was read from
     unit: float = 1.0  # world units per normalised unit, in which the near plane is given
-    frame_rate: float | None = None  # of videos: frames per unit of time; None: photographs
-    playback_rate: float | None = None  # of videos: frames a second of rendered videos; None: frame_rate
+    frame_rate: float | None = None  # of videos of cameras that stand still: frames per unit of time; None: others
+    playback_rate: float | None = None  # of videos and clips: frames a second of rendered videos; None: frame_rate
     sweeps: tuple[Sweep, ...] = ()  # LiDAR of the training frames, in the order of time
     test_sweeps: tuple[Sweep, ...] = ()  # of the held-out frames; no model is trained on them
     cameras_move: bool = False  # several cameras, of which some move; views are named <split>/<camera>_<frame>
