@@ -70,6 +70,7 @@ class StoredTruth:
     downscale: int = 1  # of the view, as in composition.compose
     length_scale: float = 1.0  # units of the scene per world unit of the file
     time_scale: float = 1.0  # units of the scene's time per unit of the file
+    has_depth: bool = True  # False: depth is unknown, for poses and their unit of length are not the file's
 
     def in_units(self, length_scale: float, time_scale: float) -> StoredTruth:
         """For a scene whose lengths and times are scaled once more."""
@@ -99,7 +100,7 @@ class StoredTruth:
         moving = array("moving", bool)
         if moving_only:
             return GroundTruth(moving)
-        depth = array("depth", np.float32)
+        depth = array("depth", np.float32) if self.has_depth else None
         if depth is not None and "still_depth" in file:
             depth = np.where(depth > 0, depth, file["still_depth"].astype(np.float32))
         flow = array("flow", np.float32) if "flow_dt" in file else None

@@ -116,13 +116,14 @@ class Footage:
         unit: float = 1.0,
         init_box: Box | None = None,
         colors: Mapping[str, ColorCorrection] | None = None,
+        estimated: bool = False,
     ) -> Scene:
         """The scene with `cameras` (name -> camera of the full-size image); decodes frames that are not in the store.
 
         undistortion: name -> lens of the distorted images; `cameras` are those of the undistorted ones. unit: world
         units per normalised unit. init_box: None: a cube around the cameras. colors: of the cameras whose colours are
-        corrected, held-out ones included. SceneError, before decoding, if the scene
-        is invalid.
+        corrected, held-out ones included. estimated: whether the poses are of a unit of length of their own, so that
+        no depth is known. SceneError, before decoding, if the scene is invalid.
         """
         options = self.options
         self._check_cameras(cameras)
@@ -135,12 +136,25 @@ class Footage:
         # All checks but those of pixels, with blank images, before the long decoding.
         camera = small[self.names[0]]
         blank = np.broadcast_to(np.uint8(0), (camera.height, camera.width, 3))
-        validate_scene(self._scene(small, {name: [blank] * self.count for name in self.names}, unit, init_box))
+        truth = {
+            stream.name: self._truth(stream, estimated) for stream in self.streams if stream.name not in undistortion
+        }
+        validate_scene(self._scene(small, {name: [blank] * self.count for name in self.names}, unit, init_box, truth))
 
         decoding = DecodeOptions(options.first_frame, self.count, options.downscale)
         folder = store_folder(Path(options.cache), options.name, self.content, decoding, undistortion, colors or {})
         images = decode(self.streams, folder, decoding, undistortion, colors or {}, options.cores, options.log)
-        return validate_scene(self._scene(small, images, unit, init_box))
+        return validate_scene(self._scene(small, images, unit, init_box, truth))
+
+    def _truth(self, stream: Stream, estimated: bool) -> list[StoredTruth] | None:
+        """The ground truth of a camera's frames in use; None without one, and where frames are scaled or cropped."""
+        file, first = film_truth_file(self.source, stream.name), self.options.first_frame
+        numbers: Sequence[int] = range(first, first + self.count)
+        if isinstance(stream, AlignedStream):
+            file, numbers = file if stream.video.size == stream.size else None, stream.indices
+        if file is None:
+            return None
+        return [StoredTruth(file, number, self.options.downscale, has_depth=not estimated) for number in numbers]
 
     def _time(self, stream: Stream, index: int) -> float:
         """Of a frame in use: its own where cameras were not synchronised."""
@@ -172,21 +186,24 @@ class Footage:
             )
 
     def _scene(
-        self, cameras: Mapping[str, Camera], images: Mapping[str, Sequence[Image]], unit: float, init_box: Box
+        self,
+        cameras: Mapping[str, Camera],
+        images: Mapping[str, Sequence[Image]],
+        unit: float,
+        init_box: Box,
+        known: Mapping[str, Sequence[StoredTruth] | None],
     ) -> Scene:
         views: dict[str, list[View]] = {"train": [], "test": []}
         for stream in self.streams:
             split = "test" if stream.name in self.held_out else "train"
-            truth_file = film_truth_file(self.source, stream.name)
+            truth = known.get(stream.name)
             views[split] += [
                 View(
                     cameras[stream.name],
                     self._time(stream, index),
                     image,
                     f"{split}/{stream.name}_{self.options.first_frame + index:04d}",
-                    truth=None
-                    if truth_file is None
-                    else StoredTruth(truth_file, self.options.first_frame + index, self.options.downscale),
+                    truth=None if truth is None else truth[index],
                 )
                 for index, image in enumerate(images[stream.name])
             ]

@@ -58,7 +58,7 @@ class Prepared:
     cloud: Reconstruction | None  # None: random points
     sfm_folder: Path | None  # cache folder of the cloud, with its summary and plot
     canonical: Canonical = Canonical()  # transform from the files' units
-    is_clip: bool = False  # one clip by a camera that moves, in seconds
+    is_clip: bool = False  # one clip by a camera that moves, before normalisation in seconds
 
 
 def prepare(cfg: Config, log: Callable[[str], None]) -> Prepared:
@@ -187,6 +187,7 @@ def _from_videos(cfg: Config, footage: Footage, log: Callable[[str], None]) -> P
         {name: Undistortion.of(found.camera, found.radial) for name, found in cloud.cameras.items()},
         unit=UNIT_OF_NEAR * near_depth(cloud.points, train_cameras),
         colors=colors,
+        estimated=True,
     )
     return Prepared(scene, cloud if cfg.init.source != "random" else None, folder)
 

@@ -88,6 +88,48 @@ def test_undistortion_before_downscaling(filmed: Path, tmp_path: Path) -> None:
     assert np.abs(after[25, 1] - before[25, 5]).max() <= 2 * CODEC
 
 
+def write_truth(folder: Path, frames: int) -> None:
+    """Of each camera; what moves in frame i is pixel i, whose depth is i + 1."""
+    (folder / "truth").mkdir()
+    for name in NAMES:
+        arrays = {}
+        for frame in range(frames):
+            moving = np.zeros((HEIGHT, WIDTH), bool)
+            moving.flat[frame] = True
+            arrays |= {f"moving_{frame:04d}": moving, f"depth_{frame:04d}": moving * (frame + 1.0)}
+        np.savez(folder / "truth" / f"{Path(name).stem}.npz", **arrays)
+
+
+def test_truth_is_that_of_undistorted_images_without_depth_of_estimated_poses(filmed: Path, tmp_path: Path) -> None:
+    folder = shutil.copytree(filmed, tmp_path / "footage")
+    write_truth(folder, FRAMES)
+    footage = read(folder, cache=tmp_path / "cache", downscale=1, first_frame=2)
+    known = cameras(footage)
+    bent = {"right": Undistortion.of(known["right"], -0.1), "left": Undistortion.of(known["left"])}
+    for estimated in (False, True):
+        for view in footage.to_scene(known, bent, estimated=estimated).train:
+            assert (view.truth is None) == view.name.startswith("train/right")
+            if view.truth is not None:
+                truth, frame = view.truth.read(), int(view.name[-4:])
+                assert truth.moving is not None and truth.moving.argmax() == frame
+                assert truth.depth is None if estimated else truth.depth.max() == frame + 1
+
+
+def test_truth_of_cameras_that_are_not_synchronised_is_that_of_the_frames_shown(filmed: Path, tmp_path: Path) -> None:
+    folder = shutil.copytree(filmed, tmp_path / "footage")
+    write_truth(folder, FRAMES)
+    starts = (0.0, 1 / RATE, 0.0, 0.0)  # the second camera shows one frame less at each time
+    footage = read(folder, cache=tmp_path / "cache", downscale=1, sync="given", offsets=starts)
+    frames = []
+    for view in footage.to_scene(cameras(footage)).train:
+        assert view.truth is not None and (moving := view.truth.read().moving) is not None
+        number = footage.names.index(view.name.split("/")[1].rpartition("_")[0])
+        difference = np.abs(inside(np.asarray(view.image)).astype(int) - inside(picture(number, int(moving.argmax()))))
+        assert difference.max() <= CODEC
+        frames.append((number, int(moving.argmax())))
+    assert len(frames) == 3 * (FRAMES - 1) and {(1, 0), (2, FRAMES - 1)} <= set(frames) and (2, 0) not in frames
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
