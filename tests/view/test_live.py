@@ -208,4 +208,6 @@ def test_another_address_of_this_machine_serves_its_page() -> None:
     with LiveServer(Address("127.0.0.2", 0), "page", Feed()) as other:
         connection = http.client.HTTPConnection("127.0.0.2", other.address.port, timeout=20)
         connection.request("GET", "/")
-        assert connection.getresponse().status == 200
+        response = connection.getresponse()
+        assert (response.status, response.read()) == (200, b"page")
+        connection.close()
