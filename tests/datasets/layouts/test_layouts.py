@@ -197,6 +197,18 @@ def test_nerfies(tmp_path: Path) -> None:
     assert masks[0] is not None and masks[0][:10].all() and not masks[0][10:].any() and masks[1] is None
 
 
+def nerfies_with(sizes: dict[int, tuple[int, int]], root: Path) -> Path:
+    """Images of these sizes (width, height) in rgb/<factor>x and nowhere else, red by the factor; no masks."""
+    names = [path.name for path in (root / "rgb/2x").iterdir()]
+    shutil.rmtree(root / "rgb")
+    shutil.rmtree(root / "covisible")
+    for factor, size in sizes.items():
+        (root / f"rgb/{factor}x").mkdir(parents=True)
+        for name in names:
+            Image.new("RGB", size, (factor, 0, 0)).save(root / f"rgb/{factor}x" / name)
+    return root
+
+
 @pytest.mark.parametrize(
     "folders, downscale, expected",
     [  # factor of the folder, of the image in use; the full images are 80 x 60 pixels
@@ -211,14 +223,7 @@ def test_nerfies(tmp_path: Path) -> None:
 def test_nerfies_obeys_downscale(
     tmp_path: Path, folders: tuple[int, ...], downscale: int, expected: tuple[int, int]
 ) -> None:
-    root = write_nerfies(tmp_path)
-    names = [path.name for path in (root / "rgb/2x").iterdir()]
-    shutil.rmtree(root / "rgb")
-    shutil.rmtree(root / "covisible")
-    for factor in folders:
-        (root / f"rgb/{factor}x").mkdir(parents=True)
-        for name in names:
-            Image.new("RGB", (80 // factor, 60 // factor), (factor, 0, 0)).save(root / f"rgb/{factor}x" / name)
+    root = nerfies_with({factor: (80 // factor, 60 // factor) for factor in folders}, write_nerfies(tmp_path))
     camera, image = (view := read(root, downscale=downscale)[0].train[0]).camera, np.asarray(view.image)
     factor, reduction = expected
     assert image.shape == (60 // reduction, 80 // reduction, 3) and (image == [factor, 0, 0]).all()
@@ -228,14 +233,8 @@ def test_nerfies_obeys_downscale(
 @pytest.mark.parametrize("folders, side", [((2,), 1400), ((1, 2, 4), 1921), ((2, 4), 1281)])
 def test_nerfies_chooses_640_pixels_at_most(tmp_path: Path, folders: tuple[int, ...], side: int) -> None:
     """side: pixels of the first folder."""
-    root = write_nerfies(tmp_path, 4)
-    names = [path.name for path in (root / "rgb/2x").iterdir()]
-    shutil.rmtree(root / "rgb")
-    shutil.rmtree(root / "covisible")
-    for factor in folders:
-        (root / f"rgb/{factor}x").mkdir(parents=True)
-        for name in names:
-            Image.new("RGB", (side * folders[0] // factor, 16)).save(root / f"rgb/{factor}x" / name)
+    sizes = {factor: (side * folders[0] // factor, 16) for factor in folders}
+    root = nerfies_with(sizes, write_nerfies(tmp_path, 4))
     assert 400 < read(root)[0].train[0].camera.width <= 640
 
 
