@@ -1,6 +1,6 @@
 """The same 4D Gaussians in other parameters: velocities, spatial covariances and lifetimes instead of 4D rotations.
 
-A 4D covariance has ten numbers: six of the ellipsoid Σ(t) at any time, three of the velocity h and one of the lifetime
+A 4D covariance has ten numbers: six of the ellipsoid Σ(t) at any time, three of the velocity v and one of the lifetime
 √Σtt (docs/method.md 1.1). In them nothing keeps a Gaussian from moving: a 4D rotation moves one with the scales s_x and
 st with at most |s_x² - st²| / (2 s_x st), and not at all where both are equal (docs/method.md 2.9). Training has them
 with `train.explicit_velocity`; all that reads a trained model gets rotations.
@@ -27,9 +27,9 @@ def in_velocities(model: Model) -> Model:
     axes = scaled_axes(model.gaussians().to(torch.float64))  # M
     space, time_row = axes[:, :3], axes[:, 3]
     lifetime = time_row.norm(dim=1)
-    v = time_row / lifetime[:, None]
-    along = torch.einsum("nij,nj->ni", space, v)  # Σ_xyz,t / √Σtt
-    slices = space - along[:, :, None] * v[:, None, :]  # A, of Σ(t) = A Aᵀ
+    u = time_row / lifetime[:, None]
+    along = torch.einsum("nij,nj->ni", space, u)  # Σ_xyz,t / √Σtt
+    slices = space - along[:, :, None] * u[:, None, :]  # A, of Σ(t) = A Aᵀ
     directions, scale = (torch.from_numpy(part) for part in np.linalg.svd(slices.numpy(), full_matrices=False)[:2])
     p = dict(model.parameters)
     del p["quat_right"]

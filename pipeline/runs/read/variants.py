@@ -11,6 +11,7 @@ conf/ablation.
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -118,20 +119,22 @@ def _distinct_names(
             expected = usual if given is None else {key: given.get(key) for key in own}
             names[run] = with_parts(name, _difference(own, expected) if own else [])
             differences[run] = {key: own.get(key) for key in _differing(own, expected)} if own else {}
-        _number_apart(names, differences, list(group))
+        _tell_apart(names, differences, list(group))
     return runs["run"].map(names)
 
 
-def _number_apart(names: dict[str, str], differences: dict[str, dict[str, Any]], group: list[str]) -> None:
-    """Of `group`, runs whose settings differ in keys that their names do not show get a number; in place."""
+def _tell_apart(names: dict[str, str], differences: dict[str, dict[str, Any]], group: list[str]) -> None:
+    """Of `group`, runs whose settings differ in keys that their names do not show get a hash of these; in place.
+
+    A hash, not a number: the same settings have the same name on all scenes.
+    """
     for name in {names[run] for run in group}:
         same = [run for run in group if names[run] == name]
         texts = [json.dumps(differences[run], sort_keys=True, default=str) for run in same]
-        distinct = sorted(set(texts))
-        if len(distinct) > 1:
+        if len(set(texts)) > 1:
             base, parts = parts_of(name)
             for run, text in zip(same, texts):
-                names[run] = with_parts(base, [*parts, f"variant {distinct.index(text) + 1}"])
+                names[run] = with_parts(base, [*parts, f"variant {hashlib.sha256(text.encode()).hexdigest()[:4]}"])
 
 
 def _model_names(runs: pd.DataFrame, settings: dict[str, dict[str, Any]]) -> pd.Series:
