@@ -24,6 +24,7 @@ from datasets.scene import Scene, View
 from rasterizer import Camera
 
 MIN_WIDTH = 320  # pixels: images are doubled up to it, or halved while they stay at least as wide
+MIN_SIDE = 8  # pixels, of the search's patches
 AGREEMENT, RELATIVE_AGREEMENT = 0.4, 0.05  # |forward + backward|: pixels of the measured size, part of |forward|
 TRUSTED_SHARE = 0.5  # of the measured pixels that a training pixel averages
 MAX_GAP = 1.5  # mean frame spacings between frames that count as consecutive
@@ -81,9 +82,11 @@ def neighbours(views: Sequence[View], max_gap: float) -> dict[int, int]:
 def measure_flow(image: np.ndarray, other: np.ndarray) -> np.ndarray:
     """(h, w, 2) float32 flow from `image` to `other`, (H, W, 3) uint8, in image widths; NaN where not trusted.
 
-    h × w is H × W times the power of 2 that MIN_WIDTH asks for.
+    h × w is H × W times the power of 2 that MIN_WIDTH asks for. Nothing is trusted if h is below MIN_SIDE.
     """
     width, height = measured_size(image.shape[1], image.shape[0])
+    if height < MIN_SIDE:
+        return np.full((height, width, 2), np.nan, np.float32)
     now, later = (_resized_grey(pixels, width, height) for pixels in (image, other))
     search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     search.setFinestScale(0)  # the preset would stop at half the size

@@ -50,9 +50,12 @@ def quick_evaluate(
 
 
 def held_out_psnr(model: Model, scene: Scene, cfg: Config, threads: int) -> np.ndarray:
-    """(test views,) PSNR in dB at the final resolution, the same numbers as in metrics.json."""
+    """(test views,) PSNR in dB at the final resolution over the pixels that count: psnr_masked of metrics.json where a
+    view's mask leaves pixels out, unless it leaves none, psnr elsewhere."""
     renderer, found = Renderer(model, scene, cfg, Rasterizer(threads=threads)), []
     for view in scene.test:
         target = target_of(view, cfg.train.resolution_scale)
-        found.append(psnr(renderer.image(target.camera, target.time), target.image.numpy().transpose(1, 2, 0)))
+        image, truth = renderer.image(target.camera, target.time), target.image.numpy().transpose(1, 2, 0)
+        counted = None if target.mask is None else masked_psnr(image, truth, target.mask.numpy())
+        found.append(psnr(image, truth) if counted is None else counted)
     return np.array(found)

@@ -90,17 +90,21 @@ def project_factor(factor: Tensor, mean_cam: Tensor, camera: Camera) -> Tensor:
     """B = J W A (N, 2, 3 or 4), so that B Bᵀ is the projected covariance in px² (EWA splatting, docs/method.md 1.2).
 
     W is the camera's rotation and J the Jacobian of the perspective at the mean. In J only, x/z and y/z are clamped
-    to 1.3 × the half field of view on each side of the principal point.
+    to 1.3 × the half field of view on each side of the principal point, to 0 on a side without any image.
     """
     x, y, z = mean_cam.unbind(-1)
-    u = (x / z).clamp(-FRUSTUM_MARGIN * camera.cx / camera.fx, FRUSTUM_MARGIN * (camera.width - camera.cx) / camera.fx)
-    v = (y / z).clamp(-FRUSTUM_MARGIN * camera.cy / camera.fy, FRUSTUM_MARGIN * (camera.height - camera.cy) / camera.fy)
+    u = (x / z).clamp(*_frustum_limits(camera.cx, camera.width, camera.fx))
+    v = (y / z).clamp(*_frustum_limits(camera.cy, camera.height, camera.fy))
     zero = torch.zeros_like(z)
     jacobian = torch.stack(
         [camera.fx / z, zero, -camera.fx * u / z, zero, camera.fy / z, -camera.fy * v / z], dim=-1
     ).reshape(-1, 2, 3)
     rotation = torch.tensor(camera.world_to_cam[:3, :3], dtype=factor.dtype, device=factor.device)
     return jacobian @ (rotation @ factor)
+
+
+def _frustum_limits(principal: float, size: int, focal: float) -> tuple[float, float]:
+    return -FRUSTUM_MARGIN * max(principal, 0.0) / focal, FRUSTUM_MARGIN * max(size - principal, 0.0) / focal
 
 
 def ellipse(projected_factor: Tensor) -> Tensor:

@@ -78,3 +78,12 @@ def test_flow_is_measured_at_a_size_of_its_own() -> None:
     assert measured_size(160, 120) == (320, 240)
     assert measured_size(338, 254) == (338, 254)
     assert measured_size(1352, 1014) == (338, 254)  # 253.5, to even
+
+
+def test_flow_of_a_strip_lower_than_a_patch_is_not_trusted() -> None:
+    """OpenCV refuses images below 8 px a side; an image of 20 × 3 is searched at 320 × 48, one of 320 × 3 as it is."""
+    for width, trusted in ((20, True), (320, False)):
+        strip = np.random.default_rng(0).integers(0, 256, (3, width, 3), dtype=np.uint8)
+        flow = measure_flow(strip, strip)
+        assert flow.shape[:2] == measured_size(width, 3)[::-1]
+        assert np.isfinite(flow).any() == trusted

@@ -40,3 +40,19 @@ def test_views_are_evenly_spread(model: Model) -> None:
     spread = replace(scene, test=scene.test[::2], train=tuple(scene.train[i] for i in (0, len(scene.train) // 2, -1)))
     assert found == quick_evaluate(model, spread, cfg, Rasterizer(threads=1), moving)
     assert found != quick_evaluate(model, scene, cfg, Rasterizer(threads=1))
+
+
+def test_pixels_outside_a_mask_do_not_count_in_decisions(model: Model) -> None:
+    """The half that the mask leaves out is white: the PSNR is that of the other. A mask that leaves none is ignored."""
+    scene, cfg = tiny_scene(), evaluation_config()
+    view = scene.test[0]
+    left = np.zeros(view.image.shape[:2], bool)
+    left[:, : left.shape[1] // 2] = True
+    white = replace(view, image=np.where(left[..., None], view.image, 255).astype(np.uint8))
+
+    def of(mask: np.ndarray | None) -> float:
+        return float(held_out_psnr(model, replace(scene, test=(replace(white, mask=mask),)), cfg, 1)[0])
+
+    counted = evaluate(model, replace(scene, test=(replace(view, mask=left),)), cfg, 1).metrics["psnr_masked"]
+    assert of(left) == counted != of(None)
+    assert of(np.zeros_like(left)) == of(None)

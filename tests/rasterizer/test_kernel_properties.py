@@ -124,6 +124,28 @@ def test_a_zero_quaternion_is_the_identity():
 # ---- Invariances -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("rasterizer", [rasterize, reference.rasterize], ids=["kernel", "reference"])
+@pytest.mark.parametrize("left, top", [(40, 12), (0, 30), (70, 0)])
+def test_a_crop_is_a_part_of_the_image_also_beside_the_principal_point(rasterizer, left: int, top: int):
+    """The principal point of (48, 36) is left of or above two crops. The Gaussians are flat disks of 4 to 20 px at
+    slants of up to 80°, which the Jacobian foreshortens by where they are; all are inside the crop, so that no clamp
+    applies to either image. In float32 a pixel differs by the rounding of positions: IMAGE_TOLERANCE."""
+    whole, size = Camera(96, 72, 50.0, 50.0, 48.0, 36.0, np.eye(4)), (26, 40)
+    rng, count = generator(21), 25
+    pixel = torch.tensor([left, top]) + torch.rand(count, 2, generator=rng, dtype=torch.float64) * torch.tensor(size)
+    depth = 2 + 2 * torch.rand(count, 1, generator=rng, dtype=torch.float64)
+    mean = torch.cat([(pixel - torch.tensor([48.0, 36.0])) / 50 * depth, depth], dim=1)
+    gaussians = random_gaussians(count, "static", rng, log_scale=(-2.5, -1.5))
+    gaussians = replace(gaussians, mean=mean)
+    crop = replace(whole, width=size[0], height=size[1], cx=48.0 - left, cy=36.0 - top)
+    images = [
+        render(rasterizer, gaussians.to(torch.float32), make_request(camera=camera)).color for camera in (whole, crop)
+    ]
+    part = images[0][:, top : top + size[1], left : left + size[0]]
+    assert images[1].std() > 0.05
+    assert (images[1] - part).abs().max() < IMAGE_TOLERANCE * part.max()
+
+
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_rotating_the_world_with_the_camera_changes_nothing(motion: str):
     request = make_request(outputs=("color", "depth"))

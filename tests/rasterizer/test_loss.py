@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 
 import pytest
 import torch
@@ -166,3 +168,23 @@ def test_the_layout_of_the_image_does_not_matter() -> None:
 def test_an_image_without_pixels_or_of_another_form_is_refused(shape: tuple[int, ...]) -> None:
     with pytest.raises(ValueError, match=r"image must be float32 \[3, H, W\] with at least one pixel, got"):
         photometric_loss(torch.zeros(shape), torch.zeros(shape))
+
+
+OUT_OF_MEMORY = """
+import resource, torch
+from rasterizer.loss import photometric_loss
+image = torch.zeros(3, 1, 2**20)
+used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
+resource.setrlimit(resource.RLIMIT_AS, (used + 2**27, used + 2**27))
+try:
+    photometric_loss(image, image, threads=2)
+except MemoryError:
+    print("MemoryError")
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc, and other systems do not enforce RLIMIT_AS")
+def test_lack_of_memory_is_an_exception() -> None:
+    """A row of 2²⁰ pixels takes 12 MB, a thread's scratch rows of it 474 MB, and 134 MB are allowed."""
+    found = subprocess.run([sys.executable, "-c", OUT_OF_MEMORY], capture_output=True, text=True, timeout=120)
+    assert (found.returncode, found.stdout.strip()) == (0, "MemoryError"), found.stderr

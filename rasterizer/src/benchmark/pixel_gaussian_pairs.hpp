@@ -6,7 +6,7 @@
 namespace splat {
 
 struct PixelGaussianPairs {
-    uint64_t evaluated;     // in blocks that the splat touches and that are not done
+    uint64_t evaluated;     // in blocks that the splat touches and that are not done, whole blocks
     uint64_t contributing;  // those of them with a weight above zero
 };
 

@@ -9,6 +9,8 @@
 //     dᵀ Σ2d⁻¹ d = u²/V + v²/C,   u = dx + k dy = (px - x₀) + k py,   v = dy,   x₀ = x + k y.
 #pragma once
 
+#include <algorithm>
+
 #include "forward/slice_in_time.hpp"
 
 namespace splat {
@@ -27,13 +29,19 @@ struct EwaProjection {
     Real pixel[2];
 };
 
-// Bounds of the clamp of x/z and y/z, on each side of the principal point.
+// Bounds of the clamp of x/z and y/z, on each side of the principal point. A side on which there is no image, as
+// of a crop, has the width 0.
 template <class Real>
 struct FrustumLimits {
     ScalarOf<Real> low[2], high[2];
     explicit FrustumLimits(const CameraOf<ScalarOf<Real>>& c)
-        : low{-kFrustumMargin * c.cx / c.fx, -kFrustumMargin * c.cy / c.fy},
-          high{kFrustumMargin * (c.width - c.cx) / c.fx, kFrustumMargin * (c.height - c.cy) / c.fy} {}
+        : low{-margin(c.cx, c.fx), -margin(c.cy, c.fy)},
+          high{margin(c.width - c.cx, c.fx), margin(c.height - c.cy, c.fy)} {}
+
+private:
+    static ScalarOf<Real> margin(ScalarOf<Real> pixels, ScalarOf<Real> focal) {
+        return kFrustumMargin * std::max(pixels, ScalarOf<Real>(0)) / focal;
+    }
 };
 
 template <class Real>

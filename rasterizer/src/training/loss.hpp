@@ -12,7 +12,10 @@
 // from the first such block (loss_background.hpp).
 #pragma once
 
+#include <omp.h>
+
 #include <algorithm>
+#include <exception>
 #include <vector>
 
 #include "simd/vec.hpp"
@@ -227,29 +230,32 @@ inline LossValue photometric_loss(const scalar* image, const scalar* target, int
     const scalar scale = share / (3.f * plane);
     std::vector<double> row_l1(3 * height), row_ssim(3 * height), row_square(3 * height);
     const int bands = std::clamp(height / 32, 1, threads);  // a band of a channel
-#pragma omp parallel num_threads(threads)
-    {
-        LossRows rows(width);
-#pragma omp for schedule(dynamic, 1)
-        for (int task = 0; task < 3 * bands; ++task) {
-            const int c = task / bands, band = task % bands;
-            const LossBand p{image + c * plane,
-                             target + c * plane,
-                             gradient + c * plane,
-                             &row_l1[c * height],
-                             &row_ssim[c * height],
-                             &row_square[c * height],
-                             width,
-                             height,
-                             height * band / bands,
-                             height * (band + 1) / bands,
-                             (1 - ssim_weight) * scale,
-                             ssim_weight * scale,
-                             mse_weight * scale,
-                             copy_background};
-            loss_band(p, w.data(), rows);
-        }
+    std::vector<LossRows> rows;  // of each thread
+    for (int t = 0; t < threads; ++t) rows.emplace_back(width);
+    std::exception_ptr failed;  // for lack of memory: no exception may leave the region
+#pragma omp parallel for schedule(dynamic, 1) num_threads(threads)
+    for (int task = 0; task < 3 * bands; ++task) try {
+        const int c = task / bands, band = task % bands;
+        const LossBand p{image + c * plane,
+                         target + c * plane,
+                         gradient + c * plane,
+                         &row_l1[c * height],
+                         &row_ssim[c * height],
+                         &row_square[c * height],
+                         width,
+                         height,
+                         height * band / bands,
+                         height * (band + 1) / bands,
+                         (1 - ssim_weight) * scale,
+                         ssim_weight * scale,
+                         mse_weight * scale,
+                         copy_background};
+        loss_band(p, w.data(), rows[omp_get_thread_num()]);
+    } catch (...) {
+#pragma omp critical
+        failed = std::current_exception();
     }
+    if (failed) std::rethrow_exception(failed);
     LossValue value{0, 0, 0};  // summed row by row: the same bits for any number of threads
     for (double v : row_l1) value.l1 += v;
     for (double v : row_ssim) value.ssim += v;
