@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 
 from pipeline.config.schema import Config
-from pipeline.data.prepare import Prepared
+from pipeline.data.prepared import Prepared
 from pipeline.runs.run_folder import RunFolder
 from pipeline.stages.stage import Log
 from pipeline.training.selection import motion, time_colour

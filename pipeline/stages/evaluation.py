@@ -6,7 +6,7 @@ from dataclasses import asdict
 
 from datasets.files.atomic_write import write_json
 from pipeline.config.schema import Config
-from pipeline.data.prepare import Prepared
+from pipeline.data.prepared import Prepared
 from pipeline.evaluation.evaluate import Evaluation, evaluate, evaluate_with_images
 from pipeline.evaluation.outlook import outlook, path_angles
 from pipeline.model.model import Model

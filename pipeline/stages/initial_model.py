@@ -5,7 +5,7 @@ from __future__ import annotations
 from datasets.files.atomic_write import atomic_file, write_json
 from pipeline.config.random_streams import Stream, stream
 from pipeline.config.schema import Config
-from pipeline.data.prepare import Prepared
+from pipeline.data.prepared import Prepared
 from pipeline.model.initialise import initialise
 from pipeline.model.ply import save_ply
 from pipeline.runs.run_folder import RunFolder

@@ -11,7 +11,7 @@ import numpy as np
 from datasets import Scene
 from pipeline.config.renamed_keys import with_first_names
 from pipeline.config.schema import Config
-from pipeline.data.prepare import Prepared
+from pipeline.data.prepared import Prepared
 from pipeline.stages.decisions import MOTION, TIME_COLOUR
 from pipeline.training.selection import motion, time_colour
 

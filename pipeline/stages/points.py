@@ -6,7 +6,7 @@ import shutil
 
 from datasets.files.atomic_write import atomic_file
 from pipeline.config.schema import Config
-from pipeline.data.prepare import Prepared
+from pipeline.data.prepared import Prepared
 from pipeline.runs.run_folder import RunFolder
 from pipeline.stages.stage import Log
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from pipeline.config.schema import Config
-from pipeline.data.prepare import Prepared
+from pipeline.data.prepared import Prepared
 from pipeline.runs.run_folder import RunFolder
 
 Log = Callable[[str], None]  # takes a line of text for the user

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 from datasets import Scene
 from pipeline.config.schema import Config
-from pipeline.data.prepare import Prepared
+from pipeline.data.prepared import Prepared
 from pipeline.evaluation.lifetimes import lifetimes
 from pipeline.evaluation.motion.moving_pixels import MovingPixels
 from pipeline.evaluation.quick_evaluate import quick_evaluate

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from datasets import Scene, is_filmed, load_clip, load_clip_set, load_footage, load_scene, reads_clip, reads_clip_set
+from datasets import Scene, load_clip, load_clip_set, load_footage, load_scene, scene_kind
 from pipeline.config.schema import Config
 from pipeline.data.optical_flow import CACHE_LIMIT_BYTES as FLOW_CACHE_LIMIT_BYTES
 from pipeline.data.optical_flow import measured_size
@@ -32,7 +32,7 @@ from rasterizer.timing.iteration_time import time_iteration
 from rasterizer.timing.workloads import Workload, make_workload
 
 if TYPE_CHECKING:
-    from datasets import Footage
+    from datasets.plenoptic import Footage
 
 # float32 values per Gaussian of the full model in training: parameters, Adam's two moments and the best model so far,
 # stored gradients (17) and statistics (7); and 9 for each view of a batch.
@@ -103,7 +103,7 @@ def estimate_if_large(cfg: Config, log: Callable[[str], None]) -> Estimate | Non
     log: takes lines of text while a synthetic scene is rendered. What there is to say of other videos, reading them for
     the run says.
     """
-    if not is_filmed(cfg.scene):
+    if scene_kind(cfg.scene) not in ("posed_videos", "videos"):
         return None
     footage = load_footage(
         cfg.scene, threads=cfg.threads, log=log if cfg.scene.reader == "synthetic" else lambda line: None
@@ -152,16 +152,17 @@ def _estimate(cfg: Config, size: Size, threads: int) -> Estimate:
 
 def measure_size(cfg: Config, threads: int) -> Size:
     """From the headers of videos and the timing of a few frames; other scenes are read."""
-    if reads_clip(cfg.scene):
+    kind = scene_kind(cfg.scene)
+    if kind == "clip":
         clip = load_clip(cfg.scene, log=lambda line: None)
         width, height = (side // clip.downscale for side in clip.size)
         tests = len(clip.frames) // cfg.scene.test_every
         return Size(len(clip.frames) - tests, tests, width, height, 0, 0.0)
-    if reads_clip_set(cfg.scene):
+    if kind == "clips":
         found = load_clip_set(cfg.scene, log=lambda line: None)
         train, tests = found.counts()
         return Size(train, tests, *found.size, 0, 0.0)
-    if is_filmed(cfg.scene):
+    if kind in ("posed_videos", "videos"):
         footage = load_footage(cfg.scene, threads=cfg.threads)
         width, height = (side // footage.options.downscale for side in footage.size)
         tests, cameras = len(footage.held_out), len(footage.names)

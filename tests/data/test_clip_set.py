@@ -15,7 +15,8 @@ from datasets.synthetic.rig import rig
 from datasets.synthetic.scenes import counter
 from datasets.synthetic.trace import trace
 from pipeline.config.schema import Config, InitConfig
-from pipeline.data.prepare import Prepared, prepare
+from pipeline.data.prepare import prepare
+from pipeline.data.prepared import Prepared
 from pipeline.data.sfm.clip import reconstruct_clip
 from pipeline.data.sfm.pairs import by_lens, pairs_of
 from pipeline.data.sfm.photograph import Photograph

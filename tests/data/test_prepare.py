@@ -16,7 +16,11 @@ from datasets.plenoptic import open_plenoptic
 from datasets.settings import SceneConfig
 from datasets.synthetic import build_scene
 from pipeline.config.schema import Config, InitConfig
-from pipeline.data.prepare import Prepared, _from_drive, near_depth, prepare, training_photographs
+from pipeline.data.prepare import prepare
+from pipeline.data.prepared import Prepared
+from pipeline.data.sources.drive import with_points
+from pipeline.data.sources.reconstruct import near_depth
+from pipeline.data.sources.videos import training_photographs
 from rasterizer import Camera
 
 
@@ -113,8 +117,8 @@ def test_a_sphere_around_lidar_points_is_refused() -> None:
     log = drive()
     cfg = replace(tiny_config(background_model="sphere"), init=InitConfig())
     with pytest.raises(ValueError, match="background_model: expected cubemap, envmap or none for .*, found sphere"):
-        _from_drive(cfg, log, print)
-    assert _from_drive(replace(cfg, init=InitConfig(source="random")), log, print).scene is log
+        with_points(cfg, log, print)
+    assert with_points(replace(cfg, init=InitConfig(source="random")), log, print).scene is log
 
 
 def test_near_depth_is_the_5_percent_quantile() -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tiny import tiny_config, tiny_scene
 
-from pipeline.data.prepare import Prepared
+from pipeline.data.prepared import Prepared
 from pipeline.runs.run_folder import RunFolder
 from pipeline.stages.inputs import stage_inputs
 from pipeline.stages.points import copy_points

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from clips import SOUND_RATE, textured_plane, write_clip
 
-from datasets import is_filmed, load_clip_set, reads_clip_set
+from datasets import load_clip_set, scene_kind
 from datasets.clip import ClipSet, stands_still
 from datasets.files.errors import SceneError
 from datasets.scene import Scene
@@ -73,16 +73,16 @@ def scene_of(found: ClipSet) -> Scene:
 def test_who_moves(videos: Path) -> None:
     assert [stands_still(videos / f"{name}.mp4") for name in RATES] == [False, False, True]
     cfg = SceneConfig("set", "video", str(videos), moving_cameras="auto")
-    assert reads_clip_set(cfg) and not is_filmed(cfg)
+    assert scene_kind(cfg) == "clips"
     still = SceneConfig("set", "video", str(videos))  # not looked at
-    assert not reads_clip_set(still) and is_filmed(still)
+    assert scene_kind(still) == "videos"
 
 
 def test_only_cameras_that_stand_still_are_read_as_before(videos: Path, tmp_path: Path) -> None:
     for name in ("one", "two"):
         write_clip(tmp_path / f"{name}.mp4", [disc_over_still_plane(i / 10, (96, 64)) for i in range(20)], range(20))
     cfg = SceneConfig("set", "video", str(tmp_path), moving_cameras="auto")
-    assert not reads_clip_set(cfg) and is_filmed(cfg)
+    assert scene_kind(cfg) == "videos"
 
 
 def test_frames_have_times_of_the_common_clock(videos: Path) -> None:

@@ -11,8 +11,8 @@ import pytest
 from clips import textured_plane, write_clip
 from plenoptic_folder import FRAMES, HEIGHT, RATE, WIDTH, inside, picture, write_camera
 
-from datasets import Footage, SceneError, load_footage, load_scene
-from datasets.plenoptic import Undistortion, read_footage
+from datasets import SceneError, load_footage, load_scene
+from datasets.plenoptic import Footage, Undistortion, read_footage
 from datasets.plenoptic.unsynchronised import AlignedStream
 from datasets.settings import SceneConfig
 from rasterizer.camera import Camera

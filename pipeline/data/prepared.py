@@ -1,0 +1,22 @@
+"""Prepared: what a run starts from, its scene and its initial points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from datasets.canonical import Canonical
+from datasets.scene import Scene
+from pipeline.data.sfm.photograph import Reconstruction
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A scene and its initial points: in canonical coordinates, of a source (pipeline/data/sources) in those of the
+    files."""
+
+    scene: Scene
+    cloud: Reconstruction | None  # None: random points, or those of LiDAR
+    sfm_folder: Path | None  # cache folder of the cloud, with its summary and plot
+    canonical: Canonical = Canonical()  # transform from the files' units
+    is_clip: bool = False  # the video of one camera that moves
