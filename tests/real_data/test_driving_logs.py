@@ -14,7 +14,7 @@ from datasets.urban import open_log
 from datasets.urban.assemble import scene_of_log
 from datasets.urban.log import DrivingLog
 from datasets.urban.projection import depth_image
-from datasets.urban.waymo.convert import Components, vehicle_poses
+from datasets.urban.waymo.components import Components, vehicle_poses
 from datasets.urban.write import write_kitti_format, write_processed
 
 pytestmark = pytest.mark.data

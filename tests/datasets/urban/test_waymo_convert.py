@@ -15,7 +15,9 @@ from scipy.spatial.transform import Rotation
 
 from datasets.files.errors import SceneError
 from datasets.urban import open_log
-from datasets.urban.waymo.convert import TIME, convert, main, moving_boxes
+from datasets.urban.waymo.components import TIME
+from datasets.urban.waymo.convert import convert, main
+from datasets.urban.waymo.labelled_boxes import moving_boxes
 from datasets.urban.waymo.processed import OPENCV_TO_WAYMO
 from datasets.urban.waymo.range_image import inclinations, points_of
 from rasterizer.camera import Camera
