@@ -12,7 +12,8 @@ from pipeline.report.tables.changed_settings import changed_settings
 from pipeline.runs.read.collect import Collection
 
 
-def rows(train: str, scene: str, psnrs: list[float], seconds: float = 10.0) -> list[dict]:
+def rows(train: str, scene: str, psnrs: list[float], seconds: float = 10.0, moving: float = math.nan) -> list[dict]:
+    """moving: what moving pixels have more than all."""
     return [
         {
             "scene": scene,
@@ -22,6 +23,8 @@ def rows(train: str, scene: str, psnrs: list[float], seconds: float = 10.0) -> l
             "seed": seed,
             "final.psnr": psnr,
             "final.ssim": psnr / 100,
+            "final.psnr_moving": psnr + moving,
+            "final.psnr_foreground": math.nan,
             "model_mb": 1.0,
             "train_seconds": seconds,
             "n_gaussians": 100.0,
@@ -117,3 +120,25 @@ def test_a_missing_number_is_not_measured_and_the_note_is_of_standard_errors() -
     )
     text = markdown(table)
     assert "n/a" in text and "standard deviation over seeds" not in text and comma_separated(table)
+
+
+def test_moving_pixels_are_compared_on_the_scenes_that_have_them() -> None:
+    (table,) = changed_settings(
+        collection(
+            rows("fast", "synthetic/wheel", [20.0, 22.0], moving=-5.0),
+            rows("fast", "synthetic/lamp", [30.0, 30.0]),
+            rows("fast (dropout=0.1)", "synthetic/wheel", [23.0, 23.0], moving=-7.0),
+            rows("fast (dropout=0.1)", "synthetic/lamp", [31.0, 31.0]),
+            rows("fast (batch=2)", "synthetic/lamp", [31.0, 31.0]),
+        )
+    )
+    dropout, batch = (
+        {row.cells["change"].text: row.cells for row in table.rows}[key] for key in ("dropout=0.1", "batch=2")
+    )
+    # 23 - 7 against 21 - 5 ± √2 / √2; nothing moves on lamp, and no run knows a foreground
+    for key in ("synthetic/wheel_moving", "moving"):
+        assert (dropout[key].value, dropout[key].std) == (pytest.approx(0.0), pytest.approx(1.0))
+    assert "moving" not in batch
+    headers = [column.header for column in table.columns]
+    assert "synthetic/wheel moving" in headers and "mean, moving" in headers
+    assert not {"synthetic/lamp moving", "mean, foreground"} & set(headers)

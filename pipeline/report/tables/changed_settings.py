@@ -24,12 +24,14 @@ from pipeline.runs.read.run_names import file_name, parts_of, with_parts
 STUDY = "study_"  # prefix of the tables' slugs
 MIN_VARIANTS = 2  # a single variant is compared in other tables
 _SCENE_KEYS = ("scene.", "init.", "background=")
+_MOVING, _FOREGROUND = "final.psnr_moving", "final.psnr_foreground"  # columns that runs without such pixels lack
 _RATIOS = {"train_seconds": "Train s ×", "n_gaussians": "N ×", "model_mb": "MB ×", "final.fps_render": "FPS ×"}
 NOTE = (
     "",
     "Changed − unchanged schedule: final PSNR in dB (and SSIM), ± standard error of the difference over seeds. The "
-    "mean is over common scenes, with the standard error propagated from theirs; no ±: one seed. In the CSV, _std is "
-    "the standard error. ×: ratio of the means over seeds, geometric mean over scenes.",
+    "mean is over common scenes, with the standard error propagated from theirs; no ±: one seed. Moving, foreground: "
+    "PSNR of these pixels; the mean is over the scenes that have them. In the CSV, _std is the standard error. "
+    "×: ratio of the means over seeds, geometric mean over scenes.",
 )
 
 
@@ -46,15 +48,8 @@ def changed_settings(collection: Collection) -> list[Table]:
             if (row := _row(change, variant, unchanged, names)) is not None
         ]
         if len(rows) >= MIN_VARIANTS:
-            tables.append(
-                _table(
-                    schedule,
-                    ablation,
-                    names,
-                    rows,
-                    [*_selected_notes(group), *held_out_notes(collection.runs.loc[group.index])],
-                )
-            )
+            notes = [*_selected_notes(group), *held_out_notes(collection.runs.loc[group.index])]
+            tables.append(_table(schedule, ablation, names, rows, notes))
     return tables
 
 
@@ -77,10 +72,16 @@ def _selected_notes(runs: pd.DataFrame) -> list[tuple[str, str]]:
 
 
 def _table(schedule: str, ablation: str, names: list[str], rows: list[Row], notes: list[tuple[str, str]]) -> Table:
+    optional = (
+        *(Column(_moving_of(scene), f"{scene} moving", group="moving") for scene in names),
+        Column("moving", "mean, moving", group="means"),
+        Column("foreground", "mean, foreground", group="means"),
+    )
     columns = (
         Column("change", "Change", False),
         *(Column(scene, scene, group="scenes") for scene in names),
         Column("mean", "mean, dB", group="means"),
+        *(column for column in optional if any(column.key in row.cells for row in rows)),
         Column("ssim", "mean, SSIM", group="means"),
         *(Column(key, header, group="means") for key, header in _RATIOS.items()),
     )
@@ -92,11 +93,16 @@ def _table(schedule: str, ablation: str, names: list[str], rows: list[Row], note
     )
 
 
+def _moving_of(scene: str) -> str:
+    """The key of the column of a scene's moving pixels."""
+    return f"{scene}_moving"
+
+
 def _row(change: str, variant: pd.DataFrame, unchanged: pd.DataFrame, names: list[str]) -> Row | None:
     """One change on every scene; None without a common scene and seed."""
     cells = {"change": text(change)}
     ratios: dict[str, list[float]] = {key: [] for key in _RATIOS}
-    psnr, ssim = [], []
+    psnr, ssim, moving, foreground = [], [], [], []
     for scene in names:
         changed, base = _of_common_seeds(variant[variant["scene"] == scene], unchanged[unchanged["scene"] == scene])
         in_psnr, in_ssim = (_difference(changed[metric], base[metric]) for metric in ("final.psnr", "final.ssim"))
@@ -106,11 +112,17 @@ def _row(change: str, variant: pd.DataFrame, unchanged: pd.DataFrame, names: lis
         psnr.append(in_psnr)
         ssim.append(in_ssim)
         cells[scene] = _signed(*in_psnr)
+        if (in_moving := _difference(changed[_MOVING], base[_MOVING])) is not None:
+            moving.append(in_moving)
+            cells[_moving_of(scene)] = _signed(*in_moving)
+        if (in_foreground := _difference(changed[_FOREGROUND], base[_FOREGROUND])) is not None:
+            foreground.append(in_foreground)
         for key in _RATIOS:
             ratios[key].append(_ratio(changed[key], base[key]))
     if not psnr:
         return None
     cells["mean"], cells["ssim"] = _signed(*_mean(psnr)), _signed(*_mean(ssim), digits=4)
+    cells |= {key: _signed(*_mean(of)) for key, of in (("moving", moving), ("foreground", foreground)) if of}
     for key, values in ratios.items():
         cells[key] = number(float(np.exp(np.mean(np.log(values)))))
     return Row(cells)
