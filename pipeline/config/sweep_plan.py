@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 from hydra import compose, initialize_config_dir
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.types import RunMode
 from omegaconf import DictConfig
@@ -67,8 +69,20 @@ def _runs_of(command: Sequence[str]) -> dict[str, PlannedRun]:
     composed: dict[tuple[str, ...], DictConfig] = {}  # of all seeds: composing takes a tenth of a second
     for job in jobs:
         others = tuple(override for override in job if not override.startswith("seed="))
-        cfg = composed[others] = composed.get(others) or compose("config", list(job))
+        cfg = composed[others] = composed.get(others) or compose("config", list(job), return_hydra_config=True)
         cfg.seed = next((int(override[5:]) for override in job if override.startswith("seed=")), cfg.seed)
         work = float(cfg.train.iterations * cfg.train.batch * cfg.scene.size**2)
-        runs[cfg.out] = PlannedRun(tuple(job), hydra.runtime.choices.launcher, work)
+        with _choices_of(cfg):
+            runs[cfg.out] = PlannedRun(tuple(job), hydra.runtime.choices.launcher, work)
     return runs
+
+
+@contextmanager
+def _choices_of(cfg: DictConfig) -> Iterator[None]:
+    """Interpolations such as ${hydra:runtime.choices.variant} are those of `cfg`, composed with Hydra's own part."""
+    state, before = HydraConfig.instance(), HydraConfig.instance().cfg
+    state.set_config(cfg)
+    try:
+        yield
+    finally:
+        state.cfg = before

@@ -8,7 +8,7 @@ import pytest
 from omegaconf import DictConfig
 
 from pipeline import cli
-from pipeline.config.compose import register_schema
+from pipeline.config.compose import CONFIG_DIR, register_schema
 from pipeline.config.sweep_launch import can_be_one, launch
 from pipeline.config.sweep_plan import PlannedRun, merged, planned_sweeps
 
@@ -40,6 +40,20 @@ def test_every_run_is_launched_once_and_a_failed_one_stops_no_other() -> None:
     begun.clear()
     assert not launch(SMOKE, runs, task)
     assert begun == expected
+
+
+@pytest.mark.parametrize("file", sorted((CONFIG_DIR / "experiment").rglob("*.yaml")), ids=lambda file: file.stem)
+def test_the_command_of_each_experiment_is_a_sweep_with_a_folder_for_each_run(
+    file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The command is the one that the file begins with; DATA_DIR and placeholders are any folder."""
+    register_schema()
+    monkeypatch.setenv("DATA_DIR", "data")
+    command = next(line for line in file.read_text().splitlines() if "python -m pipeline " in line)
+    arguments = command.partition("python -m pipeline ")[2].partition("    #")[0].rstrip(" \\").split()
+    (runs,) = planned_sweeps([arguments])
+    assert len(runs) == len({run.overrides for run in runs.values()}) >= 1
+    assert all(out.startswith("results/") and "${" not in out for out in runs)
 
 
 def test_a_run_of_two_experiments_is_the_first_one_s() -> None:
