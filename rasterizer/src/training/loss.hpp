@@ -16,6 +16,7 @@
 
 #include <algorithm>
 #include <exception>
+#include <optional>
 #include <vector>
 
 #include "simd/vec.hpp"
@@ -230,11 +231,12 @@ inline LossValue photometric_loss(const scalar* image, const scalar* target, int
     const scalar scale = share / (3.f * plane);
     std::vector<double> row_l1(3 * height), row_ssim(3 * height), row_square(3 * height);
     const int bands = std::clamp(height / 32, 1, threads);  // a band of a channel
-    std::vector<LossRows> rows;  // of each thread
-    for (int t = 0; t < threads; ++t) rows.emplace_back(width);
+    std::vector<std::optional<LossRows>> thread_rows(threads);
     std::exception_ptr failed;  // for lack of memory: no exception may leave the region
 #pragma omp parallel for schedule(dynamic, 1) num_threads(threads)
     for (int task = 0; task < 3 * bands; ++task) try {
+        std::optional<LossRows>& rows = thread_rows[omp_get_thread_num()];
+        if (!rows) rows.emplace(width);
         const int c = task / bands, band = task % bands;
         const LossBand p{image + c * plane,
                          target + c * plane,
@@ -250,7 +252,7 @@ inline LossValue photometric_loss(const scalar* image, const scalar* target, int
                          ssim_weight * scale,
                          mse_weight * scale,
                          copy_background};
-        loss_band(p, w.data(), rows[omp_get_thread_num()]);
+        loss_band(p, w.data(), *rows);
     } catch (...) {
 #pragma omp critical
         failed = std::current_exception();
