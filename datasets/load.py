@@ -6,13 +6,14 @@ Readers are imported where they are called: most scenes need no video decoder.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from datasets.composition import BLACK, WHITE, Color, as_color
 from datasets.files.errors import SceneError
 from datasets.kinds import data_path, scene_kind, synthetic_name, with_reader
-from datasets.scene import Scene, validate_scene
+from datasets.scene import PLAYBACK_RATE, Scene, validate_scene
 from datasets.settings import LAYOUTS, SceneConfig
 from datasets.validation import hold_out_every, hold_out_outermost
 
@@ -125,7 +126,7 @@ def _load_photographs(cfg: SceneConfig, log: Log) -> Scene:
     path = _make_synthetic(cfg, log) if cfg.reader == "synthetic" else data_path(cfg)
     # With a validation split a scene needs no test split.
     split = None if cfg.validation_every and not has_split(path, cfg.test_split) else cfg.test_split
-    return read_dnerf(
+    scene = read_dnerf(
         path,
         name=cfg.name,
         test_split=split,
@@ -134,6 +135,8 @@ def _load_photographs(cfg: SceneConfig, log: Log) -> Scene:
         init_box=(cfg.init_box[0], cfg.init_box[1]),
         log=log,
     )
+    is_clip = cfg.reader == "synthetic" and cfg.camera_path == "arc" and not scene.is_static
+    return replace(scene, playback_rate=PLAYBACK_RATE) if is_clip else scene
 
 
 def _load_drive(cfg: SceneConfig, log: Log) -> Scene:
@@ -160,6 +163,7 @@ def _make_synthetic(cfg: SceneConfig, log: Log) -> Path:
         cameras=cfg.cameras,
         frames=cfg.frames,
         layout=cfg.layout,
+        camera_path=cfg.camera_path,
         progress=lambda done, total: log(f"{cfg.name}: {done} of {total} {what} rendered"),
     )
 

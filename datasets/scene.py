@@ -23,6 +23,7 @@ from rasterizer.request import MIN_DURATION
 
 # 3DGS scales its position learning rate by 1.1 × the distance of the farthest training camera from their centre.
 EXTENT_MARGIN = 1.1
+PLAYBACK_RATE = 30.0  # frames a second of rendered videos of one moving camera, where the data say nothing
 
 # Opposite corners, low and high; one number is the same on all three axes.
 Corner = float | tuple[float, float, float]

@@ -11,6 +11,7 @@ READERS = ("dnerf", "plenoptic", "video", "synthetic", "kitti", "waymo", "auto",
 SYNC = ("none", "auto", "given")
 SKY_MASKS = ("auto", "none", "files", "estimated")
 STREET_LAYOUTS = ("processed", "kitti_format")
+CAMERA_PATHS = ("jumps", "arc")
 COLOR_NAMES = ("auto", "black", "white")  # of scene.background
 
 
@@ -60,6 +61,9 @@ class SceneConfig:
     cameras: int = 12  # synthetic/counter: number of cameras, held-out ones included
     train_views: int = 60  # other synthetic scenes: number of training views
     test_views: int = 12  # other synthetic scenes: number of test views
+    # Other synthetic scenes: jumps: each time from another side, as D-NeRF | arc: one camera that moves, a clip; test
+    # views lie beside its path, validation views (scene.test_split=val) on it
+    camera_path: str = "jumps"
     seed: int = 0  # synthetic: seed of the scene; the run has its own
     init_points: int = 100_000  # number of random initial points
     # [low, high] of the cube of random initial points, canonical units; not used by videos, whose box follows from
@@ -135,6 +139,7 @@ class SceneConfig:
         require(8 <= self.size <= 4096, "scene.size", "8 to 4096", self.size)
         require(self.train_views >= 1, "scene.train_views", "at least 1", self.train_views)
         require(self.test_views >= 1, "scene.test_views", "at least 1", self.test_views)
+        require(self.camera_path in CAMERA_PATHS, "scene.camera_path", ", ".join(CAMERA_PATHS), self.camera_path)
         require(self.init_points >= 1, "scene.init_points", "at least 1", self.init_points)
         require(
             len(self.init_box) == 2 and self.init_box[0] < self.init_box[1],

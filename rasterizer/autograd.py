@@ -76,6 +76,7 @@ def rasterize(
     fourier_order: int | None = None,
     threads: int = 0,
     marginal_offset: float = 0.0,
+    flow_camera: Camera | None = None,
 ) -> RenderOutput:
     """Render 4D Gaussians (contiguous float32) from `camera` at `time`; differentiable in all parameters.
 
@@ -83,12 +84,23 @@ def rasterize(
     "stats"; only these are computed. flow_dt: δ of the optical flow. near: near plane, world units. sh_degree,
     fourier_order: use the coefficients up to these; None: all. threads: 0 for all cores; never changes the bits.
     marginal_offset: temporal marginals are those of time + this, all else is that of time (docs/method.md 2.8).
+    flow_camera: the camera at time + δ, whose motion is part of the flow then; None: it stands still.
 
     `rasterizer.reference.rasterize` is the same function in plain PyTorch. Raises ValueError for wrong shapes or types,
     for values that are not finite or out of range, and where float32 overflows.
     """
     request = Request(
-        camera, time, duration, background, outputs, flow_dt, near, sh_degree, fourier_order, marginal_offset
+        camera,
+        time,
+        duration,
+        background,
+        outputs,
+        flow_dt,
+        near,
+        sh_degree,
+        fourier_order,
+        marginal_offset,
+        flow_camera,
     )
     check_layout(gaussians)
     check_finite(gaussians)

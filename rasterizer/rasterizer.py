@@ -13,6 +13,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from rasterizer.camera import Camera
 from rasterizer.cores import thread_count
 from rasterizer.gaussians import OPTIONAL, SH_LAYOUTS, Gaussians
 from rasterizer.gradients import Gradients, ViewColors, ViewGradient
@@ -68,26 +69,28 @@ class Rasterizer:
         return RenderOutput(**{name: images.get(name) for name in OUTPUT_CHANNELS})
 
     def _set_view(self, request: Request) -> None:
-        camera = request.camera
+        has_flow = "flow" in request.outputs
+        later = request.flow_camera if has_flow else None
         self._state.set_view(
-            camera=self._kernel.Camera.make(
-                camera.width,
-                camera.height,
-                [camera.fx, camera.fy, camera.cx, camera.cy],
-                camera.world_to_cam,
-                list(camera.position),
-            ),
+            camera=self._camera(request.camera),
+            flow_camera=None if later is None else self._camera(later),
             time=request.time,
             marginal_offset=request.marginal_offset,
             duration=request.duration,
             near=request.near,
             background=list(request.background),
-            flow_dt=as_float(request.flow_dt) if "flow" in request.outputs else 0.0,
+            flow_dt=as_float(request.flow_dt) if has_flow else 0.0,
             sh_degree=self.sh_degree,
             fourier_order=self.fourier_order,
             extras=tuple(name in request.outputs for name in _EXTRAS),
             differentiable=self._differentiable,
             threads=self.threads,
+        )
+
+    def _camera(self, camera: Camera) -> Any:
+        intrinsics = [camera.fx, camera.fy, camera.cx, camera.cy]
+        return self._kernel.Camera.make(
+            camera.width, camera.height, intrinsics, camera.world_to_cam, list(camera.position)
         )
 
     def backward(

@@ -34,6 +34,7 @@ class Request:
     fourier_order: int | None = None  # likewise
     # p is evaluated at time + this; means, covariances and colours at time. Training alone uses it (docs/method.md 2.8)
     marginal_offset: float = 0.0
+    flow_camera: Camera | None = None  # the camera at time + flow_dt, for the flow; None: it stands still
 
     def __post_init__(self) -> None:
         time, duration, near = (as_float(value) for value in (self.time, self.duration, self.near))

@@ -13,6 +13,8 @@ from datasets.scene import Scene, View, camera_extent
 
 RATE = 10.0  # frames a second
 PLANE = (96, 128)  # height and width of the textured plane's images
+PLANE_DEPTH, FOCAL = 4.0, 40.0  # of the plane, world units; of tiny_scene's cameras, pixels
+PANNED = 3  # pixels
 
 
 def tiny_film(frames: int = 4, height: int = SIZE, held_out: tuple[str, ...] = ("cam00", "cam05")) -> Scene:
@@ -81,3 +83,21 @@ def moving_plane() -> Scene:
     camera = replace(film.train[0].camera, width=width, height=height, cx=width / 2, cy=height / 2)
     frames = [plane_image(2 * frame, frame) for frame in range(4)]
     return replace(film, train=tuple(replace(v, camera=camera, image=i) for v, i in zip(film.train, frames)))
+
+
+def clip_past_a_plane() -> Scene:
+    """Four frames of the textured plane, which stands still, by a camera that moves sideways: PANNED pixels a frame."""
+    film = moving_plane()
+    views = [
+        replace(view, camera=replace(view.camera, world_to_cam=_moved(view.camera.world_to_cam, frame * PANNED)))
+        for frame, view in enumerate(film.train)
+    ]
+    views = [replace(v, image=plane_image(PANNED * frame, 0)) for frame, v in enumerate(views)]
+    return replace(film, train=tuple(views), frame_rate=None, playback_rate=RATE)
+
+
+def _moved(world_to_cam: np.ndarray, pixels: float) -> np.ndarray:
+    """The pose that sees a point at PLANE_DEPTH on the optical axis that many pixels further to the right."""
+    pose = world_to_cam.copy()
+    pose[0, 3] += pixels * PLANE_DEPTH / FOCAL
+    return pose

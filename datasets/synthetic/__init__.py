@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from datasets.files.errors import SceneError
+from datasets.synthetic.camera_path import TimedPose, arc_poses, held_out_poses, poses_beside_arc, training_poses
 
 PHOTOGRAPHED = ("wheel", "lamp", "burst", "still")  # in the D-NeRF layout: one camera per time
 FILMED = ("counter",)  # in the Plenoptic Video layout: several cameras at every time
@@ -41,13 +42,15 @@ def make_scene(
     frames: int = 60,
     processes: int = 1,
     layout: str = "processed",
+    camera_path: str = "jumps",
     progress: Progress | None = None,
 ) -> Path:
     """The folder of a synthetic scene under `cache`; traces the scene if it is not there.
 
-    size: image width in pixels. train_views, test_views: of photographed scenes. cameras, frames, processes, progress:
-    of filmed scenes, see build_scene. frames, layout (urban.write.WRITERS): of drives. The folder's name ends with a
-    hash of everything that determines the images: the sources of the tracer and of the scene, and the arguments.
+    size: image width in pixels. train_views, test_views, camera_path: of photographed scenes, see build_scene. cameras,
+    frames, processes, progress: of filmed scenes, see build_scene. frames, layout (urban.write.WRITERS): of drives. The
+    folder's name ends with a hash of everything that determines the images: the sources of the tracer and of the scene,
+    and the arguments.
     Raises SceneError for an unknown name or an invalid argument.
     """
     _check_name(name)
@@ -57,7 +60,7 @@ def make_scene(
     elif name in DRIVEN:
         parameters |= {"frames": frames, "layout": layout}
     else:
-        parameters |= {"train_views": train_views, "test_views": test_views}
+        parameters |= {"train_views": train_views, "test_views": test_views, "camera_path": camera_path}
     folder = Path(cache) / f"{name}-{_fingerprint(parameters)}"
     if not (folder / "meta.json").is_file():
         build_scene(folder, **parameters, processes=processes, progress=progress)
@@ -77,12 +80,15 @@ def build_scene(
     samples: int = 3,
     processes: int = 1,
     layout: str = "processed",
+    camera_path: str = "jumps",
     progress: Progress | None = None,
 ) -> Path:
     """Traces a scene into `folder`, which must be absent or empty. The same arguments give the same bytes.
 
-    train_views, test_views: of a photographed scene. The rest is for filmed scenes: samples × samples rays per pixel,
-    `processes` cameras in parallel (spawned: the caller's main module must be importable).
+    train_views, test_views, camera_path: of a photographed scene, "jumps" for one camera per time as D-NeRF, "arc" for
+    one camera that moves, with test views beside its path and validation views on it. The rest is for filmed scenes:
+    samples × samples rays per pixel, `processes` cameras in parallel (spawned: the caller's main module must be
+    importable).
     """
     _check_name(scene)
     if scene in FILMED:
@@ -98,30 +104,45 @@ def build_scene(
             Path(folder), scene=scene, seed=seed, size=size, frames=frames, layout=layout, progress=progress
         )
 
-    from datasets.synthetic.camera_path import held_out_poses, training_poses
     from datasets.synthetic.write import write_scene
 
     if train_views < 2 or test_views < 1:
         raise SceneError("scene.train_views, scene.test_views", "at least 2 and 1", f"{train_views} and {test_views}")
     # Separate generators: the cameras of a seed do not change when a scene draws more random numbers.
-    world_rng, train_rng, val_rng, test_rng = np.random.default_rng(seed).spawn(4)
+    world_rng, *camera_rngs = np.random.default_rng(seed).spawn(4)
     world = importlib.import_module(f"datasets.synthetic.scenes.{scene}").build(world_rng)
-    poses = {
-        "train": training_poses(train_views, train_rng),
-        "val": held_out_poses(max(1, test_views // 3), train_views, val_rng),
-        "test": held_out_poses(test_views, train_views, test_rng),
-    }
+    poses = _poses(camera_path, train_views, test_views, camera_rngs)
     meta = {
         "scene": scene,
         "seed": seed,
         "size": size,
         "train_views": train_views,
         "test_views": test_views,
+        "camera_path": camera_path,
         "flow_dt": 1 / (train_views - 1),  # to the next training time
         "flow": "pixels right and down to time + flow_dt, same camera",
         "depth": "z along the viewing axis",
     }
     return write_scene(world, poses, size, meta, Path(folder))
+
+
+def _poses(
+    camera_path: str, train_views: int, test_views: int, rngs: list[np.random.Generator]
+) -> dict[str, list[TimedPose]]:
+    """The cameras of each split; rngs: of training, validation and test cameras."""
+    validation_views = max(1, test_views // 3)
+    if camera_path == "arc":
+        start = rngs[0].uniform(0, 2 * np.pi)
+        return {
+            "train": arc_poses(train_views, start),
+            "val": poses_beside_arc(validation_views, train_views, start, aside=0.0),
+            "test": poses_beside_arc(test_views, train_views, start),
+        }
+    return {
+        "train": training_poses(train_views, rngs[0]),
+        "val": held_out_poses(validation_views, train_views, rngs[1]),
+        "test": held_out_poses(test_views, train_views, rngs[2]),
+    }
 
 
 def _check_name(name: str) -> None:

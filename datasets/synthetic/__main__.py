@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 from datasets.files.errors import SceneError
+from datasets.settings import CAMERA_PATHS
 from datasets.synthetic import FILMED, PHOTOGRAPHED, SCENE_NAMES, build_scene
 from rasterizer.cores import usable_cores
 
@@ -32,6 +33,13 @@ def main(arguments: list[str] | None = None) -> int:
     photographed = parser.add_argument_group("photographed scenes", ", ".join(PHOTOGRAPHED))
     photographed.add_argument("--train-views", type=int, default=100, help="default: %(default)s")
     photographed.add_argument("--test-views", type=int, default=12, help="default: %(default)s")
+    photographed.add_argument(
+        "--camera-path",
+        choices=CAMERA_PATHS,
+        default="jumps",
+        help="jumps: each time from another side; arc: one camera that moves, test views beside its path (default: "
+        "%(default)s)",
+    )
     filmed = parser.add_argument_group("filmed scenes", ", ".join(FILMED))
     filmed.add_argument("--cameras", type=int, default=12, help="default: %(default)s")
     filmed.add_argument("--frames", type=int, default=60, help="default: %(default)s")

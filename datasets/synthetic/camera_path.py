@@ -1,4 +1,7 @@
-"""Camera poses and times of photographed scenes: one camera per time on a hemisphere, as in D-NeRF."""
+"""Camera poses and times of photographed scenes, on a hemisphere around them.
+
+Either one camera per time, each from another side, as in D-NeRF; or one camera that moves along an arc, as a clip.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,8 @@ ANGLE_X = 0.6911112070083618  # D-NeRF's horizontal field of view, radians
 # Sine of the elevation: uniform between these, hence uniform in area over this part of the upper hemisphere.
 LOW, HIGH = 0.15, 0.92
 # The R2 sequence (Roberts 2018), quasi-random in the unit square: consecutive times have distant poses.
+ARC, ELEVATION, SWAY = 1.4, 0.45, 0.08  # of a clip: azimuth over the whole time, elevation and its sway, radians
+ASIDE = 0.26  # of held-out cameras beside the arc, radians: 15 degrees
 PLASTIC = 1.32471795724474602596
 R2_STEPS = np.array([1 / PLASTIC, 1 / PLASTIC**2])
 
@@ -31,9 +36,33 @@ def training_poses(count: int, rng: np.random.Generator) -> list[TimedPose]:
 
 def held_out_poses(count: int, train_count: int, rng: np.random.Generator) -> list[TimedPose]:
     """Times halfway between neighbouring training times, evenly spaced; other positions."""
+    return _timed_poses(_times_between(count, train_count), rng)
+
+
+def arc_poses(count: int, start: float) -> list[TimedPose]:
+    """Times i / (count - 1), along an arc that begins at the azimuth `start`, radians."""
+    times = np.arange(count) / max(count - 1, 1)
+    return [TimedPose(float(time), _on_arc(time, start)) for time in times]
+
+
+def poses_beside_arc(count: int, train_count: int, start: float, aside: float = ASIDE) -> list[TimedPose]:
+    """Times halfway between neighbouring training times, evenly spaced; beside the camera's place then by `aside`
+    radians to the left, to the right, and half as much above and below."""
+    offsets = ((aside, 0.0), (-aside, 0.0), (0.0, 0.5 * aside), (0.0, -0.5 * aside))
+    times = _times_between(count, train_count)
+    return [TimedPose(float(time), _on_arc(time, start, *offsets[i % 4])) for i, time in enumerate(times)]
+
+
+def _on_arc(time: float, start: float, azimuth_off: float = 0.0, elevation_off: float = 0.0) -> np.ndarray:
+    azimuth = start + ARC * time + azimuth_off
+    elevation = ELEVATION + SWAY * np.sin(3 * np.pi * time) + elevation_off
+    flat = np.cos(elevation)
+    return look_at_origin(RADIUS * np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)]))
+
+
+def _times_between(count: int, train_count: int) -> np.ndarray:
     gaps = train_count - 1
-    gap = np.floor((np.arange(count) + 0.5) * gaps / count)
-    return _timed_poses((gap + 0.5) / gaps, rng)
+    return (np.floor((np.arange(count) + 0.5) * gaps / count) + 0.5) / gaps
 
 
 def _timed_poses(times: np.ndarray, rng: np.random.Generator) -> list[TimedPose]:

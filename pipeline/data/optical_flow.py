@@ -1,7 +1,6 @@
-"""Optical flow between consecutive frames of a static camera, measured in its images: supervision of motion.
+"""Optical flow between consecutive frames of one camera, measured in its images: supervision of motion.
 
-Only a camera that films from one pose has such flow. That of a moving camera would contain its own motion, which the
-rendered flow, of one camera at two times, has not.
+Flow of a camera that moves contains its own motion. Rendered flow, of the camera at both times, does too.
 
 Flow is measured by dense inverse search (Kroeger et al., ECCV 2016) in both directions, and trusted where the two
 agree. On synthetic/counter at 160 px it is off by 15 % of the motion of moving pixels, with search on images of half
@@ -37,6 +36,7 @@ class MeasuredFlow:
 
     step: float  # δ in the unit of the times; negative to the previous frame
     flow: Tensor  # (2, H, W) float32, right and down, in image widths; NaN where it is not trusted
+    camera: Camera | None = None  # of the neighbouring frame, at this view's size; None: it stands still
 
 
 class FlowTargets:
@@ -47,7 +47,7 @@ class FlowTargets:
 
     def __init__(self, scene: Scene, cache_limit_bytes: int = CACHE_LIMIT_BYTES) -> None:
         self._views = scene.train
-        self._neighbour = neighbours(scene.train, MAX_GAP * scene.frame_spacing)
+        self._neighbour = neighbours(scene.train, MAX_GAP * scene.frame_spacing, scene.is_clip)
         self._bytes_left = cache_limit_bytes
         self._cache: dict[int, np.ndarray] = {}
 
@@ -62,15 +62,20 @@ class FlowTargets:
             if flow.nbytes <= self._bytes_left:
                 self._cache[index] = flow
                 self._bytes_left -= flow.nbytes
-        return MeasuredFlow(other.time - view.time, resized_flow(flow, camera.width, camera.height))
+        later = None if _same(view.camera, other.camera) else other.camera.resized(camera.width, camera.height)
+        return MeasuredFlow(other.time - view.time, resized_flow(flow, camera.width, camera.height), later)
 
 
-def neighbours(views: Sequence[View], max_gap: float) -> dict[int, int]:
-    """View -> view of the same camera at the next time, or at the previous one after the last, at most max_gap away."""
+def neighbours(views: Sequence[View], max_gap: float, is_clip: bool = False) -> dict[int, int]:
+    """View -> view of the same camera at the next time, or at the previous one after the last, at most max_gap away.
+
+    is_clip: one camera filmed all views; else cameras stand still, and one place is one camera.
+    """
     by_camera = defaultdict(list)
     for index, view in enumerate(views):
         c = view.camera
-        by_camera[c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.world_to_cam.tobytes()].append(index)
+        place = None if is_clip else (c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.world_to_cam.tobytes())
+        by_camera[place].append(index)
     found: dict[int, int] = {}
     for indices in by_camera.values():
         indices.sort(key=lambda index: views[index].time)
@@ -118,6 +123,11 @@ def resized_flow(flow: np.ndarray, width: int, height: int) -> Tensor:
     sums, share = planes[..., :2], planes[..., 2:]
     mean = np.divide(sums, share, out=np.full_like(sums, np.nan), where=share >= TRUSTED_SHARE)
     return torch.from_numpy(np.ascontiguousarray(mean.transpose(2, 0, 1)))
+
+
+def _same(a: Camera, b: Camera) -> bool:
+    same_lens = (a.fx, a.fy, a.cx, a.cy) == (b.fx, b.fy, b.cx, b.cy)
+    return same_lens and np.array_equal(a.world_to_cam, b.world_to_cam)
 
 
 def _resized_grey(image: np.ndarray, width: int, height: int) -> np.ndarray:

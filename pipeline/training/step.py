@@ -82,6 +82,7 @@ class Batch:
             view.background,
             outputs=("color", *self._also(target)),
             flow_dt=None if target.motion is None else target.motion.step,
+            flow_camera=None if target.motion is None else target.motion.camera,
             near=cfg.scene.near * scene.unit,
             sh_degree=self._phase.sh_degree,
             fourier_order=self._phase.fourier_order,
@@ -97,7 +98,8 @@ class Batch:
             d_image = torch.where(target.mask, d_image, 0.0)
         if target.motion is not None and rendered.flow is not None:
             weight = cfg.train.regularization.flow
-            error, d_flow = flow_loss(rendered.flow, target.motion.flow, weight / self._size)
+            part = None if target.motion.camera is None else rendered.alpha
+            error, d_flow = flow_loss(rendered.flow, target.motion.flow, weight / self._size, part)
             loss += weight * error
         of_depth = self._depth_loss(rendered, target)
         d_alpha = d_depth = None
@@ -118,8 +120,12 @@ class Batch:
 
     def _also(self, target: Target) -> tuple[str, ...]:
         """The outputs that the losses of a view need besides its colour."""
-        needs_depth = self._depth_weight(target) > 0 or self._needs_sky(target)
-        return (("alpha", "depth") if needs_depth else ()) + (("flow",) if target.motion is not None else ())
+        outputs = {"flow"} if target.motion is not None else set()
+        if self._depth_weight(target) > 0 or self._needs_sky(target):
+            outputs |= {"alpha", "depth"}
+        if target.motion is not None and target.motion.camera is not None:
+            outputs.add("alpha")
+        return tuple(sorted(outputs))
 
     def _depth_weight(self, target: Target) -> float:
         weights = self._cfg.train.depth

@@ -151,12 +151,14 @@ def colors(gaussians: Gaussians, sliced: Slice, request: Request) -> Tensor:
 
 
 def displacement(sliced: Slice, request: Request) -> Tensor:
-    """Optical flow proj(μ(t+δ)) - proj(μ(t)), (N, 2) pixels; zero where μ(t+δ) lies before the near plane."""
-    camera = request.camera
+    """Optical flow proj'(μ(t+δ)) - proj(μ(t)), (N, 2) pixels, proj' by the camera at that time; zero where μ(t+δ) lies
+    before its near plane."""
+    camera, later_camera = request.camera, request.flow_camera or request.camera
     now = world_to_camera(sliced.mean, camera)
-    later = world_to_camera(sliced.mean + sliced.velocity * as_float(request.flow_dt), camera)
-    later = torch.where(later[:, 2:] > request.near, later, now)
-    return project_point(later, camera) - project_point(now, camera)
+    later = world_to_camera(sliced.mean + sliced.velocity * as_float(request.flow_dt), later_camera)
+    in_front = later[:, 2:] > request.near
+    flow = project_point(torch.where(in_front, later, 1.0), later_camera) - project_point(now, camera)
+    return torch.where(in_front, flow, 0.0)
 
 
 def opacity(logit: Tensor) -> Tensor:
@@ -203,13 +205,24 @@ def rasterize(
     sh_degree: int | None = None,
     fourier_order: int | None = None,
     marginal_offset: float = 0.0,
+    flow_camera: Camera | None = None,
 ) -> RenderOutput:
     """Render the Gaussians; arguments as `rasterizer.Request`, result as `rasterizer.RenderOutput`.
 
     Raises ValueError for a parameter or argument that is not finite, out of range or missing.
     """
     request = Request(
-        camera, time, duration, background, outputs, flow_dt, near, sh_degree, fourier_order, marginal_offset
+        camera,
+        time,
+        duration,
+        background,
+        outputs,
+        flow_dt,
+        near,
+        sh_degree,
+        fourier_order,
+        marginal_offset,
+        flow_camera,
     )
     request.check_against(gaussians)
     check_finite(gaussians)

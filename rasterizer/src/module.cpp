@@ -90,8 +90,9 @@ using CameraDouble = splat::CameraOf<double>;
 // position: the camera's centre. The time comes with set_view.
 CameraDouble camera_from(int width, int height, const std::vector<double>& intrinsics,
                          Array<const double> world_to_cam, const std::vector<double>& position) {
-    CameraDouble c{width, height, intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3], {}, {}, {},
-                   0.0,   0.0,    0.0};
+    CameraDouble c{
+        width, height, intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3], {}, {}, {}, 0.0, 0.0,
+        0.0,   {}};
     for (int i = 0; i < 3; ++i) {
         for (int j = 0; j < 3; ++j) c.rotation[i][j] = world_to_cam.data()[4 * i + j];
         c.position[i] = position[i];
@@ -99,15 +100,28 @@ CameraDouble camera_from(int width, int height, const std::vector<double>& intri
     return c;
 }
 
+// The camera of the flow's later time, as the kernel reads it.
+splat::LaterCamera<double> later_of(const CameraDouble& now, const CameraDouble& later, bool moved) {
+    splat::LaterCamera<double> r{
+        {}, {}, {later.fx - now.fx, later.fy - now.fy}, {later.cx - now.cx, later.cy - now.cy}, moved};
+    for (int i = 0; i < 3; ++i) {
+        for (int j = 0; j < 3; ++j) r.rotation[i][j] = later.rotation[i][j];
+        r.shift[i] = now.position[i] - later.position[i];
+    }
+    return r;
+}
+
 // Python's Frame: the state of one view, with the rendered images, which the backward pass reads.
 class FrameBinding {
 public:
     void set_view(const CameraDouble& camera, double time, double marginal_offset, double duration,
-                  scalar near_plane, const std::vector<scalar>& background, scalar flow_dt, int sh_degree,
-                  int fourier_order, std::tuple<bool, bool, bool> extras, bool differentiable, int threads) {
+                  scalar near_plane, const std::vector<scalar>& background, scalar flow_dt,
+                  std::optional<CameraDouble> flow_camera, int sh_degree, int fourier_order,
+                  std::tuple<bool, bool, bool> extras, bool differentiable, int threads) {
         state_.camera_double = camera;
         state_.camera_double.time = time;
         state_.camera_double.marginal_offset = marginal_offset;
+        state_.camera_double.later = later_of(camera, flow_camera.value_or(camera), flow_camera.has_value());
         state_.camera = splat::rounded(state_.camera_double);
         state_.settings = {duration,
                            near_plane,
@@ -249,18 +263,18 @@ NB_MODULE(KERNEL_MODULE_NAME, m) {
     nb::class_<CameraDouble>(m, "Camera").def_static("make", &camera_from);
     nb::class_<FrameBinding>(m, "Frame")
         .def(nb::init<>())
-        .def("set_view", &FrameBinding::set_view, nb::arg("camera"), nb::arg("time"), nb::arg("marginal_offset"),
-             nb::arg("duration"), nb::arg("near"), nb::arg("background"), nb::arg("flow_dt"),
-             nb::arg("sh_degree"), nb::arg("fourier_order"), nb::arg("extras"),
-             nb::arg("differentiable"), nb::arg("threads"))
+        .def("set_view", &FrameBinding::set_view, nb::arg("camera"), nb::arg("time"),
+             nb::arg("marginal_offset"), nb::arg("duration"), nb::arg("near"), nb::arg("background"),
+             nb::arg("flow_dt"), nb::arg("flow_camera").none(), nb::arg("sh_degree"),
+             nb::arg("fourier_order"), nb::arg("extras"), nb::arg("differentiable"), nb::arg("threads"))
         .def("render", &FrameBinding::render, nb::arg("model"), written("color").none(),
              written("alpha").none(), written("depth").none(), written("flow").none(),
              written("stats").none())
         .def("backward", &FrameBinding::backward, nb::arg("model"), nb::arg("d_color").none(),
              nb::arg("d_alpha").none(), nb::arg("d_depth").none(), nb::arg("d_flow").none(),
              nb::arg("d_stats").none(), written("mean"), written("log_scale"), written("quat_left"),
-             written("quat_right").none(), written("velocity").none(), written("opacity_logit"), written("id"),
-             written("mean2d"), written("mean_t"), written("radius"), written("unoccluded"),
+             written("quat_right").none(), written("velocity").none(), written("opacity_logit"),
+             written("id"), written("mean2d"), written("mean_t"), written("radius"), written("unoccluded"),
              written("color_gradient"))
         .def_prop_ro("visible", &FrameBinding::visible)
         .def_prop_ro("in_time", &FrameBinding::in_time)

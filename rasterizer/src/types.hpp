@@ -39,6 +39,15 @@ struct Parameters {
     int stored_order;             // highest Fourier order stored
 };
 
+// The camera at the later time of the optical flow, relative to that of the view.
+template <class Scalar>
+struct LaterCamera {
+    Scalar rotation[3][3];                     // world to camera
+    Scalar shift[3];                           // the view's position less the later one, world axes
+    Scalar focal_change[2], centre_change[2];  // later less now, pixels
+    bool moved;
+};
+
 // A pinhole camera and the time of the view, in float or double. With Scalar = float, position and time are
 // each a sum of two floats: μ - position and t - μt then keep their digits far from the origin.
 template <class Scalar>
@@ -49,6 +58,7 @@ struct CameraOf {
     Scalar position[3], position_low[3];
     Scalar time, time_low;
     Scalar marginal_offset;  // p is that of time + this
+    LaterCamera<Scalar> later;
 };
 using Camera = CameraOf<scalar>;
 
@@ -64,7 +74,8 @@ inline Camera rounded(const CameraOf<double>& c) {
              {},
              0.f,
              0.f,
-             static_cast<scalar>(c.marginal_offset)};
+             static_cast<scalar>(c.marginal_offset),
+             {}};
     auto split = [](double x, scalar& high, scalar& low) {
         high = static_cast<scalar>(x);
         low = static_cast<scalar>(x - static_cast<double>(high));
@@ -74,6 +85,15 @@ inline Camera rounded(const CameraOf<double>& c) {
         split(c.position[i], r.position[i], r.position_low[i]);
     }
     split(c.time, r.time, r.time_low);
+    for (int i = 0; i < 3; ++i) {
+        for (int j = 0; j < 3; ++j) r.later.rotation[i][j] = static_cast<scalar>(c.later.rotation[i][j]);
+        r.later.shift[i] = static_cast<scalar>(c.later.shift[i]);
+    }
+    for (int a = 0; a < 2; ++a) {
+        r.later.focal_change[a] = static_cast<scalar>(c.later.focal_change[a]);
+        r.later.centre_change[a] = static_cast<scalar>(c.later.centre_change[a]);
+    }
+    r.later.moved = c.later.moved;
     return r;
 }
 

@@ -5,7 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from tiny import tiny_scene
-from tiny_film import PLANE, RATE, moving_plane, plane_image, texture, tiny_film, unsynchronised_film
+from tiny_film import (
+    PLANE,
+    PLANE_DEPTH,
+    RATE,
+    clip_past_a_plane,
+    moving_plane,
+    plane_image,
+    texture,
+    tiny_film,
+    unsynchronised_film,
+)
 
 from pipeline.data.optical_flow import FlowTargets, measure_flow, measured_size, neighbours, resized_flow
 
@@ -44,7 +54,24 @@ def test_pairs_are_consecutive_frames_of_one_camera() -> None:
     gap = 1.5 / RATE
     assert neighbours(views, gap) == {i: i + 1 if i % 4 < 3 else i - 1 for i in range(12)}
     assert neighbours(views[::2], gap) == {}, "frames in between are missing"
-    assert neighbours(tiny_scene(views=12).train, 1.0 / 11) == {}, "a camera that moves"
+    photographs, gap = tiny_scene(views=12).train, 1.5 / 11
+    assert neighbours(photographs, gap) == {}, "cameras jump from one time to the next"
+    assert neighbours(photographs, gap, is_clip=True) == {i: i + 1 if i < 11 else 10 for i in range(12)}
+    assert neighbours(photographs[::2], gap, is_clip=True) == {}, "frames in between are missing"
+
+
+def test_flow_of_a_clip_comes_with_the_camera_that_sees_it() -> None:
+    """A plane that stands still, passed by the camera: its flow is that of a point of it, projected by both cameras."""
+    clip = clip_past_a_plane()
+    view, other = clip.train[1], clip.train[2]
+    target = FlowTargets(clip).at(1, view.camera.resized(64, 48))
+    np.testing.assert_allclose(target.camera.world_to_cam, other.camera.world_to_cam)
+    assert (target.camera.width, target.camera.height) == (64, 48) and target.camera.fx == 0.5 * other.camera.fx
+    point = np.array([0.1, -0.2, PLANE_DEPTH]) - view.camera.world_to_cam[:3, 3]  # the rotation is the identity
+    seen = [(c.fx * (point + c.world_to_cam[:3, 3]) / PLANE_DEPTH)[0] for c in (view.camera, other.camera)]
+    measured = np.nanmedian(target.flow.numpy(), axis=(1, 2)) * PLANE[1]
+    np.testing.assert_allclose(measured, [seen[1] - seen[0], 0], atol=0.1)  # a pixel is measured to 0.05
+    assert FlowTargets(moving_plane()).at(1, view.camera).camera is None, "it stands still"
 
 
 def test_views_of_cameras_that_are_not_synchronised_have_flow() -> None:

@@ -11,7 +11,9 @@ import math
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 from builders import (
@@ -25,6 +27,7 @@ from builders import (
     render,
     render_and_gradients,
 )
+from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from rasterizer import Gaussians, RenderOutput, Request, rasterize
@@ -81,6 +84,19 @@ def test_each_output_alone(motion: str, output: str):
 def test_core_all_outputs_together(motion: str):
     request = make_request(outputs=outputs_of(motion), flow_dt=0.2)
     check_against_reference(random_gaussians(70, motion, generator(2)), request)
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_flow_of_a_camera_that_moves_and_zooms(motion: str):
+    """The later camera has turned, moved and changed its lens; static Gaussians have flow then, too."""
+    request = make_request(outputs=outputs_of(motion), flow_dt=0.2)
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = Rotation.from_rotvec([0.03, 0.1, -0.02]).as_matrix(), [0.2, -0.1, 0.15]
+    now = request.camera
+    later = replace(
+        now, fx=1.1 * now.fx, fy=0.9 * now.fy, cx=now.cx + 2, cy=now.cy - 1, world_to_cam=pose @ now.world_to_cam
+    )
+    check_against_reference(random_gaussians(70, motion, generator(3)), replace(request, flow_camera=later))
 
 
 @pytest.mark.parametrize("offset", [-0.3, 0.15])

@@ -42,14 +42,15 @@ from rasterizer.request import Request
 def naive_splats(gaussians: Gaussians, request: Request) -> list[tuple]:
     """(depth, row, centre, inverse 2D covariance, opacity, features) of each Gaussian in view, nearest first."""
     camera, axes = request.camera, scaled_axes(gaussians).numpy()
+    later_camera = request.flow_camera or camera
     sigma = axes @ axes.transpose(0, 2, 1)
     mean, k = gaussians.mean.numpy(), gaussians.sh.numpy()
     half_fov = [(camera.cx, camera.width - camera.cx, camera.fx), (camera.cy, camera.height - camera.cy, camera.fy)]
 
-    def to_camera(p: np.ndarray) -> np.ndarray:
+    def to_camera(p: np.ndarray, camera: Camera = camera) -> np.ndarray:
         return camera.world_to_cam[:3, :3] @ p + camera.world_to_cam[:3, 3]
 
-    def to_pixel(p: np.ndarray) -> np.ndarray:
+    def to_pixel(p: np.ndarray, camera: Camera = camera) -> np.ndarray:
         return np.array([camera.fx * p[0] / p[2] + camera.cx, camera.fy * p[1] / p[2] + camera.cy])
 
     splats = []
@@ -75,8 +76,8 @@ def naive_splats(gaussians: Gaussians, request: Request) -> list[tuple]:
         for order in range(gaussians.fourier_order + 1):
             coefficients = k[n, order * len(basis) : (order + 1) * len(basis)]
             color = color + math.cos(2 * math.pi * order * elapsed / request.duration) * (basis @ coefficients)
-        later = to_camera(world + velocity * request.flow_dt)
-        flow = to_pixel(later) - to_pixel(point) if later[2] > request.near else np.zeros(2)
+        later = to_camera(world + velocity * request.flow_dt, later_camera)
+        flow = to_pixel(later, later_camera) - to_pixel(point) if later[2] > request.near else np.zeros(2)
         opacity = marginal / (1 + math.exp(-gaussians.opacity_logit[n].item()))
         features = np.concatenate([np.maximum(color, 0), point[2:], flow, [mean[n, 3], sigma[n, 3, 3]]])
         splats.append((point[2], n, to_pixel(point), inverse, opacity, features))
@@ -105,12 +106,18 @@ def naive_image(gaussians: Gaussians, request: Request) -> dict[str, np.ndarray]
     return {"color": color, "alpha": alpha, "depth": image[3:4], "flow": image[4:6], "stats": image[6:8]}
 
 
+@pytest.mark.parametrize("camera_moves", [False, True])
 @pytest.mark.parametrize("motion", ["full", "separable"])
-def test_images_match_the_naive_renderer(motion: str):
+def test_images_match_the_naive_renderer(motion: str, camera_moves: bool):
     camera = camera_looking_at((0.6, -0.8, -3.0), width=21, height=17, focal=24.0, principal=(8.3, 10.1))
     request = Request(
         camera, time=0.4, duration=0.8, background=(0.2, 0.5, 0.9), outputs=OUTPUT_NAMES, flow_dt=0.1, near=2.5
     )  # near culls some Gaussians; high opacities end pixels early
+    if camera_moves:
+        request = replace(
+            request,
+            flow_camera=camera_looking_at((0.5, -0.7, -2.9), width=21, height=17, focal=25.0, principal=(8.0, 9.8)),
+        )
     gaussians = random_gaussians(100, motion, generator(8), log_scale=(-2.0, -0.5), opacity_logit=(0.0, 8.0))
     out, expected = render(reference.rasterize, gaussians, request), naive_image(gaussians, request)
     for name in OUTPUT_NAMES:

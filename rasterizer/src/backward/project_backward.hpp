@@ -56,11 +56,9 @@ SPLAT_INLINE GaussianGradient<Real> project_backward(const Slice<motion, Real>& 
     Real d_mean_flow[3] = {Real(0.f), Real(0.f), Real(0.f)};
     for (auto& v : d_slice.velocity) v = Real(0.f);
     if (s.flow) {
-        if constexpr (kMoves<motion>) {
-            const Real d_flow[2] = {gradient[extra], gradient[extra + 1]};
-            flow_backward<Real>(flow_of(g, p, c, s.flow_dt, s.near_plane), c, s.flow_dt, d_flow,
-                                d.pixel, d_mean_flow, d_slice.velocity);
-        }
+        const Real d_flow[2] = {gradient[extra], gradient[extra + 1]};
+        flow_backward<Real>(flow_of(g, p, c, s.flow_dt, s.near_plane), c, s.flow_dt, d_flow, d.pixel,
+                            d_mean_flow, d_slice.velocity);
         extra += 2;
     }
     const Real d_mean_t_stats = s.stats ? gradient[extra] : Real(0.f);

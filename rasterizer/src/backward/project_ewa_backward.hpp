@@ -6,11 +6,11 @@
 namespace splat {
 
 template <class Real>
-SPLAT_INLINE void camera_to_world_direction(const CameraOf<ScalarOf<Real>>& c, const Real (&cam)[3],
+SPLAT_INLINE void camera_to_world_direction(const ScalarOf<Real> (&rotation)[3][3], const Real (&cam)[3],
                                             Real (&world)[3]) {
     for (int i = 0; i < 3; ++i)
-        world[i] = Real(c.rotation[0][i]) * cam[0] + Real(c.rotation[1][i]) * cam[1] +
-                   Real(c.rotation[2][i]) * cam[2];
+        world[i] =
+            Real(rotation[0][i]) * cam[0] + Real(rotation[1][i]) * cam[1] + Real(rotation[2][i]) * cam[2];
 }
 
 // ∂L/∂ the outputs of the projection.
@@ -66,7 +66,7 @@ SPLAT_INLINE void project_ewa_backward(const EwaProjection<motion, Real>& p, con
         d_inverse_z += d_normalised * p.cam[r];
     }
     d_cam[2] = d.depth - d_inverse_z * p.inverse_z * p.inverse_z;
-    camera_to_world_direction<Real>(c, d_cam, d_mean);
+    camera_to_world_direction<Real>(c.rotation, d_cam, d_mean);
 }
 
 // Adds to ∂L/∂μ(t) and ∂L/∂h, and to ∂L/∂mean2d what goes through the mean's present projection.
@@ -79,12 +79,12 @@ SPLAT_INLINE void flow_backward(const Flow<Real>& f, const CameraOf<ScalarOf<Rea
     for (int a = 0; a < 2; ++a) {
         Real d = zero_unless(f.valid, d_flow[a]);
         d_mean2d[a] -= d;
-        Real d_normalised = Real(focal[a]) * d;
+        Real d_normalised = Real(focal[a] + c.later.focal_change[a]) * d;
         d_cam[a] = d_normalised * f.later_inverse_z;
         d_inverse_z += d_normalised * f.later_cam[a];
     }
     d_cam[2] = -d_inverse_z * f.later_inverse_z * f.later_inverse_z;
-    camera_to_world_direction<Real>(c, d_cam, d_later);
+    camera_to_world_direction<Real>(c.later.rotation, d_cam, d_later);
     for (int i = 0; i < 3; ++i) {
         d_mean[i] += d_later[i];
         d_velocity[i] += d_later[i] * Real(flow_dt);

@@ -28,7 +28,8 @@ template <Motion motion>
     for (; lanes; lanes &= lanes - 1) {
         const int l = __builtin_ctz(lanes);
         double cam[3];
-        world_to_camera<double>(camera_double, slice_in_time(stored.lane(l), camera_double).offset, cam);
+        world_to_camera<double>(camera_double.rotation, slice_in_time(stored.lane(l), camera_double).offset,
+                                cam);
         set_lane(z.high, l, cam[2]);
         set_lane(z.low, l, cam[2] - static_cast<double>(static_cast<scalar>(cam[2])));
     }

@@ -85,11 +85,9 @@ SPLAT_INLINE ProjectedGaussian<Real> projected_gaussian(const Slice<motion, Real
     for (int i = 0; i < 3; ++i) v[out.kOffset + i] = g.offset[i];
     v[out.kVarianceT] = motion == Motion::kStatic ? Real(0.f) : g.var_t;
     v[out.kFlow] = v[out.kFlow + 1] = Real(0.f);
-    if constexpr (kMoves<motion>) {
-        if (s.flow) {
-            const Flow<Real> flow = flow_of(g, p, c, s.flow_dt, s.near_plane);
-            v[out.kFlow] = flow.pixel[0], v[out.kFlow + 1] = flow.pixel[1];
-        }
+    if (s.flow) {
+        const Flow<Real> flow = flow_of(g, p, c, s.flow_dt, s.near_plane);
+        v[out.kFlow] = flow.pixel[0], v[out.kFlow + 1] = flow.pixel[1];
     }
     return out;
 }

@@ -44,12 +44,13 @@ private:
     }
 };
 
+// rotation: world to camera. offset: from the camera's position, world axes.
 template <class Real>
-SPLAT_INLINE void world_to_camera(const CameraOf<ScalarOf<Real>>& c, const Real (&offset)[3],
+SPLAT_INLINE void world_to_camera(const ScalarOf<Real> (&rotation)[3][3], const Real (&offset)[3],
                                   Real (&cam)[3]) {
     for (int i = 0; i < 3; ++i)
-        cam[i] = Real(c.rotation[i][0]) * offset[0] + Real(c.rotation[i][1]) * offset[1] +
-                 Real(c.rotation[i][2]) * offset[2];
+        cam[i] = Real(rotation[i][0]) * offset[0] + Real(rotation[i][1]) * offset[1] +
+                 Real(rotation[i][2]) * offset[2];
 }
 
 template <Motion motion, class Real>
@@ -59,7 +60,7 @@ SPLAT_INLINE EwaProjection<motion, Real> project_ewa(const Slice<motion, Real>& 
     const FrustumLimits<Real> limit(c);
     const ScalarOf<Real> focal[2] = {c.fx, c.fy}, centre[2] = {c.cx, c.cy};
     EwaProjection<motion, Real> p;
-    world_to_camera<Real>(c, g.offset, p.cam);
+    world_to_camera<Real>(c.rotation, g.offset, p.cam);
     p.inverse_z = Real(1.f) / p.cam[2];
     for (int a = 0; a < 2; ++a) {
         p.normalised[a] = p.cam[a] * p.inverse_z;
@@ -96,7 +97,8 @@ SPLAT_INLINE EwaProjection<motion, Real> project_ewa(const Slice<motion, Real>& 
     return p;
 }
 
-// Optical flow: how far mean2d moves in δ, in pixels. 0 where the mean would reach the near plane.
+// Optical flow: how far mean2d moves in δ, in pixels, seen by the camera at that time (CameraOf::later). 0
+// where the mean would reach the near plane.
 template <class Real>
 struct Flow {
     Real pixel[2];
@@ -107,18 +109,28 @@ template <Motion motion, class Real>
 SPLAT_INLINE Flow<Real> flow_of(const Slice<motion, Real>& g, const EwaProjection<motion, Real>& p,
                                 const CameraOf<ScalarOf<Real>>& c, scalar flow_dt, scalar near_plane) {
     Flow<Real> f;
-    Real later[3];
-    for (int i = 0; i < 3; ++i) later[i] = g.offset[i] + g.velocity[i] * Real(flow_dt);
-    world_to_camera<Real>(c, later, f.later_cam);
+    Real later[3], speed(0.f);
+    for (int i = 0; i < 3; ++i) {
+        later[i] = g.offset[i];
+        if constexpr (kMoves<motion>) {
+            later[i] += g.velocity[i] * Real(flow_dt);
+            speed += abs(g.velocity[i]);
+        }
+        later[i] += Real(c.later.shift[i]);
+    }
+    world_to_camera<Real>(c.later.rotation, later, f.later_cam);
     f.valid = f.later_cam[2] > Real(near_plane);
     f.later_inverse_z = Real(1.f) / select(f.valid, f.later_cam[2], Real(1.f));
     // What stands still has no flow, not that of rounding.
-    const MaskOf<Real> moves =
-        f.valid & (abs(g.velocity[0]) + abs(g.velocity[1]) + abs(g.velocity[2]) > Real(0.f));
+    const MaskOf<Real> moves = f.valid & (speed > Real(c.later.moved ? -1.f : 0.f));
     const ScalarOf<Real> focal[2] = {c.fx, c.fy};
     for (int a = 0; a < 2; ++a) {
         f.later_normalised[a] = f.later_cam[a] * f.later_inverse_z;
-        f.pixel[a] = zero_unless(moves, Real(focal[a]) * (f.later_normalised[a] - p.normalised[a]));
+        Real moved_by = Real(focal[a]) * (f.later_normalised[a] - p.normalised[a]);
+        if (c.later.moved)
+            moved_by +=
+                Real(c.later.focal_change[a]) * f.later_normalised[a] + Real(c.later.centre_change[a]);
+        f.pixel[a] = zero_unless(moves, moved_by);
     }
     return f;
 }

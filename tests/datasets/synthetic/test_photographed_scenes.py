@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from datasets.ground_truth import StoredTruth
 from datasets.settings import SceneConfig
 from datasets.synthetic import PHOTOGRAPHED, build_scene, make_scene
 from datasets.synthetic.__main__ import main
-from datasets.synthetic.camera_path import held_out_poses, training_poses
+from datasets.synthetic.camera_path import TimedPose, arc_poses, held_out_poses, poses_beside_arc, training_poses
 from datasets.synthetic.trace import TracedImage, trace
 from datasets.synthetic.write import to_rgba
 from fuzz.target import read_files
@@ -43,6 +44,34 @@ def test_held_out_times_lie_between_training_times(train: int, test: int) -> Non
     nearest = np.abs(held_out[:, None] - trained).min(axis=1)
     np.testing.assert_allclose(nearest, gap / 2, atol=1e-12)
     assert held_out.min() > 0 and held_out.max() < 1
+
+
+def test_an_arc_is_filmed_by_one_camera_and_tested_beside_it() -> None:
+    start = 0.7
+    train, test = arc_poses(50, start), poses_beside_arc(8, 50, start)
+
+    def place(pose: TimedPose) -> np.ndarray:
+        return pose.cam_to_world[:3, 3] / 4.0  # on the unit sphere
+
+    steps = [np.degrees(np.arccos(place(a) @ place(b))) for a, b in zip(train, train[1:])]
+    assert min(steps) > 0.5 and max(steps) < 2.5, "about 80 degrees in 49 steps"
+    for number, pose in enumerate(test):
+        before = max(i for i, other in enumerate(train) if other.time < pose.time)
+        on_path = place(train[before]) + place(train[before + 1])
+        away = np.degrees(np.arccos(place(pose) @ on_path / np.linalg.norm(on_path)))
+        # Azimuth is foreshortened by the elevation, 21 to 30 degrees; above and below is half as far.
+        low, high = (12, 15) if number % 4 < 2 else (7, 8)
+        assert low < away < high
+    on_arc = poses_beside_arc(8, 50, start, aside=0.0)
+    assert [pose.time for pose in on_arc] == [pose.time for pose in test]
+    assert min(np.linalg.norm(place(pose) - place(other)) for pose in on_arc for other in train) < 0.02
+
+
+@pytest.mark.parametrize(("name", "is_clip"), [("wheel", True), ("still", False)])
+def test_a_scene_filmed_along_an_arc_is_a_clip(name: str, is_clip: bool, tmp_path: Path) -> None:
+    settings = SceneConfig(f"synthetic/{name}", "synthetic", downscale=1, cache=str(tmp_path), **SMALL)
+    assert not load_scene(settings).is_clip
+    assert load_scene(replace(settings, camera_path="arc")).is_clip == is_clip
 
 
 # --- on disk ----------------------------------------------------------------------------------------------------------

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
-from builders import random_gaussians
+from builders import random_gaussians, render
 from tiny import tiny_config
-from tiny_film import moving_plane
+from tiny_film import clip_past_a_plane, moving_plane
 
+from datasets.scene import Scene
 from pipeline.config.train_schema import RegularizationConfig
 from pipeline.data.optical_flow import FlowTargets
 from pipeline.data.training_views import TrainingViews
@@ -19,7 +21,7 @@ from pipeline.training.kernels import Kernels
 from pipeline.training.objective.flow_loss import SOFTENING, flow_loss
 from pipeline.training.schedule import phase
 from pipeline.training.step import Batch, DrawnView
-from rasterizer import Gaussians, Gradients
+from rasterizer import Gaussians, Gradients, Request
 from rasterizer.reference import rasterize as reference
 
 
@@ -53,9 +55,17 @@ def test_the_loss_is_the_mean_length_of_large_errors_and_0_without_error() -> No
     assert loss == 0 and not gradient.any()
 
 
-def test_the_gradient_of_a_batch_is_that_of_image_and_flow() -> None:
+def test_flow_over_a_background_is_compared_with_the_share_of_the_gaussians() -> None:
+    measured = 0.1 * torch.ones(2, 4, 10)
+    alpha = torch.linspace(0, 1, 40).reshape(1, 4, 10)
+    assert flow_loss(10 * alpha * measured, measured, 1.0, alpha)[0] == pytest.approx(0, abs=1e-9)
+    assert flow_loss(10 * alpha * measured, measured, 1.0)[0] > 0.01
+
+
+@pytest.mark.parametrize("make_scene", [moving_plane, clip_past_a_plane])
+def test_the_gradient_of_a_batch_is_that_of_image_and_flow(make_scene: Callable[[], Scene]) -> None:
     """One view by the kernel, against autograd through the float64 reference implementation."""
-    scene, weight = moving_plane(), 50.0
+    scene, weight = make_scene(), 50.0
     cfg = tiny_config()
     cfg = replace(cfg, train=replace(cfg.train, regularization=RegularizationConfig(flow=weight)))
     late = phase(60.0, cfg.train, scene.extent, 3, 2)
@@ -67,9 +77,19 @@ def test_the_gradient_of_a_batch_is_that_of_image_and_flow() -> None:
     loss = batch.backward(DrawnView(target, scene.background), gradients).loss
 
     leaves = {name: tensor.clone().requires_grad_() for name, tensor in gaussians.tensors().items()}
-    out = reference(Gaussians.from_tensors(leaves), target.camera, target.time, scene.duration, scene.background,
-                    ("color", "flow"), target.motion.step, near=cfg.scene.near)  # fmt: skip
-    error = torch.nan_to_num(out.flow / target.camera.width - target.motion.flow, nan=0.0)
+    request = Request(
+        target.camera,
+        target.time,
+        scene.duration,
+        scene.background,
+        ("color", "flow", "alpha"),
+        target.motion.step,
+        cfg.scene.near,
+        flow_camera=target.motion.camera,
+    )
+    out = render(reference, Gaussians.from_tensors(leaves), request)
+    share = 1.0 if target.motion.camera is None else out.alpha.detach()
+    error = torch.nan_to_num(out.flow / target.camera.width - share * target.motion.flow, nan=0.0)
     lengths = torch.sqrt(error.square().sum(dim=0) + SOFTENING**2) - SOFTENING
     expected = (out.color - target.image).abs().mean() + weight * lengths.mean()
     expected.backward()
