@@ -30,6 +30,7 @@ REMOVED: dict[str, Any] = {
 # Added key -> the value that changes nothing, under which it is no part of the hashes of stages.
 ADDED: dict[str, Any] = {
     "ablation.add_by_error": None,
+    "scene.camera_path": "jumps",
     "train.regularization.flow": 0.0,
     "train.regularization.reference_views": 0.0,
     "train.regularization.rigid": 0.0,
