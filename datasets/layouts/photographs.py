@@ -20,7 +20,6 @@ from datasets.canonical import canonical_space
 from datasets.composition import BLACK, Color, chosen_background, chosen_downscale, compose, coverage, reduced_camera
 from datasets.files.errors import SceneError
 from datasets.files.image_files import common_size, has_alpha, is_file, read_rgba
-from datasets.ground_truth import truth_beside
 from datasets.scene import PLAYBACK_RATE, Scene, ScenePoints, View, camera_extent, make_camera, validate_scene
 from rasterizer.camera import MAX_DISTANCE, Camera
 
@@ -118,8 +117,7 @@ def to_scene(
         assert photograph.time is not None
         alpha = coverage(_undistorted(photograph), downscale) if has_alpha(photograph.path) else None
         name, mask = f"{split}/{photograph.name}", _mask(photograph, downscale)
-        truth = None if photograph.lens else truth_beside(photograph.path, downscale)  # of undistorted images only
-        views[split].append(View(small, photograph.time, image, name, alpha, truth, mask=mask))
+        views[split].append(View(small, photograph.time, image, name, alpha, mask=mask))
     train_cameras = [view.camera for view in views["train"]]
     background = _background(views["train"], options)
     space = canonical_space(train_cameras)

@@ -53,7 +53,7 @@ def make_scene(
     and the arguments.
     Raises SceneError for an unknown name or an invalid argument.
     """
-    _check_name(name)
+    _check_name(name, camera_path)
     parameters: dict[str, Any] = {"scene": name, "seed": seed, "size": size}
     if name in FILMED:
         parameters |= {"cameras": cameras, "frames": frames}
@@ -90,7 +90,7 @@ def build_scene(
     samples × samples rays per pixel, `processes` cameras in parallel (spawned: the caller's main module must be
     importable).
     """
-    _check_name(scene)
+    _check_name(scene, camera_path)
     if scene in FILMED:
         from datasets.synthetic.write_film import FilmSettings, write_film
 
@@ -145,9 +145,11 @@ def _poses(
     }
 
 
-def _check_name(name: str) -> None:
+def _check_name(name: str, camera_path: str) -> None:
     if name not in SCENE_NAMES:
         raise SceneError("scene.name", f"synthetic/ and one of {', '.join(SCENE_NAMES)}", repr(name))
+    if camera_path != "jumps" and name not in PHOTOGRAPHED:
+        raise SceneError("scene.camera_path", f"jumps for {name}; arc is for {', '.join(PHOTOGRAPHED)}", camera_path)
 
 
 def _fingerprint(parameters: dict) -> str:

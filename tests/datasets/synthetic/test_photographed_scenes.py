@@ -74,6 +74,11 @@ def test_a_scene_filmed_along_an_arc_is_a_clip(name: str, is_clip: bool, tmp_pat
     assert load_scene(replace(settings, camera_path="arc")).is_clip == is_clip
 
 
+def test_a_scene_with_cameras_of_its_own_is_not_filmed_along_an_arc(tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match=r"^scene\.camera_path: expected jumps for counter; .*, found arc$"):
+        make_scene("counter", tmp_path, camera_path="arc")
+
+
 # --- on disk ----------------------------------------------------------------------------------------------------------
 
 SMALL = {"size": 24, "train_views": 3, "test_views": 2}
