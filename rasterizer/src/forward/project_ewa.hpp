@@ -121,7 +121,7 @@ SPLAT_INLINE Flow<Real> flow_of(const Slice<motion, Real>& g, const EwaProjectio
     world_to_camera<Real>(c.later.rotation, later, f.later_cam);
     f.valid = f.later_cam[2] > Real(near_plane);
     f.later_inverse_z = Real(1.f) / select(f.valid, f.later_cam[2], Real(1.f));
-    // What stands still has no flow, not that of rounding.
+    // Where the camera stays, what stands still has no flow, not that of rounding.
     const MaskOf<Real> moves = f.valid & (speed > Real(c.later.moved ? -1.f : 0.f));
     const ScalarOf<Real> focal[2] = {c.fx, c.fy};
     for (int a = 0; a < 2; ++a) {
