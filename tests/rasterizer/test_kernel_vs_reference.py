@@ -86,12 +86,14 @@ def test_core_all_outputs_together(motion: str):
     check_against_reference(random_gaussians(70, motion, generator(2)), request)
 
 
+@pytest.mark.parametrize("forward", [-0.15, 2.5], ids=["back", "past_some"])
 @pytest.mark.parametrize("motion", MOTIONS)
-def test_flow_of_a_camera_that_moves_and_zooms(motion: str):
-    """The later camera has turned, moved and changed its lens; static Gaussians have flow then, too."""
+def test_flow_of_a_camera_that_moves_and_zooms(motion: str, forward: float):
+    """The later camera has turned, moved, in one case past some Gaussians, and changed its lens; static Gaussians have
+    flow then, too."""
     request = make_request(outputs=outputs_of(motion), flow_dt=0.2)
     pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = Rotation.from_rotvec([0.03, 0.1, -0.02]).as_matrix(), [0.2, -0.1, 0.15]
+    pose[:3, :3], pose[:3, 3] = Rotation.from_rotvec([0.03, 0.1, -0.02]).as_matrix(), [0.2, -0.1, -forward]
     now = request.camera
     later = replace(
         now, fx=1.1 * now.fx, fy=0.9 * now.fy, cx=now.cx + 2, cy=now.cy - 1, world_to_cam=pose @ now.world_to_cam
