@@ -62,7 +62,7 @@ class SceneConfig:
     train_views: int = 60  # other synthetic scenes: number of training views
     test_views: int = 12  # other synthetic scenes: number of test views
     # Other synthetic scenes: jumps: each time from another side, as D-NeRF | arc: one camera that moves, a clip; test
-    # views lie beside its path, validation views (scene.test_split=val) on it
+    # views lie beside the camera, validation views (scene.test_split=val) on its path
     camera_path: str = "jumps"
     seed: int = 0  # synthetic: seed of the scene; the run has its own
     init_points: int = 100_000  # number of random initial points

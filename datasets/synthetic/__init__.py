@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from datasets.files.errors import SceneError
-from datasets.synthetic.camera_path import TimedPose, arc_poses, held_out_poses, poses_beside_arc, training_poses
+from datasets.synthetic.camera_path import TimedPose, arc_poses, held_out_poses, poses_beside_camera, training_poses
 
 PHOTOGRAPHED = ("wheel", "lamp", "burst", "still")  # in the D-NeRF layout: one camera per time
 FILMED = ("counter",)  # in the Plenoptic Video layout: several cameras at every time
@@ -86,7 +86,7 @@ def build_scene(
     """Traces a scene into `folder`, which must be absent or empty. The same arguments give the same bytes.
 
     train_views, test_views, camera_path: of a photographed scene, "jumps" for one camera per time as D-NeRF, "arc" for
-    one camera that moves, with test views beside its path and validation views on it. The rest is for filmed scenes:
+    one camera that moves, with test views beside it and validation views on its path. The rest is for filmed scenes:
     samples × samples rays per pixel, `processes` cameras in parallel (spawned: the caller's main module must be
     importable).
     """
@@ -135,8 +135,8 @@ def _poses(
         start = rngs[0].uniform(0, 2 * np.pi)
         return {
             "train": arc_poses(train_views, start),
-            "val": poses_beside_arc(validation_views, train_views, start, aside=0.0),
-            "test": poses_beside_arc(test_views, train_views, start),
+            "val": poses_beside_camera(validation_views, train_views, start, aside=0.0),
+            "test": poses_beside_camera(test_views, train_views, start),
         }
     return {
         "train": training_poses(train_views, rngs[0]),

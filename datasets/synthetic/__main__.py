@@ -37,7 +37,7 @@ def main(arguments: list[str] | None = None) -> int:
         "--camera-path",
         choices=CAMERA_PATHS,
         default="jumps",
-        help="jumps: each time from another side; arc: one camera that moves, test views beside its path (default: "
+        help="jumps: each time from another side; arc: one camera that moves, test views beside it (default: "
         "%(default)s)",
     )
     filmed = parser.add_argument_group("filmed scenes", ", ".join(FILMED))

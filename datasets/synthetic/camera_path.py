@@ -15,7 +15,7 @@ ANGLE_X = 0.6911112070083618  # D-NeRF's horizontal field of view, radians
 LOW, HIGH = 0.15, 0.92
 # The R2 sequence (Roberts 2018), quasi-random in the unit square: consecutive times have distant poses.
 ARC, ELEVATION, SWAY = 1.4, 0.45, 0.08  # of a clip: azimuth over the whole time, elevation and its sway, radians
-ASIDE = 0.26  # of held-out cameras beside the arc, radians: 15 degrees
+ASIDE = 0.26  # azimuth of held-out cameras minus that of the camera at their time, radians
 PLASTIC = 1.32471795724474602596
 R2_STEPS = np.array([1 / PLASTIC, 1 / PLASTIC**2])
 
@@ -45,9 +45,9 @@ def arc_poses(count: int, start: float) -> list[TimedPose]:
     return [TimedPose(float(time), _on_arc(time, start)) for time in times]
 
 
-def poses_beside_arc(count: int, train_count: int, start: float, aside: float = ASIDE) -> list[TimedPose]:
-    """Times halfway between neighbouring training times, evenly spaced; beside the camera's place then by `aside`
-    radians to the left, to the right, and half as much above and below."""
+def poses_beside_camera(count: int, train_count: int, start: float, aside: float = ASIDE) -> list[TimedPose]:
+    """Times halfway between neighbouring training times, evenly spaced. Azimuths `aside` radians to the left and to
+    the right of the camera's at that time, elevations half as much above and below."""
     offsets = ((aside, 0.0), (-aside, 0.0), (0.0, 0.5 * aside), (0.0, -0.5 * aside))
     times = _times_between(count, train_count)
     return [TimedPose(float(time), _on_arc(time, start, *offsets[i % 4])) for i, time in enumerate(times)]

@@ -16,7 +16,7 @@ from datasets.ground_truth import StoredTruth
 from datasets.settings import SceneConfig
 from datasets.synthetic import PHOTOGRAPHED, build_scene, make_scene
 from datasets.synthetic.__main__ import main
-from datasets.synthetic.camera_path import TimedPose, arc_poses, held_out_poses, poses_beside_arc, training_poses
+from datasets.synthetic.camera_path import TimedPose, arc_poses, held_out_poses, poses_beside_camera, training_poses
 from datasets.synthetic.trace import TracedImage, trace
 from datasets.synthetic.write import to_rgba
 from fuzz.target import read_files
@@ -48,7 +48,7 @@ def test_held_out_times_lie_between_training_times(train: int, test: int) -> Non
 
 def test_an_arc_is_filmed_by_one_camera_and_tested_beside_it() -> None:
     start = 0.7
-    train, test = arc_poses(50, start), poses_beside_arc(8, 50, start)
+    train, test = arc_poses(50, start), poses_beside_camera(8, 50, start)
 
     def place(pose: TimedPose) -> np.ndarray:
         return pose.cam_to_world[:3, 3] / 4.0  # on the unit sphere
@@ -62,7 +62,7 @@ def test_an_arc_is_filmed_by_one_camera_and_tested_beside_it() -> None:
         # Azimuth is foreshortened by the elevation, 21 to 30 degrees; above and below is half as far.
         low, high = (12, 15) if number % 4 < 2 else (7, 8)
         assert low < away < high
-    on_arc = poses_beside_arc(8, 50, start, aside=0.0)
+    on_arc = poses_beside_camera(8, 50, start, aside=0.0)
     assert [pose.time for pose in on_arc] == [pose.time for pose in test]
     assert min(np.linalg.norm(place(pose) - place(other)) for pose in on_arc for other in train) < 0.02
 
