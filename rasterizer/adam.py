@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -11,7 +12,9 @@ from rasterizer.cores import thread_count
 from rasterizer.gaussians import SH_LAYOUTS
 from rasterizer.gradients import Gradients
 from rasterizer.kernel_loader import kernel
-from rasterizer.validation import dtype_name
+from rasterizer.validation import check_array, is_integer_in, short_repr
+
+MAX_STEP = 2**31 - 1  # the kernel's int
 
 
 def adam_step(
@@ -31,14 +34,15 @@ def adam_step(
 
     lr: one learning rate, or one per column. step: counts from 1. sparse_rows (N,) uint8: rows with 0 are skipped,
     moments included (dense Adam would still move them by their momentum). ValueError for tensors that are not
-    contiguous float32 of one shape, a wrong number of rates or rows, and a step below 1.
+    contiguous float32 of one shape, a wrong number of rates or rows, a step below 1, and betas outside [0, 1).
     """
-    _check(param.shape, param=param, grad=grad, m=m, v=v)
+    for name, tensor in (("param", param), ("grad", grad), ("m", m), ("v", v)):
+        check_array(name, tensor, torch.float32, param.shape)
     if param.ndim not in (1, 2):
         raise ValueError(f"param must be (N,) or (N, C), got {list(param.shape)}")
-    _check_rows(sparse_rows, len(param), step)
+    _check_step(sparse_rows, len(param), step, beta1, beta2)
     columns = param.shape[1] if param.ndim == 2 else 1
-    rates = [float(lr)] * columns if isinstance(lr, (int, float)) else [float(rate) for rate in lr]
+    rates = [float(rate) for rate in lr] if np.ndim(lr) else [float(lr)] * columns
     if len(rates) != columns:
         raise ValueError(f"lr must hold one rate or one for each of {columns} columns, got {len(rates)}")
     kernel.adam(
@@ -77,8 +81,9 @@ def sh_adam_step(
     """
     if sh.ndim != 3 or sh.shape[1] not in SH_LAYOUTS or sh.shape[2] != 3:
         raise ValueError(f"sh must be (N, K, 3) with K among {', '.join(map(str, SH_LAYOUTS))}, got {list(sh.shape)}")
-    _check(gradients.sh_shape, sh=sh, m=m, v=v)
-    _check_rows(sparse_rows, len(sh), step)
+    for name, tensor in (("sh", sh), ("m", m), ("v", v)):
+        check_array(name, tensor, torch.float32, gradients.sh_shape)
+    _check_step(sparse_rows, len(sh), step, beta1, beta2)
     if len(lr) != 4:
         raise ValueError(f"lr must hold four rates, got {len(lr)}")
     coefficients, orders = SH_LAYOUTS[sh.shape[1]]
@@ -103,18 +108,11 @@ def sh_adam_step(
     )
 
 
-def _check(shape: torch.Size, **tensors: Tensor) -> None:
-    """ValueError naming the first tensor that is not contiguous float32 of this shape: the kernel would write a copy,
-    or past its end."""
-    for name, tensor in tensors.items():
-        if tensor.dtype != torch.float32 or not tensor.is_contiguous() or tensor.shape != shape:
-            layout = "contiguous" if tensor.is_contiguous() else "strided"
-            found = f"{layout} {dtype_name(tensor.dtype)} {list(tensor.shape)}"
-            raise ValueError(f"{name} must be contiguous float32 {list(shape)}, got {found}")
-
-
-def _check_rows(rows: Tensor | None, count: int, step: int) -> None:
-    if rows is not None and (rows.dtype != torch.uint8 or list(rows.shape) != [count]):
-        raise ValueError(f"sparse_rows must be uint8 [{count}], got {dtype_name(rows.dtype)} {list(rows.shape)}")
-    if step < 1:
-        raise ValueError(f"step must be at least 1, got {step}")
+def _check_step(rows: Tensor | None, count: int, step: int, beta1: float, beta2: float) -> None:
+    if rows is not None:
+        check_array("sparse_rows", rows, torch.uint8, [count])
+    if not is_integer_in(step, 1, MAX_STEP):
+        raise ValueError(f"step must be an integer of at least 1, got {short_repr(step)}")
+    for name, beta in (("beta1", beta1), ("beta2", beta2)):
+        if not 0 <= beta < 1:
+            raise ValueError(f"{name} must be in [0, 1), got {short_repr(beta)}")

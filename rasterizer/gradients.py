@@ -10,8 +10,10 @@ import torch
 from torch import Tensor
 
 from rasterizer.camera import Camera
+from rasterizer.cores import thread_count
 from rasterizer.gaussians import SH_LAYOUTS, Gaussians
 from rasterizer.kernel_loader import kernel
+from rasterizer.validation import check_array
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,8 @@ class ViewGradient:
 
     def mark_visible(self, mask: Tensor, threads: int = 1) -> None:
         """Set `mask` (N,) uint8 to 1 in place for the visible Gaussians; other entries stay."""
-        kernel.mark_seen(id=self.visible, seen=mask, threads=threads)
+        self._check(len(mask), torch.uint8, mask=mask)
+        kernel.mark_seen(id=self.visible, seen=mask, threads=thread_count(threads))
 
     def accumulate(
         self,
@@ -57,6 +60,7 @@ class ViewGradient:
         space: Σ |∂L/∂(projected mean)| in normalized device coordinates. time: Σ |∂L/∂μt| times the duration.
         views: number of views. radius: largest radius, pixels.
         """
+        self._check(len(space), torch.float32, space=space, time=time, views=views, radius=radius)
         kernel.add_view(
             id=self.visible,
             mean2d=self.mean2d,
@@ -69,8 +73,16 @@ class ViewGradient:
             time=time,
             views=views,
             largest_radius=radius,
-            threads=threads,
+            threads=thread_count(threads),
         )
+
+    def _check(self, count: int, dtype: torch.dtype, **arrays: Tensor) -> None:
+        """ValueError unless all arrays are of one length that has the visible rows."""
+        least = int(self.visible[-1]) + 1 if len(self.visible) else 0
+        if count < least:
+            raise ValueError(f"{next(iter(arrays))} must have a row for each of {least} Gaussians or more, got {count}")
+        for name, array in arrays.items():
+            check_array(name, array, dtype, [count])
 
 
 @dataclass
@@ -100,12 +112,13 @@ class Gradients:
 
     def zero_(self, threads: int = 1, kernel: ModuleType = kernel) -> None:
         """Reset to zero in place. kernel: a build that computes in the gradients' floating-point type."""
-        kernel.set_to_zero(arrays=list(self.dense().values()), threads=threads)
+        kernel.set_to_zero(arrays=list(self.dense().values()), threads=thread_count(threads))
         self.views.clear()
 
     def all_finite(self, threads: int = 1) -> bool:
         """Whether no gradient, SH included, is NaN or infinite."""
         tensors = [*self.dense().values(), *(view.gradient for view in self.views)]
+        threads = thread_count(threads)
         return all(kernel.all_finite(array=tensor, threads=threads) for tensor in tensors)
 
     def sh(self, threads: int = 1, out: Tensor | None = None, kernel: ModuleType = kernel) -> Tensor:
@@ -115,11 +128,12 @@ class Gradients:
         """
         coefficients, orders = SH_LAYOUTS[self.sh_shape[1]]
         out = torch.empty(self.sh_shape, dtype=self.mean.dtype) if out is None else out
+        check_array("out", out, self.mean.dtype, self.sh_shape)
         kernel.expand_sh(
             views=[view.as_tuple() for view in self.views],
             dense=out,
             coefficients=coefficients,
             orders=orders,
-            threads=threads,
+            threads=thread_count(threads),
         )
         return out

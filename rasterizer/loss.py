@@ -9,7 +9,7 @@ from torch import Tensor
 
 from rasterizer.cores import thread_count
 from rasterizer.kernel_loader import kernel
-from rasterizer.validation import dtype_name
+from rasterizer.validation import check_array, plain
 
 
 @dataclass(frozen=True)
@@ -38,15 +38,11 @@ class PhotometricLoss:
         if image.ndim != 3 or image.numel() == 0:
             raise ValueError(f"image must be float32 [3, H, W] with at least one pixel, got {list(image.shape)}")
         for name, tensor in (("image", image), ("target", target)):
-            expected = [3, *image.shape[1:]]
-            if tensor.dtype != torch.float32 or tensor.ndim != 3 or list(tensor.shape) != expected:
-                raise ValueError(
-                    f"{name} must be float32 {expected}, got {dtype_name(tensor.dtype)} {list(tensor.shape)}"
-                )
+            check_array(name, tensor, torch.float32, (3, *image.shape[1:]), contiguous=False)
         d_image = torch.empty_like(image, memory_format=torch.contiguous_format)
         l1, ssim, mse = kernel.photometric_loss(
-            image=image.contiguous(),
-            target=target.contiguous(),
+            image=plain(image),
+            target=plain(target),
             gradient=d_image,
             ssim_weight=self.ssim_weight,
             mse_weight=self.mse_weight,

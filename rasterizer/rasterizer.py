@@ -20,7 +20,7 @@ from rasterizer.gradients import Gradients, ViewColors, ViewGradient
 from rasterizer.kernel_loader import kernel
 from rasterizer.render_output import OUTPUT_CHANNELS, RenderOutput
 from rasterizer.request import Request
-from rasterizer.validation import as_float, check_layout, dtype_name
+from rasterizer.validation import as_float, check_array, check_layout, plain
 
 # In the order of `enum Stage` in src/view_state.hpp: four of the forward pass, two of the backward pass.
 STAGES = ("preprocess", "sort", "intersect_tiles", "blend", "blend_backward", "preprocess_backward")
@@ -141,12 +141,14 @@ class Rasterizer:
         return out
 
     def _check_gradients(self, gradients: Gradients) -> None:
-        """ValueError unless `gradients` have the fields and shapes of the rendered Gaussians."""
+        """ValueError unless `gradients` have the fields, the shapes and the type of the rendered Gaussians."""
         found = {name: tensor.shape for name, tensor in gradients.dense().items()} | {"sh": gradients.sh_shape}
         for name in self._shapes.keys() | found.keys():
             if (expected := self._shapes.get(name)) != found.get(name):
                 shapes = (None if shape is None else list(shape) for shape in (expected, found.get(name)))
                 raise ValueError("gradients.{} must be {}, as the rendered Gaussians, got {}".format(name, *shapes))
+        for name, tensor in gradients.dense().items():
+            check_array(f"gradients.{name}", tensor, self.dtype, self._shapes[name])
 
     def _checked(self, name: str, d_image: Tensor | None) -> Tensor | None:
         """∂L/∂image of output `name`, contiguous; ValueError if it does not fit the rendered image."""
@@ -154,13 +156,8 @@ class Rasterizer:
             return None
         if name not in self._images:
             raise ValueError(f"d_{name}: expected {name!r} among the outputs, found {tuple(self._images)}")
-        expected = list(self._images[name].shape)
-        if d_image.dtype != self.dtype or list(d_image.shape) != expected:
-            raise ValueError(
-                f"d_{name} must be {dtype_name(self.dtype)} {expected}, got "
-                f"{dtype_name(d_image.dtype)} {list(d_image.shape)}"
-            )
-        return d_image.detach().contiguous()
+        check_array(f"d_{name}", d_image, self.dtype, self._images[name].shape, contiguous=False)
+        return plain(d_image)
 
     def _empty(self, *shape: int) -> Tensor:
         return torch.empty(shape, dtype=self.dtype)
@@ -172,7 +169,7 @@ class Rasterizer:
 
     @property
     def alive(self) -> int:
-        """Number of Gaussians whose temporal marginal p(t) is at least 0.05 at the last view's time.
+        """Number of Gaussians whose temporal marginal p(t) is at least 0.05 at the last view's time + marginal_offset.
 
         Runs record it as `n_alive`. A static model has no marginal, so all of its Gaussians count.
         """
@@ -189,5 +186,5 @@ class Rasterizer:
 
     @property
     def stage_ms(self) -> dict[str, float]:
-        """Wall-clock milliseconds of the last view, by stage."""
+        """Wall-clock milliseconds by stage: of the last view, and of the last backward pass, which may be older."""
         return dict(zip(STAGES, self._state.stage_ms, strict=True))

@@ -37,6 +37,10 @@ class Request:
     flow_camera: Camera | None = None  # the camera at time + flow_dt, for the flow; None: it stands still
 
     def __post_init__(self) -> None:
+        for name in ("camera", "flow_camera"):
+            value = getattr(self, name)
+            if not (isinstance(value, Camera) or (name == "flow_camera" and value is None)):
+                raise ValueError(f"{name} must be a Camera, got {short_repr(value)}")
         time, duration, near = (as_float(value) for value in (self.time, self.duration, self.near))
         offset = as_float(self.marginal_offset)
         if not math.isfinite(time):

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 import numbers
+from collections.abc import Sequence
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from rasterizer.gaussians import Gaussians
 
+MAX_GAUSSIANS = 2**31 - 1024  # the kernel numbers them with 32 bits, in chunks
 MAX_REPR = 200  # characters
 
 
@@ -57,13 +60,31 @@ def check_finite(gaussians: Gaussians) -> None:
 
 
 def check_layout(gaussians: Gaussians, dtype: torch.dtype = torch.float32) -> None:
-    """Raise ValueError naming the first tensor that is not contiguous, on the CPU and of `dtype`."""
+    """Raise ValueError for more Gaussians than MAX_GAUSSIANS, or naming the first tensor that the kernel can't read."""
+    if len(gaussians) > MAX_GAUSSIANS:
+        raise ValueError(f"expected at most {MAX_GAUSSIANS} Gaussians, got {len(gaussians)}")
     for name, tensor in gaussians.tensors().items():
-        plain = tensor.device.type == "cpu" and tensor.layout == torch.strided and not tensor.is_neg()
-        if tensor.dtype != dtype or not plain or not tensor.is_contiguous():
-            kind, shape = dtype_name(tensor.dtype), list(tensor.shape)
-            if not plain:
-                kind += f", {'negated' if tensor.layout == torch.strided else tensor.layout} on {tensor.device},"
-            elif not tensor.is_contiguous():
-                kind += ", not contiguous,"
-            raise ValueError(f"{name} must be contiguous {dtype_name(dtype)} {shape}, got {kind} {shape}")
+        check_array(name, tensor, dtype, tensor.shape)
+
+
+def check_array(name: str, tensor: Tensor, dtype: torch.dtype, shape: Sequence[int], contiguous: bool = True) -> None:
+    """Raise ValueError unless `tensor` is on the CPU, of `dtype` and of `shape`: the kernel uses its memory.
+
+    contiguous: it must be, too, and not a negated view. Otherwise `plain` makes it so.
+    """
+    on_cpu = tensor.device.type == "cpu" and tensor.layout == torch.strided
+    whole = on_cpu and tensor.is_contiguous() and not tensor.is_neg()
+    if tensor.dtype == dtype and list(tensor.shape) == list(shape) and (whole if contiguous else on_cpu):
+        return
+    kind = dtype_name(tensor.dtype)
+    if not on_cpu:
+        kind += f", {tensor.layout} on {tensor.device},"
+    elif contiguous and not whole:
+        kind += f", {'negated' if tensor.is_neg() else 'not contiguous'},"
+    expected = f"{'contiguous ' if contiguous else ''}{dtype_name(dtype)} {list(shape)}"
+    raise ValueError(f"{name} must be {expected}, got {kind} {list(tensor.shape)}")
+
+
+def plain(tensor: Tensor) -> Tensor:
+    """`tensor` detached and contiguous, a negated view resolved; a copy only where it must be."""
+    return tensor.detach().resolve_neg().contiguous()

@@ -63,7 +63,7 @@ def work_of(c: WorkCounts, sh_bytes: int) -> dict[str, Work]:
         ),
         # Intersection gradients summed; slice and projection recomputed, then their gradients.
         "preprocess_backward": Work(
-            16 * c.intersections + 1100 * c.visible, LINE * c.intersections + (3 * GEOMETRY + 2 * LINE + 52) * c.visible
+            16 * c.intersections + 1100 * c.visible, LINE * c.intersections + (3 * GEOMETRY + 2 * LINE + 56) * c.visible
         ),
     }
 

@@ -27,8 +27,8 @@ SAME_DEPTH, SAME_FAR_DEPTH = 3e-6, 1e-12  # of the distance; rounding decides be
 
 
 def away_from_discontinuities(gaussians: Gaussians, request: Request, margin: float = 1e-3) -> Gaussians:
-    """The Gaussians that are not near a discontinuity or kink: p(t) = 0.05, z = near, a colour channel or the Jacobian
-    at its clamp, the depth of another Gaussian.
+    """The Gaussians that are not near a discontinuity or kink: p(t) = 0.05, z = near (for the flow at its later time
+    too), a colour channel or the Jacobian at its clamp, the depth of another Gaussian.
 
     Exactly coincident means stay: both programs then compute equal depths and keep the order of the rows. Margins of
     lengths are relative to the distance from the camera, as rounding is; margins of slopes to fields of view below 1.
@@ -40,13 +40,16 @@ def away_from_discontinuities(gaussians: Gaussians, request: Request, margin: fl
     color = reference.colors(replace(gaussians, sh=raised), sliced, request) - 1e3 * 0.5 / np.sqrt(np.pi)
     z, camera, distance = mean_cam[:, 2], request.camera, mean_cam.norm(dim=1)
     close = (sliced.marginal - reference.MIN_MARGINAL).abs() < margin
-    close |= (z - request.near).abs() < margin * distance.clamp(max=1.0 if request.near == 0 else 5 * request.near)
+    near_margin = margin * distance.clamp(max=1.0 if request.near == 0 else 5 * request.near)
+    close |= (z - request.near).abs() < near_margin
+    if "flow" in request.outputs:
+        close |= (reference.later_position(sliced, request)[:, 2] - request.near).abs() < near_margin
     close |= (color.abs() < margin).any(dim=1)
     for slope, focal, low, size in (
         (mean_cam[:, 0] / z, camera.fx, camera.cx, camera.width),
         (mean_cam[:, 1] / z, camera.fy, camera.cy, camera.height),
     ):
-        for edge in (-low, size - low):
+        for edge in (-max(low, 0.0), max(size - low, 0.0)):
             close |= (slope - reference.FRUSTUM_MARGIN * edge / focal).abs() < margin * min(1.0, size / focal)
     order = torch.argsort(z, stable=True)
     behind, before = order[1:], order[:-1]

@@ -154,11 +154,16 @@ def displacement(sliced: Slice, request: Request) -> Tensor:
     """Optical flow proj'(μ(t+δ)) - proj(μ(t)), (N, 2) pixels, proj' by the camera at that time; zero where μ(t+δ) lies
     before its near plane."""
     camera, later_camera = request.camera, request.flow_camera or request.camera
-    now = world_to_camera(sliced.mean, camera)
-    later = world_to_camera(sliced.mean + sliced.velocity * as_float(request.flow_dt), later_camera)
+    now, later = world_to_camera(sliced.mean, camera), later_position(sliced, request)
     in_front = later[:, 2:] > request.near
     flow = project_point(torch.where(in_front, later, 1.0), later_camera) - project_point(now, camera)
     return torch.where(in_front, flow, 0.0)
+
+
+def later_position(sliced: Slice, request: Request) -> Tensor:
+    """μ(t+δ) in the camera at that time, (N, 3)."""
+    mean = sliced.mean + sliced.velocity * as_float(request.flow_dt)
+    return world_to_camera(mean, request.flow_camera or request.camera)
 
 
 def opacity(logit: Tensor) -> Tensor:

@@ -189,11 +189,21 @@ def test_tensors_of_other_shapes_are_refused() -> None:
         (zeros(1), zeros(5, 4), zeros(5, 4), None, 1, "grad must be contiguous float32 .5, 4., got .* .1."),
         (zeros(5, 4), zeros(5), zeros(5, 4), None, 1, "m must be contiguous float32 .5, 4., got .* .5."),
         (zeros(5, 4), zeros(5, 4), zeros(6, 4), None, 1, "v must be contiguous float32 .5, 4., got .* .6, 4."),
-        (zeros(5, 4), zeros(5, 4), zeros(5, 4), zeros(4, dtype=torch.uint8), 1, "sparse_rows must be uint8 .5., got"),
-        (zeros(5, 4), zeros(5, 4), zeros(5, 4), None, 0, "step must be at least 1, got 0"),
+        (
+            zeros(5, 4),
+            zeros(5, 4),
+            zeros(5, 4),
+            zeros(4, dtype=torch.uint8),
+            1,
+            "sparse_rows must be contiguous uint8 .5., got",
+        ),
+        (zeros(5, 4), zeros(5, 4), zeros(5, 4), None, 0, "step must be an integer of at least 1, got 0"),
+        (zeros(5, 4), zeros(5, 4), zeros(5, 4), None, 1.5, "step must be an integer of at least 1, got 1.5"),
     ):
         with pytest.raises(ValueError, match=message):
             adam_step(zeros(5, 4), grad, m, v, 0.1, step, sparse_rows=rows)
+    with pytest.raises(ValueError, match=r"beta1 must be in \[0, 1\), got 1.0"):
+        adam_step(zeros(5), zeros(5), zeros(5), zeros(5), 0.1, 1, beta1=1.0)
     with pytest.raises(ValueError, match=r"sh must be \(N, K, 3\) with K among .*, got \[5, 5, 3\]"):
         gradients = Gradients.zeros_like(random_gaussians(5, "full", generator(1)).to(torch.float32))
         sh_adam_step(zeros(5, 5, 3), gradients, zeros(5, 5, 3), zeros(5, 5, 3), [0.1] * 4, 1)

@@ -13,7 +13,7 @@ from builders import generator
 from torch import Tensor
 
 from rasterizer.kernel_loader import kernel
-from rasterizer.loss import photometric_loss
+from rasterizer.loss import PhotometricLoss, photometric_loss
 
 
 def plain_loss(image: Tensor, target: Tensor, weight: float, mse_weight: float = 0.0) -> tuple[Tensor, Tensor, Tensor]:
@@ -116,7 +116,7 @@ def test_background_is_copied_to_the_same_bits(size: tuple[int, int], shape: str
     leaf = image.double().requires_grad_()
     loss, l1, ssim = plain_loss(leaf, target.double(), 0.2, 5.0)
     (truth,) = torch.autograd.grad(loss, leaf)
-    for found, true in zip(expected, (l1, ssim)):
+    for found, true in zip(expected, (l1, ssim, ((leaf - target) ** 2).mean())):
         assert found == pytest.approx(true.item(), rel=2e-5, abs=1e-6)
     # as in test_loss_and_gradient_match_the_formula; of the gradient of L1 where the two images are equal
     scale = max(truth.abs().max().item(), 1 / truth.numel())
@@ -148,8 +148,21 @@ def test_a_non_finite_pixel_makes_the_loss_non_finite(value: float):
     assert not math.isfinite(photometric_loss(image, target)[0])
 
 
+def test_a_share_of_a_batch_scales_the_gradient_alone():
+    image, target = pair((40, 30), 6)
+    loss = PhotometricLoss(mse_weight=5.0, threads=1)
+    whole, part = loss(image, target), loss(image, target, share=0.25)
+    assert torch.equal(part.d_image, 0.25 * whole.d_image)  # a power of two: exact
+    assert (part.loss, part.l1, part.ssim, part.mse) == (whole.loss, whole.l1, whole.ssim, whole.mse)
+    # the sum in float64 of squares in float32, each off by 6e-8 of itself
+    assert whole.mse == pytest.approx(((image.double() - target.double()) ** 2).mean().item(), rel=1e-6)
+
+
 def test_wrong_shapes_and_types_are_named():
     image, target = pair((20, 20), 5)
+    for wrong in (image.to("meta"), image.to_sparse()):
+        with pytest.raises(ValueError, match="^image must be float32 .*got"):
+            photometric_loss(wrong, target)
     with pytest.raises(ValueError, match="^target must be float32 .*got"):
         photometric_loss(image, target[:, :10].contiguous())
     with pytest.raises(ValueError, match="^image must be float32 .*got"):
@@ -172,7 +185,7 @@ def test_an_image_without_pixels_or_of_another_form_is_refused(shape: tuple[int,
 
 OUT_OF_MEMORY = """
 import resource, torch
-from rasterizer.loss import photometric_loss
+from rasterizer.loss import PhotometricLoss, photometric_loss
 image = torch.zeros(3, 1, 2**20)
 used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
 resource.setrlimit(resource.RLIMIT_AS, (used + 2**27, used + 2**27))

@@ -225,8 +225,54 @@ def test_backward_accepts_only_gradients_of_rendered_images():
         rasterizer.backward(gradients, d_depth=torch.zeros(1, 37, 45))
     with pytest.raises(ValueError, match=r"d_color must be float32 \[3, 37, 45\], got float32 \[3, 45, 37\]"):
         rasterizer.backward(gradients, d_color=torch.zeros(3, 45, 37))
-    with pytest.raises(ValueError, match="d_color must be float32"):
-        rasterizer.backward(gradients, d_color=torch.zeros(3, 37, 45, dtype=torch.float64))
+    image = torch.zeros(3, 37, 45)
+    for d_color in (image.double(), image.to("meta"), image.to_sparse()):
+        with pytest.raises(ValueError, match="d_color must be float32"):
+            rasterizer.backward(gradients, d_color=d_color)
+    with pytest.raises(ValueError, match="gradients.mean must be contiguous float32 .*, got float64"):
+        rasterizer.backward(Gradients.zeros_like(gaussians.to(torch.float64)), d_color=image)
+
+
+def test_a_negated_image_gradient_counts_with_its_sign():
+    gaussians, request = random_gaussians(80, "full", generator(12)).to(torch.float32), request_for("full")
+    rasterizer, d_color = Rasterizer(threads=1), image_gradients(request)["d_color"]
+    rasterizer.render(gaussians, request)
+    found, expected = Gradients.zeros_like(gaussians), Gradients.zeros_like(gaussians)
+    rasterizer.backward(found, d_color=torch._neg_view(d_color))
+    rasterizer.backward(expected, d_color=-d_color)
+    assert expected.mean.any() and torch.equal(found.mean, expected.mean)
+
+
+def test_what_the_kernel_writes_has_room_for_the_gaussians():
+    """The kernel writes rows by number, without a look at the length of the array."""
+    gaussians, request = random_gaussians(80, "full", generator(15)).to(torch.float32), request_for("full")
+    found, (view,) = render_and_backward(gaussians, [request], threads=1)
+    last = int(view.visible[-1])
+    mask = torch.zeros(last + 1, dtype=torch.uint8)
+    view.mark_visible(mask)
+    assert mask.nonzero().squeeze(1).tolist() == view.visible.tolist()
+    with pytest.raises(ValueError, match=f"mask must have a row for each of {last + 1} Gaussians or more, got {last}"):
+        view.mark_visible(mask[:last])
+    with pytest.raises(ValueError, match="mask must be contiguous uint8"):
+        view.mark_visible(mask.int())
+    four = [torch.zeros(80) for _ in range(4)]
+    for wrong in (torch.zeros(79), torch.zeros(80, dtype=torch.float64), torch.zeros(160)[::2]):
+        with pytest.raises(ValueError, match=r"views must be contiguous float32 \[80\]"):
+            view.accumulate(four[0], four[1], wrong, four[3], request.camera, 1.0)
+    gradients = Gradients.zeros_like(gaussians)
+    with pytest.raises(ValueError, match="out must be contiguous float32"):
+        gradients.sh(out=torch.zeros(80, 1, 3))
+    for call in (view.mark_visible, gradients.sh, gradients.zero_, gradients.all_finite):
+        with pytest.raises(ValueError, match="threads must be in 0..1024, got -1"):
+            call(*([mask] if call == view.mark_visible else []), threads=-1)
+
+
+@pytest.mark.parametrize("name", ["camera", "flow_camera"])
+def test_a_view_without_a_camera_is_refused(name: str):
+    with pytest.raises(ValueError, match=f"^{name} must be a Camera, got 'left'"):
+        Request(**{"camera": off_centre_camera(), name: "left"})
+    with pytest.raises(ValueError, match="^camera must be a Camera, got None"):
+        rasterize(random_gaussians(3, "full", generator(11)).to(torch.float32), None)
 
 
 def test_backward_rejects_images_changed_in_place():

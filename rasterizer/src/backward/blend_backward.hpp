@@ -68,7 +68,8 @@ inline void blend_backward_tile(ViewState& view, int tile, const InputPlanes& re
         __builtin_prefetch(&view.splats[view.intersection_splat[ahead]]);
         const uint32_t splat_index = view.intersection_splat[e];
         const Splat& s = view.splats[splat_index];
-        const scalar* value = view.extras.data() + static_cast<size_t>(splat_index) * kExtraStride;
+        const scalar* value =
+            extra ? view.extras.data() + static_cast<size_t>(splat_index) * kExtraStride : nullptr;
         Float sum[4 * kGroups];
         for (auto& v : sum) v = 0.f;
         const Float px0 = lane_x + Float(static_cast<scalar>(span.x)),

@@ -245,7 +245,8 @@ inline void preprocess(ViewState& view, const Parameters& p) {
     view.depth.resize(static_cast<size_t>(chunks) * kChunk);
     view.depth_low.resize(static_cast<size_t>(chunks) * kChunk);
     if (differentiable) view.color_jacobian.resize(static_cast<size_t>(chunks) * kChunk);
-    if (view.settings.extra_channels())
+    const bool extras = view.settings.extra_channels();
+    if (extras)
         view.extras.resize(static_cast<size_t>(chunks) * kChunk * kExtraStride);
     view.chunk_count.assign(chunks, 0);
     view.chunk_in_time.assign(chunks, 0);
@@ -264,7 +265,7 @@ inline void preprocess(ViewState& view, const Parameters& p) {
             color_and_write_splats<order, differentiable>(
                 p, view.settings, projected, view.splats.data() + first,
                 differentiable ? view.color_jacobian.data() + first : nullptr,
-                view.extras.data() + static_cast<size_t>(first) * kExtraStride);
+                extras ? view.extras.data() + static_cast<size_t>(first) * kExtraStride : nullptr);
             std::copy_n(projected.value[projected.kDepth], projected.count, &view.depth[first]);
             if (projected.any_double_depth)
                 std::copy_n(projected.value[projected.kDepthLow], projected.count, &view.depth_low[first]);

@@ -18,6 +18,9 @@
 
 namespace splat {
 
+// Positions in the tiles' lists have 32 bits, and blend's counter goes up to 256 beyond the last.
+inline constexpr size_t kMaxIntersections = 4294967000;
+
 // Bit b: the largest alpha over the pixel centres' square of block b is at least 1/255.
 // ln alpha is concave, so its maximum over a rectangle is on a side facing the mean: the best point of the
 // nearest column or that of the nearest row.
@@ -118,7 +121,7 @@ inline void intersect_tiles(ViewState& view) {
     size_t all = 0;
     for (const auto& list : view.thread_intersections)
         for (uint32_t count : list.tile_count) all += count;
-    if (all > UINT32_MAX - kLanes) throw std::length_error("more than 4294967000 intersections of Gaussians with tiles");
+    if (all > kMaxIntersections) throw std::length_error("more than 4294967000 intersections of Gaussians with tiles");
 
     // Where each tile's list begins, and in it each thread's part.
     view.tile_begin.resize(tiles + 1);

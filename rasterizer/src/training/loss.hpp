@@ -231,6 +231,7 @@ inline LossValue photometric_loss(const scalar* image, const scalar* target, int
     const scalar scale = share / (3.f * plane);
     std::vector<double> row_l1(3 * height), row_ssim(3 * height), row_square(3 * height);
     const int bands = std::clamp(height / 32, 1, threads);  // a band of a channel
+    const auto first_row = [&](int band) { return static_cast<int>(int64_t{height} * band / bands); };
     std::vector<std::optional<LossRows>> thread_rows(threads);
     std::exception_ptr failed;  // for lack of memory: no exception may leave the region
 #pragma omp parallel for schedule(dynamic, 1) num_threads(threads)
@@ -246,8 +247,8 @@ inline LossValue photometric_loss(const scalar* image, const scalar* target, int
                          &row_square[c * height],
                          width,
                          height,
-                         height * band / bands,
-                         height * (band + 1) / bands,
+                         first_row(band),
+                         first_row(band + 1),
                          (1 - ssim_weight) * scale,
                          ssim_weight * scale,
                          mse_weight * scale,
