@@ -32,7 +32,10 @@ from rasterizer.camera import Camera
 # Times within [0, 1] that span more than this are in D-NeRF's unit, whose range is [0, 1].
 UNIT_INTERVAL_SPAN = 0.5
 # A first or last time that is an outlier is refused: it would stretch the scene's duration.
-REGULAR_STEP = (0.75, 1.5)  # times in [0, 1]: bounds of its distance, × the longest step between the other times
+STEPS_BEYOND = 4.0  # times in [0, 1]: bound of its distance, × the longest step between the other times
+# Times in [0, 1]: a distance above STRETCH × their span is no part of a step, WHOLE_STEP with jitter: 0, 1, 2 but not
+# 0, 1, 1.5.
+STRETCH, WHOLE_STEP = 0.25, 0.75
 OUTLIER_DISTANCE = 10.0  # times in another unit: bound of its distance, × the span of the other times
 SPLITS = ("train", "test", "val")
 VALIDATION_EVERY = 8  # suggested in the message about a missing split
@@ -158,11 +161,12 @@ def _time_range(root: Path, entries: list[TransformsEntry]) -> tuple[float, floa
 def _refuse_outlier(root: Path, time: float, entry: TransformsEntry, others: list[float]) -> None:
     """SceneError if the `time` of `entry`, the first or the last, does not continue the `others` (ascending)."""
     distance, longest_step = min(abs(time - other) for other in others), np.diff(others).max(initial=0)
-    in_unit_interval = others[0] >= 0 and others[-1] <= 1
+    span, in_unit_interval = others[-1] - others[0], others[0] >= 0 and others[-1] <= 1
     if in_unit_interval:
-        regular = REGULAR_STEP[0] * longest_step < distance < REGULAR_STEP[1] * longest_step
+        near = distance <= STRETCH * span or distance > WHOLE_STEP * longest_step
+        regular = near and distance < STEPS_BEYOND * longest_step
     else:
-        regular = distance < OUTLIER_DISTANCE * (others[-1] - others[0])
+        regular = distance < OUTLIER_DISTANCE * span
     if distance > 0 and longest_step > 0 and not regular:
         expected = (
             "a time in [0, 1], as the other frames have"

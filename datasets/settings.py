@@ -136,7 +136,7 @@ class SceneConfig:
         )
         if not isinstance(self.background, str):
             self.background = [float(channel) for channel in self.background]
-        require(8 <= self.size <= 4096, "scene.size", "8 to 4096", self.size)
+        require(11 <= self.size <= 4096, "scene.size", "11 to 4096, as SSIM has a window of 11", self.size)
         require(self.train_views >= 1, "scene.train_views", "at least 1", self.train_views)
         require(self.test_views >= 1, "scene.test_views", "at least 1", self.test_views)
         require(self.camera_path in CAMERA_PATHS, "scene.camera_path", ", ".join(CAMERA_PATHS), self.camera_path)

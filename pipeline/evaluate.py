@@ -11,6 +11,7 @@ import argparse
 import sys
 from pathlib import Path
 
+import torch
 from hydra import compose, initialize_config_dir
 from hydra.errors import HydraException
 from omegaconf.errors import OmegaConfBaseException
@@ -44,6 +45,7 @@ def main(arguments: list[str]) -> int:
     path = options.model / FILE_NAME if options.model.is_dir() else options.model
     if not path.is_file():  # before what structure from motion may take
         raise ValueError(f"{path}: expected a run folder or a file of a model, found none")
+    torch.set_num_threads(1)  # as in a run: views are measured side by side
     data = prepare(cfg, log)
     cfg = resolved(cfg, data.scene)
     model = read_model(path, data.canonical)

@@ -3,6 +3,7 @@
     "fl_x", "fl_y", "cx", "cy"     pixels of an image "w" × "h"; by default of the image file's size
     "camera_angle_x", "…_y"        fields of view in radians, instead of "fl_x", "fl_y"
     "k1", "k2", "p1", "p2", "k3"   OpenCV's lens distortion; "camera_model" is COLMAP's name of the lens model
+    "distortion_params"            nerfstudio's list of k1, k2, k3, k4, p1, p2, instead of these keys
 
 Defaults: square pixels, the principal point in the middle, no distortion. Keys of an entry override those of the file.
 """
@@ -21,6 +22,7 @@ from datasets.scene import make_camera
 from rasterizer.camera import Camera
 
 DISTORTION_KEYS = ("k1", "k2", "p1", "p2", "k3")  # in OpenCV's order
+LISTED_KEYS = ("k1", "k2", "k3", "k4", "p1", "p2")  # in the order of distortion_params
 # COLMAP's models that OpenCV's formula covers; coefficients of other models have another meaning.
 LENS_MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
 LARGEST_COEFFICIENT = 1e6  # of distortion; those of real lenses are below 100
@@ -31,14 +33,26 @@ ANGLE_TOLERANCE = (
 FOCAL_KEYS = (("fl_x", "camera_angle_x"), ("fl_y", "camera_angle_y"))  # of x and of y
 
 
-def merge_intrinsics(content: dict, entry: dict) -> dict[str, Any]:
-    """The keys of the file, overridden by those of one entry.
+def merge_intrinsics(content: dict, entry: dict, where: str) -> dict[str, Any]:
+    """The keys of the file, overridden by those of one entry; distortion_params as the keys LISTED_KEYS.
 
-    A focal length of the entry, in pixels or as an angle, replaces both of the file's keys for that axis.
+    A focal length of the entry, in pixels or as an angle, replaces both of the file's keys for that axis. SceneError,
+    which names `where`, for distortion_params of another length.
     """
     replaced = {key for keys in FOCAL_KEYS for key in keys if any(key in entry for key in keys)}
     shared = {key: value for key, value in content.items() if key != "frames" and key not in replaced}
-    return {**shared, **entry}
+    return {**shared, **_listed_distortion(shared, where), **entry, **_listed_distortion(entry, where)}
+
+
+def _listed_distortion(values: dict, where: str) -> dict[str, Any]:
+    """The coefficients in distortion_params by their keys; none without it."""
+    if "distortion_params" not in values:
+        return {}
+    listed = values["distortion_params"]
+    if not isinstance(listed, list) or len(listed) != len(LISTED_KEYS):
+        found = f"{len(listed)} values" if isinstance(listed, list) else type(listed).__name__
+        raise SceneError(f"{where}: distortion_params", f"a list of {', '.join(LISTED_KEYS)}", found)
+    return dict(zip(LISTED_KEYS, listed))
 
 
 def read_pinhole(

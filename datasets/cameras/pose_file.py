@@ -38,7 +38,7 @@ def read_poses(file: Path, default: Camera) -> list[tuple[Camera, float | None]]
 def _read_frame(frame: Any, content: dict, default: Camera, where: str, file: Path) -> tuple[Camera, float | None]:
     if not isinstance(frame, dict):
         raise SceneError(where, "an object", type(frame).__name__)
-    values = merge_intrinsics(content, frame)
+    values = merge_intrinsics(content, frame, where)
     pose = read_pose(get_key(frame, "transform_matrix", where), f"{where}: transform_matrix")
     size = tuple(
         round(read_number(values.get(key, side), f"{where}: {key}"))

@@ -27,7 +27,7 @@ class TransformsEntry:
 
     file: Path  # the transforms file
     where: str  # "DIR/transforms_train.json: frames[0]", for messages
-    file_path: str  # as the file has it: "./train/r_0"
+    file_path: str  # as the file has it, "./train/r_0"; Windows' backslashes are slashes
     image_path: Path  # the image it names
     time: float | None  # finite, the file's unit; None: the entry has no time
     cam_to_world: np.ndarray  # (4, 4) float64, rigid, Blender axes
@@ -63,25 +63,29 @@ def _read_entry(entry: Any, content: dict, where: str, file: Path, root: Path) -
         if not math.isfinite(time):
             raise SceneError(f"{where}: time", "a finite time", f"{time}")
     pose = read_pose(get_key(entry, "transform_matrix", where), f"{where}: transform_matrix")
-    return TransformsEntry(file, where, file_path, image_path, time, pose, merge_intrinsics(content, entry))
+    return TransformsEntry(file, where, file_path, image_path, time, pose, merge_intrinsics(content, entry, where))
 
 
 def _find_image(entry: Any, where: str, root: Path) -> tuple[str, Path]:
-    """The file_path of an entry and the existing file that it names."""
+    """The file_path of an entry, without Windows' backslashes, and the existing file that it names."""
     if not isinstance(entry, dict):
         raise SceneError(where, "an object", type(entry).__name__)
     file_path = get_key(entry, "file_path", where)
     if not isinstance(file_path, str) or not Path(file_path).name:
         raise SceneError(f"{where}: file_path", "a file name", repr(file_path))
     named = root / file_path
-    candidates = [named, *(named.with_name(named.name + suffix) for suffix in SUFFIXES)]
-    if named.suffix in SUFFIXES:
-        candidates = candidates[:1]
-    for image_path in candidates:
-        if is_file(image_path):
-            return file_path, image_path
-    without = "" if len(candidates) == 1 else f", nor with {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]} after it"
+    suffixes = ("",) if named.suffix in SUFFIXES else ("", *SUFFIXES)
+    for written in (file_path, file_path.replace("\\", "/")):
+        for suffix in suffixes:
+            if is_file(image_path := Path(f"{root / written}{suffix}")):
+                return written, image_path
+    without = "" if len(suffixes) == 1 else f", nor with {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]} after it"
     raise SceneError(named, f"an image, named by {where}", f"no such file{without}")
+
+
+def named_path(root: Path, name: str) -> Path:
+    """The path of a file that a transforms file names; Windows' backslashes are slashes unless there is such a file."""
+    return root / name if is_file(root / name) else root / name.replace("\\", "/")
 
 
 def read_pose(value: Any, where: str) -> np.ndarray:

@@ -34,7 +34,7 @@ def clear(text: object, longest: int = LONGEST_PART) -> str:
 def read_json(path: Path, error: type[DataError] = DataError) -> Any:
     """The content of a JSON file. Raises `error` if it is invalid or unreadable, FileNotFoundError if it is absent."""
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        return json.loads(path.read_text(encoding="utf-8-sig"))  # Windows' tools begin a file with a byte-order mark
     except FileNotFoundError:
         raise
     # ValueError: not UTF-8, not JSON, or a number of more than 4300 digits. RecursionError: lists nested too deeply.

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageOps
 
 from datasets.files.errors import SceneError
 
@@ -45,14 +45,17 @@ def has_alpha(path: Path) -> bool:
         raise SceneError(path, "a readable image", str(error)) from None
 
 
-def read_rgba(path: Path) -> np.ndarray:
-    """(H, W, 4) uint8 RGBA with straight alpha, which is 255 if the file has none. SceneError for more than 8 bits."""
+def read_rgba(path: Path, upright: bool = False) -> np.ndarray:
+    """(H, W, 4) uint8 RGBA with straight alpha, which is 255 if the file has none. SceneError for more than 8 bits.
+
+    upright: turned as its EXIF orientation says. Known poses are of the pixels as stored.
+    """
     try:
         with Image.open(path) as image:
             # Pillow would keep the upper 8 bits of 16 in colour; then only the packing of the file's pixels says so.
             found = next((str(tile[3]) for tile in image.tile if re.search(";16[BLN]", str(tile[3]))), "")
             found = image.mode if image.mode.startswith(("I", "F")) else found
-            rgba = np.asarray(image.convert("RGBA"))
+            rgba = np.asarray((ImageOps.exif_transpose(image) if upright else image).convert("RGBA"))
     except Exception as error:  # a truncated file is detected only on decoding
         raise SceneError(path, "a readable image", str(error)) from None
     if found:

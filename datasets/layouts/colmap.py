@@ -3,6 +3,7 @@
     https://colmap.github.io/format.html
     DIR/images/…                              the photographs; images_2, images_4, … are ignored
     DIR/sparse/0/cameras.bin, images.bin, points3D.bin   or the same as .txt; also DIR/sparse, DIR/colmap/sparse/0
+    DIR/dense/sparse, DIR/dense/images        what colmap image_undistorter writes
 
 Lens models are undistorted, and those that OpenCV has no formula for are refused by name. Poses are world-to-camera
 with COLMAP's axes, which are the project's.
@@ -19,7 +20,7 @@ from datasets.cameras.lens import FisheyeLens, Lens, Undistortion
 from datasets.files.errors import SceneError
 from datasets.files.image_files import is_file
 from datasets.layouts.colmap_files import ImageRecord, LensRecord, read_cameras, read_images, read_points
-from datasets.layouts.photographs import LayoutOptions, Photograph, scene_points, to_scene
+from datasets.layouts.photographs import LayoutOptions, Photograph, by_folder, scene_points, to_scene
 from datasets.scene import Scene, make_camera
 from rasterizer.camera import Camera
 
@@ -44,31 +45,36 @@ def read_colmap(root: Path, options: LayoutOptions) -> Scene:
     folder = sparse_folder(root)
     if folder is None:
         raise SceneError(root, "sparse/0 with images.bin or images.txt", "neither")
-    binary = (folder / "images.bin").is_file()
-    lenses = read_cameras(folder / ("cameras.bin" if binary else "cameras.txt"))
-    images = read_images(folder / ("images.bin" if binary else "images.txt"))
+    suffix = "bin" if (folder / "images.bin").is_file() else "txt"
+    file = folder / f"images.{suffix}"
+    lenses = read_cameras(folder / f"cameras.{suffix}")
     photographs: list[Photograph] = []
-    groups: dict[str, int] = {}  # images/left/1.png, images/right/1.png: a camera each
-    pictures = next((root / name for name in ("images", "input") if (root / name).is_dir()), root)
-    for image in images:
-        where = f"{folder / 'images'}: {image.name}"
+    pictures = _image_folder(root, folder)
+    for image in read_images(file):
+        where = f"{file}: {image.name}"
         if image.camera not in lenses:
             raise SceneError(where, f"a camera among {', '.join(map(str, sorted(lenses)))}", f"{image.camera}")
         path = pictures / image.name
         if not is_file(path):
-            raise SceneError(path, f"the image that {folder.name} names", "no such file")
+            raise SceneError(path, f"the image that {file} names", "no such file")
         camera, lens = _camera(lenses[image.camera], image, where)
-        parent = Path(image.name).parent.as_posix()
-        group = groups.setdefault(parent, len(groups))
         name = Path(image.name).with_suffix("").as_posix().replace("/", "_")
-        photographs.append(Photograph(name, path, camera, lens, group=group))
+        photographs.append(Photograph(name, path, camera, lens))
     rows = read_points(folder)
     rows = rows[rows[:, 6] <= LARGEST_TRACK_ERROR]
     points = scene_points(rows[:, :3], rows[:, 3:6])
     models = ", ".join(sorted({lens.model for lens in lenses.values()}))
     count = len(points.positions) if points else 0
     options.log(f"COLMAP: {len(photographs)} images, {len(lenses)} lenses ({models}), {count} points")
-    return to_scene(root, photographs, options, points)
+    return to_scene(root, by_folder(photographs), options, points)
+
+
+def _image_folder(root: Path, folder: Path) -> Path:
+    """The folder that the model in `folder` names images of: images beside its sparse before others, as another
+    reconstruction's have other lenses."""
+    beside = next(parent.parent for parent in (folder, folder.parent) if parent.name == "sparse")
+    candidates = (place / name for place in (beside, root) for name in ("images", "input"))
+    return next((candidate for candidate in candidates if candidate.is_dir()), root)
 
 
 def _camera(lens: LensRecord, image: ImageRecord, where: str) -> tuple[Camera, Lens | None]:
@@ -87,11 +93,9 @@ def _camera(lens: LensRecord, image: ImageRecord, where: str) -> tuple[Camera, L
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation_of(image.quaternion, where), image.translation
     camera = make_camera(where, lambda: Camera(lens.width, lens.height, fx, fy, cx, cy, pose))
-    if not any(bent):
-        return camera, None
-    if "FISHEYE" in model:
+    if "FISHEYE" in model:  # with coefficients of 0 it is equidistant, not straight
         return camera, FisheyeLens(fx, fy, cx, cy, bent + (0.0,) * (4 - len(bent)))
-    return camera, Undistortion.of(camera, *bent)
+    return camera, Undistortion.of(camera, *bent) if any(bent) else None
 
 
 def rotation_of(quaternion: np.ndarray, where: str) -> np.ndarray:

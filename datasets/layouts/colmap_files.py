@@ -56,7 +56,7 @@ def read_cameras(path: Path) -> dict[int, LensRecord]:
 
 def read_images(path: Path) -> list[ImageRecord]:
     """The images that have a pose, one at least."""
-    found = _entries(path, _binary_image, _text_image, 2)  # the second line, its points, may be empty
+    found = _entries(path, _binary_image, _text_image, 2)  # the second line: its points
     if not found:
         raise SceneError(path, "at least one image with a pose", "none")
     return found
@@ -73,7 +73,10 @@ def read_points(folder: Path) -> np.ndarray:
 def _entries(
     path: Path, binary: Callable[[_Binary], Parsed], text: Callable[[str], Parsed], lines: int
 ) -> list[Parsed]:
-    """The entries of a file; lines: of each entry in a text file, of which the first is parsed."""
+    """The entries of a file; lines: of each entry in a text file, of which the first is parsed.
+
+    Between the entries of a text file empty lines and comments are skipped; an entry's second line may be empty.
+    """
     try:
         if path.suffix == ".bin":
             with open(path, "rb") as opened:
@@ -83,14 +86,16 @@ def _entries(
     except (OSError, UnicodeDecodeError) as error:
         raise SceneError(path, "a file of COLMAP", str(error)) from None
     found = []
-    rows = [line for line in content.splitlines() if not line.startswith("#") and (lines > 1 or line.strip())]
-    for line in rows[::lines]:
-        if not line.strip():
+    rows = iter(content.splitlines())
+    for line in rows:
+        if not line.strip() or line.lstrip().startswith("#"):
             continue
         try:
             found.append(text(line))
         except (ValueError, IndexError):
             raise SceneError(f"{path}: {line!r}", "a line as COLMAP writes it", "something else") from None
+        for _ in range(lines - 1):
+            next(rows, None)
     return found
 
 

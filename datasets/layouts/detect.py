@@ -53,8 +53,11 @@ def _nerfies(path: Path) -> str | None:
 
 def _plenoptic(path: Path) -> str | None:
     numbered = any(PLENOPTIC_NAME.fullmatch(p.name) for p in path.iterdir())
-    if numbered and (path / "poses_bounds.npy").is_file() or _plenoptic_images(path):
+    posed = (path / "poses_bounds.npy").is_file()
+    if numbered and posed or _plenoptic_images(path):
         return None
+    if posed and _has_videos(path) and image_folder(path) is None:
+        return "poses_bounds.npy is there and not used: the videos are not called cam00.mp4, cam01.mp4, …"
     return "no cam00.mp4 with poses_bounds.npy, no images/cam00_0000 in transforms_train.json"
 
 
@@ -95,9 +98,11 @@ def _llff(path: Path) -> str | None:
 def _video(path: Path) -> str | None:
     from datasets.video_files.decode import image_paths
 
-    if any(p.suffix.lower() in FOOTAGE_SUFFIXES and not p.name.startswith(".") for p in path.iterdir()):
-        return None
-    return None if image_paths(path) else "no videos and no images"
+    return None if _has_videos(path) or image_paths(path) else "no videos and no images"
+
+
+def _has_videos(path: Path) -> bool:
+    return any(p.suffix.lower() in FOOTAGE_SUFFIXES and not p.name.startswith(".") for p in path.iterdir())
 
 
 # Value of scene.reader, name, and what is missing (None: nothing). The most telling files come first.

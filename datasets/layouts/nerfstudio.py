@@ -2,10 +2,10 @@
 
     {"camera_model": "OPENCV", "fl_x", "fl_y", "cx", "cy", "w", "h", "k1", "k2", "p1", "p2": shared or of each frame,
      "ply_file_path": "sparse_pc.ply", "applied_transform": 3×4, of the points and the poses alike,
-     "train_filenames", "val_filenames", "test_filenames": optional,
+     "train_filenames", "val_filenames", "test_filenames": optional, each a list of file_path,
      "frames": [{"file_path", "transform_matrix": 4×4 camera-to-world, "mask_path", "time": optional}, …]}
 
-Poses have OpenGL's camera axes. Masks are black where pixels do not count.
+Poses have OpenGL's camera axes. Masks are 0 where pixels do not count.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ import numpy as np
 
 from datasets.cameras.intrinsics import read_distortion, read_pinhole
 from datasets.cameras.lens import FisheyeLens, Lens, Undistortion
-from datasets.cameras.transforms import TransformsEntry, read_transforms
+from datasets.cameras.transforms import TransformsEntry, named_path, read_transforms
 from datasets.files.errors import SceneError, read_json
 from datasets.files.image_files import common_size, is_file
 from datasets.files.json_values import read_number
-from datasets.layouts.photographs import LayoutOptions, Photograph, scene_points, to_scene
+from datasets.layouts.photographs import LayoutOptions, Photograph, by_folder, scene_points, to_scene
 from datasets.scene import Scene, ScenePoints
 from rasterizer.camera import Camera
 
@@ -35,29 +35,50 @@ def read_nerfstudio(root: Path, options: LayoutOptions) -> Scene:
     file = root / "transforms.json"
     entries = read_transforms(file, root)
     content = read_json(file, SceneError)
-    test = {name for key in ("val_filenames", "test_filenames") for name in _names(content, key, file)}
-    size = common_size([entry.image_path for entry in entries])
-    groups: dict[Path, int] = {}  # images/left/1.png, images/right/1.png: a camera each
-    photographs = [
-        _photograph(root, entry, size, test, groups.setdefault(entry.image_path.parent, len(groups)))
-        for entry in entries
-    ]
+    used = _in_use(root, entries, content, file, options)
+    size = common_size([entry.image_path for entry, _ in used])
+    photographs = [_photograph(root, entry, size, test) for entry, test in used]
     repeated = {p.name for p in photographs}
     if len(repeated) < len(photographs):  # images/left/1.png and images/right/1.png
         photographs = [replace(p, name=f"{index:05d}_{p.name}") for index, p in enumerate(photographs)]
     points = _points(root, content)
     options.log(f"nerfstudio: {len(photographs)} images, {len(points.positions) if points else 0} points")
-    return to_scene(root, photographs, options, points)
+    return to_scene(root, by_folder(photographs), options, points)
 
 
-def _names(content: dict[str, Any], key: str, file: Path) -> list[str]:
+def _in_use(
+    root: Path, entries: list[TransformsEntry], content: dict[str, Any], file: Path, options: LayoutOptions
+) -> list[tuple[TransformsEntry, bool | None]]:
+    """The frames in use, each with whether the lists of file names hold it out; None: they hold out none.
+
+    As in nerfstudio, frames in no list are left out; without train_filenames they are trained on.
+    """
+    names = [{root / entry.file_path, entry.image_path} for entry in entries]
+    known = set().union(*names)
+    train, val, test = (_listed(root, content, f"{split}_filenames", file, known) for split in ("train", "val", "test"))
+    held_out = val | test
+    kept = [
+        (entry, bool(own & held_out) if held_out else None)
+        for entry, own in zip(entries, names)
+        if not train or own & (train | held_out)
+    ]
+    if left_out := len(entries) - len(kept):
+        options.log(f"{file.name}: {left_out} of {len(entries)} frames are in no list of file names and left out")
+    return kept
+
+
+def _listed(root: Path, content: dict[str, Any], key: str, file: Path, known: set[Path]) -> set[Path]:
+    """The paths that a list of file names has; SceneError unless all are `known`."""
     names = content.get(key, [])
     if not isinstance(names, list):
         raise SceneError(f"{file}: {key}", "a list of file names", type(names).__name__)
-    return [Path(str(name)).as_posix() for name in names]
+    paths = {named_path(root, str(name)): name for name in names}
+    if unknown := [name for path, name in paths.items() if path not in known]:
+        raise SceneError(f"{file}: {key}", "names that frames have as file_path", f"{unknown[0]!r}")
+    return set(paths)
 
 
-def _photograph(root: Path, entry: TransformsEntry, size: tuple[int, int], test: set[str], group: int) -> Photograph:
+def _photograph(root: Path, entry: TransformsEntry, size: tuple[int, int], test: bool | None) -> Photograph:
     camera, lens = _camera(entry, size)
     mask = entry.intrinsics.get("mask_path")
     return Photograph(
@@ -66,9 +87,8 @@ def _photograph(root: Path, entry: TransformsEntry, size: tuple[int, int], test:
         camera,
         lens,
         entry.time,
-        group,
-        test=Path(entry.file_path).as_posix() in test if test else None,
-        mask=root / str(mask) if mask else None,
+        test=test,
+        mask=named_path(root, str(mask)) if mask else None,
     )
 
 
@@ -78,7 +98,7 @@ def _camera(entry: TransformsEntry, size: tuple[int, int]) -> tuple[Camera, Lens
     camera = read_pinhole(values, size, entry.cam_to_world, where, entry.file)
     if fisheye:
         bent = tuple(read_number(values.get(key, 0.0), f"{where}: {key}", 1e6) for key in ("k1", "k2", "k3", "k4"))
-        return camera, FisheyeLens(camera.fx, camera.fy, camera.cx, camera.cy, bent) if any(bent) else None
+        return camera, FisheyeLens(camera.fx, camera.fy, camera.cx, camera.cy, bent)
     bent = read_distortion(values, where)
     return camera, Undistortion.of(camera, *bent) if any(bent) else None
 
@@ -88,13 +108,17 @@ def _points(root: Path, content: dict[str, Any]) -> ScenePoints | None:
     name = content.get("ply_file_path")
     if not isinstance(name, str):
         return None
-    if not is_file(root / name):
-        raise SceneError(root / name, "the points that transforms.json names (ply_file_path)", "no such file")
-    return read_ply_points(root / name)
+    path = named_path(root, name)
+    if not is_file(path):
+        raise SceneError(path, "the points that transforms.json names (ply_file_path)", "no such file")
+    return read_ply_points(path)
 
 
 def read_ply_points(path: Path) -> ScenePoints | None:
-    """x, y, z and red, green, blue of a .ply; grey without colours, None without points."""
+    """x, y, z and red, green, blue of a .ply; grey without colours, None without points.
+
+    Colours are of 0 to 255, or floating-point numbers of 0 to 1.
+    """
     from plyfile import PlyData
 
     try:
@@ -102,6 +126,8 @@ def read_ply_points(path: Path) -> ScenePoints | None:
         positions = np.stack([np.asarray(vertices[axis], np.float64) for axis in "xyz"], axis=1)
         coloured = set(COLORS) <= {p.name for p in vertices.properties}
         colors = np.stack([np.asarray(vertices[c], np.float64) for c in COLORS], axis=1) if coloured else None
+        if colors is not None and all(vertices[c].dtype.kind == "f" for c in COLORS) and not (colors > 1).any():
+            colors *= 255
     except Exception as error:  # plyfile and numpy raise many types for broken files
         raise SceneError(path, "a .ply with the vertices x, y, z", str(error)) from None
     return scene_points(positions, colors)

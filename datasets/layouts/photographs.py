@@ -6,6 +6,7 @@ are read here, those with alpha, and a few for the background.
 
 from __future__ import annotations
 
+import os
 import re
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -20,6 +21,7 @@ from datasets.canonical import canonical_space
 from datasets.composition import BLACK, Color, chosen_background, chosen_downscale, compose, coverage, reduced_camera
 from datasets.files.errors import SceneError
 from datasets.files.image_files import common_size, has_alpha, is_file, read_rgba
+from datasets.files.natural_order import natural_order
 from datasets.scene import PLAYBACK_RATE, Scene, ScenePoints, View, camera_extent, make_camera, validate_scene
 from rasterizer.camera import MAX_DISTANCE, Camera
 
@@ -56,7 +58,8 @@ class Photograph:
     time: float | None = None  # any unit and origin; None: unknown
     group: int = 0  # number of the physical camera
     test: bool | None = None  # held out by the layout; None: the layout does not say
-    mask: Path | None = None  # an image, black where pixels do not count; None: all count
+    mask: Path | None = None  # an image, 0 where pixels do not count; None: all count
+    folder: str = ""  # of the physical camera's images, where it has one of its own
 
 
 class FileImage:
@@ -80,11 +83,22 @@ class FileImage:
         return compose(_undistorted(self._photograph), self._background, self._downscale)
 
 
+def by_folder(photographs: Sequence[Photograph]) -> list[Photograph]:
+    """images/left/1.png, images/right/1.png: a camera for each folder, numbered in the order of the folders' names."""
+    parents = [os.path.abspath(photograph.path.parent) for photograph in photographs]
+    folders = sorted(set(parents), key=natural_order)
+    if len(folders) < 2:
+        return list(photographs)
+    names = [os.path.relpath(folder, os.path.commonpath(folders)) for folder in folders]
+    groups = {folder: group for group, folder in enumerate(folders)}
+    return [replace(p, group=groups[own], folder=names[groups[own]]) for p, own in zip(photographs, parents)]
+
+
 def to_scene(
     root: Path, photographs: Sequence[Photograph], options: LayoutOptions, points: ScenePoints | None = None
 ) -> Scene:
     """The scene of photographs in any order. SceneError where they do not make one."""
-    photographs = _timed(_natural_order(photographs), options)
+    photographs = _timed(sorted(photographs, key=lambda photograph: natural_order(photograph.name)), options)
     if len(photographs) < FEWEST:
         raise SceneError(root, f"at least {FEWEST} photographs with a camera", f"{len(photographs)}")
     photographs = _limited(root, photographs, options)
@@ -225,15 +239,17 @@ def _held_out(root: Path, photographs: Sequence[Photograph], options: LayoutOpti
     stated = {photograph.name for photograph in photographs if photograph.test}
     if stated and len(stated) < len(photographs):
         return stated, "the layout's test frames"
-    groups = sorted({photograph.group for photograph in photographs})
+    # Camera number -> how messages call it.
+    cameras = {p.group: f"{p.group} ({p.folder})" if p.folder else f"{p.group}" for p in photographs}
     times = len({photograph.time for photograph in photographs})
-    if len(groups) > 2 and times < len(photographs):
+    if (len(cameras) > 2 and times < len(photographs)) or (len(cameras) > 1 and list(options.test_cameras) != [0]):
         # 0, the default, is the first camera also where a folder counts from 1.
-        chosen = sorted({groups[0] if number == 0 else number for number in options.test_cameras})
-        if not set(chosen) < set(groups):
-            raise SceneError(f"{root}: scene.test_cameras", f"some of the cameras {groups}", f"{chosen}")
+        chosen = sorted({min(cameras) if number == 0 else number for number in options.test_cameras})
+        if not set(chosen) < set(cameras):
+            known = ", ".join(cameras[number] for number in sorted(cameras))
+            raise SceneError(f"{root}: scene.test_cameras", f"some of the cameras {known}", f"{chosen}")
         names = {photograph.name for photograph in photographs if photograph.group in chosen}
-        return names, "camera " + ", ".join(map(str, chosen))
+        return names, "camera " + ", ".join(cameras[number] for number in chosen)
     every = options.test_every
     held_out = {photograph.name for photograph in photographs[every // 2 :: every]}
     if not held_out:
@@ -257,18 +273,11 @@ def _mask(photograph: Photograph, downscale: int) -> np.ndarray | None:
     width, height = photograph.camera.width, photograph.camera.height
     if rgba.shape[:2] != (height, width):
         raise SceneError(photograph.mask, f"{width} x {height} pixels, as its image", "{1} x {0}".format(*rgba.shape))
-    counts = np.where(rgba[..., :3].max(axis=2) > 127, 255, 0).astype(np.uint8)
+    counts = np.where(rgba[..., :3].any(axis=2), 255, 0).astype(np.uint8)  # tools write 0 and 1, or 0 and 255
     if photograph.lens:
         counts = undistort(counts, photograph.lens.maps((width, height)))
     small = compose(np.dstack([counts] * 3 + [np.full_like(counts, 255)]), BLACK, downscale)[..., 0]
     return small == 255
-
-
-def _natural_order(photographs: Sequence[Photograph]) -> list[Photograph]:
-    def key(photograph: Photograph) -> list[tuple[int, int | str]]:
-        return [(0, int(p)) if p.isdecimal() else (1, p) for p in re.split(r"(\d+)", photograph.name) if p]
-
-    return sorted(photographs, key=key)
 
 
 def _last_number(stem: str) -> int | None:

@@ -1,6 +1,6 @@
 """Reader of the Plenoptic Video layout, and of multi-camera videos without poses.
 
-    DIR/cam00.mp4, cam01.mp4, …     synchronised videos, one per camera
+    DIR/cam00.mp4, cam01.mp4, …     synchronised videos, one per camera (videos.py)
     DIR/poses_bounds.npy            their poses (poses.py)
 
 or the output of the released program's converter, DIR/images and DIR/transforms_*.json (images.py). If a folder has
@@ -27,7 +27,7 @@ from datasets.plenoptic.images import camera_number, image_sequences, read_camer
 from datasets.plenoptic.poses import read_poses
 from datasets.plenoptic.sync import common_frames, select_cameras
 from datasets.plenoptic.unsynchronised import align, is_synchronised, offsets_of
-from datasets.plenoptic.videos import VideoFile, find_cameras, find_footage, probe
+from datasets.plenoptic.videos import Video, VideoFile, find_cameras, find_footage, probe
 from datasets.scene import Box, Scene
 from rasterizer.camera import Camera
 
@@ -81,7 +81,8 @@ def open_plenoptic(path: str | Path, **options: Any) -> PosedFootage:
         raise SceneError(root, "a folder in the Plenoptic Video layout", "a file" if root.exists() else "nothing there")
     files, poses, transforms = find_cameras(root), root / "poses_bounds.npy", root / "transforms_train.json"
     if files and (poses.exists() or not transforms.exists()):
-        footage = _footage(root, files, checked)
+        # Given poses are of the pixels as stored.
+        footage = _footage(root, files, _videos(root, files, checked, square=False), checked)
         found = read_poses(poses, [file.name for file in files], footage.names, footage.size)
         return PosedFootage(footage, found.cameras, unit=found.unit, init_box=found.init_box)
     if transforms.exists():
@@ -90,37 +91,63 @@ def open_plenoptic(path: str | Path, **options: Any) -> PosedFootage:
 
 
 def read_footage(path: str | Path, **options: Any) -> Footage:
-    """The videos in folder `path`, of any names, without poses. options: the fields of FootageOptions."""
+    """The videos in folder `path`, of any names, without poses. options: the fields of FootageOptions.
+
+    Where no camera has the number 0, the default of `test_cameras`, that of the lowest number is held out.
+    """
     root, checked = Path(path), FootageOptions(**options)
     files = find_footage(root)
-    return _footage(root, files, checked) if checked.sync == "none" else _unsynchronised(root, files, checked)
+    numbers = {file.number for file in files}
+    if not all(file.name.endswith(str(file.number)) for file in files):
+        places = ", ".join(f"{file.number} {file.name}" for file in files)
+        checked.log(f"cameras are numbered by their place in the order of names: {places}")
+    elif checked.test_cameras == (0,) and 0 not in numbers:
+        first = min(numbers - set(checked.drop_cameras), default=0)
+        checked = replace(checked, test_cameras=(first,))
+        checked.log(f"no camera has the number 0: camera {first} is held out (scene.test_cameras)")
+    videos = _videos(root, files, checked)
+    return (_footage if checked.sync == "none" else _unsynchronised)(root, files, videos, checked)
 
 
-def _unsynchronised(root: Path, files: Sequence[VideoFile], options: FootageOptions) -> Footage:
-    """Footage of cameras that started at different times; as filmed where they turn out to be synchronised."""
+def _videos(root: Path, files: Sequence[VideoFile], options: FootageOptions, square: bool = True) -> tuple[Video, ...]:
+    """The videos of the cameras in use, with a line for what is done to their frames. square: see videos.probe."""
     keep = select_cameras([file.number for file in files], root, options.test_cameras, options.drop_cameras)
-    videos = probe(files, keep, options.drop_cameras)
+    videos = probe(files, keep, options.drop_cameras, square)
+    for video in videos:
+        for note in video.header.notes():
+            options.log(f"{video.path.name}: {note}")
+    return videos
+
+
+def _unsynchronised(
+    root: Path, files: Sequence[VideoFile], videos: tuple[Video, ...], options: FootageOptions
+) -> Footage:
+    """Footage of cameras that started at different times; as filmed where they turn out to be synchronised."""
     offsets = offsets_of(root, videos, options.sync, options.offsets, options.log)
     if offsets is None:
-        return _footage(root, files, options)
+        return _footage(root, files, videos, options)
     if is_synchronised(videos, offsets):
         options.log("less than half a frame apart: taken as synchronised")
-        return _footage(root, files, options)
+        return _footage(root, files, videos, options)
     streams = align(videos, offsets, options.first_frame, options.frames)
     if not options.downscale:
         options = replace(options, downscale=chosen_downscale(streams[0].size))
     chosen = repr([(stream.size, stream.indices) for stream in streams])
-    content = f"{fingerprint([file.path for file in files], VIDEO_PART)} {chosen}"
+    content = f"{_content(files, videos)} {chosen}"
     return Footage(root, streams, streams[0].count, content, replace(options, first_frame=0))
 
 
-def _footage(root: Path, files: Sequence[VideoFile], options: FootageOptions) -> Footage:
-    keep = select_cameras([file.number for file in files], root, options.test_cameras, options.drop_cameras)
-    videos = probe(files, keep, options.drop_cameras)
+def _footage(root: Path, files: Sequence[VideoFile], videos: tuple[Video, ...], options: FootageOptions) -> Footage:
     count = common_frames(videos, options.first_frame, options.frames, options.drop_cameras)
     if not options.downscale:
         options = replace(options, downscale=chosen_downscale(videos[0].size))
-    return Footage(root, videos, count, fingerprint([file.path for file in files], VIDEO_PART), options)
+    return Footage(root, videos, count, _content(files, videos), options)
+
+
+def _content(files: Sequence[VideoFile], videos: Sequence[Video]) -> str:
+    """Hash of all files, and whether frames are converted: stores of earlier versions hold the pixels as stored."""
+    converted = " converted" if any(video.converted for video in videos) else ""
+    return fingerprint([file.path for file in files], VIDEO_PART) + converted
 
 
 def _open_images(root: Path, options: FootageOptions) -> PosedFootage:

@@ -1,4 +1,7 @@
-"""Finds the video files of a folder, checks their headers and decodes their frames with OpenCV (FFmpeg)."""
+"""Finds the video files of a folder, checks their headers and decodes their frames with OpenCV (FFmpeg).
+
+Frames of high dynamic range or without square pixels are decoded as those of clips are (datasets/video_files).
+"""
 
 from __future__ import annotations
 
@@ -6,20 +9,22 @@ import math
 import os
 import re
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 
 from datasets.files.errors import SceneError
+from datasets.files.natural_order import natural_order
 from datasets.plenoptic.decode import Stream
 from datasets.plenoptic.sync import drop_advice
-from datasets.video_files.decode import frame_times
-from datasets.video_files.probe import open_container
+from datasets.video_files.decode import frame_times, video_frames
+from datasets.video_files.probe import Header, open_container
+from datasets.video_files.probe import probe as read_header
 
 FOOTAGE_SUFFIXES = (".mp4", ".mov", ".mkv", ".avi")
-PLENOPTIC_NAME = re.compile(r"cam(\d+)\.mp4")
+PLENOPTIC_NAME = re.compile(r"cam_?(\d+)\.mp4", re.IGNORECASE)
 
 # Errors are reported in one SceneError; FFmpeg's own output on stderr is turned off.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # AV_LOG_QUIET; takes effect when the first video is opened
@@ -39,41 +44,59 @@ class Video(Stream):
     """A camera's video with the values of its header."""
 
     advice: str  # the setting that drops this camera, for messages
+    header: Header
+
+    @property
+    def converted(self) -> bool:
+        """Whether the stored pixels are not those of the frames: tone-mapped, or made square."""
+        return self.header.hdr is not None or self.header.pixel_aspect != 1
 
     def read(self, first: int, count: int, threads: int) -> Iterator[np.ndarray]:
         """Frames first … first + count - 1, each (height, width, 3) uint8 RGB.
 
         Earlier frames are decoded and discarded, because seeking is not exact in all files.
         """
+        index = first
+        for image in self._as_shown(first, count) if self.converted else self._as_stored(first, count, threads):
+            if image is None or image.shape != (self.size[1], self.size[0], 3):
+                raise SceneError(
+                    f"{self.path}: frame {index}",
+                    "{} x {} pixels in colour".format(*self.size),
+                    "none: damaged" if image is None else "{1} x {0}".format(*image.shape),
+                )
+            yield image
+            index += 1
+        if index < first + count:
+            found = f"{index}" if index > first else f"at most {index}"  # earlier ones are not counted
+            raise SceneError(
+                self.path, f"{self.count} frames as its header promises", f"{found}, a truncated video; {self.advice}"
+            )
+
+    def _as_stored(self, first: int, count: int, threads: int) -> Iterator[np.ndarray | None]:
+        """The frames up to the end of the file; None: damaged."""
         capture = open_video(self.path, threads, self.advice)
         try:
             for index in range(first + count):
                 if not capture.grab():
-                    raise SceneError(
-                        self.path,
-                        f"{self.count} frames as its header promises",
-                        f"{index}, a truncated video; {self.advice}",
-                    )
+                    return
                 if index >= first:
-                    yield self._retrieve(capture, index)
+                    decoded, image = capture.retrieve()
+                    yield cv2.cvtColor(image, cv2.COLOR_BGR2RGB) if decoded else None
         except cv2.error as error:
             raise SceneError(self.path, "a video that can be decoded", f"{error}; {self.advice}") from None
         finally:
             capture.release()
 
-    def _retrieve(self, capture: cv2.VideoCapture, index: int) -> np.ndarray:
-        decoded, image = capture.retrieve()
-        if not decoded or image.shape != (self.size[1], self.size[0], 3):
-            raise SceneError(
-                f"{self.path}: frame {index}",
-                "{} x {} pixels in colour".format(*self.size),
-                "{1} x {0}".format(*image.shape) if decoded else "none: damaged",
-            )
-        return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+    def _as_shown(self, first: int, count: int) -> Iterator[np.ndarray | None]:
+        """The same, as a player shows them."""
+        return (frame.image for frame in video_frames(self.path, self.header, set(range(first, first + count))))
 
 
 def find_cameras(root: Path) -> list[VideoFile]:
-    """cam00.mp4, cam01.mp4, … of a folder, sorted; a camera's number is the one in the name. Gaps are allowed."""
+    """cam00.mp4, cam01.mp4, … of a folder, also cam_00.mp4 and in upper case, sorted by name as their poses are.
+
+    A camera's number is the one in the name. Gaps are allowed.
+    """
     return [
         VideoFile(path.stem, int(found[1]), path)
         for path in sorted(root.iterdir(), key=lambda path: path.name)
@@ -82,13 +105,17 @@ def find_cameras(root: Path) -> list[VideoFile]:
 
 
 def find_footage(root: Path) -> list[VideoFile]:
-    """All videos of a folder, sorted by name; a camera's number is its index in that order."""
+    """All videos of a folder, in the natural order of their names.
+
+    A camera's number is the one that its name ends in, if all names end in different ones, else its place.
+    """
     if not root.is_dir():
         found = "a file" if root.exists() else "nothing there"
         raise SceneError(root, "a video, or a folder of videos or images in order", found)
     # Hidden files are not the user's: file managers write them.
     paths = sorted(
-        path for path in root.iterdir() if path.suffix.lower() in FOOTAGE_SUFFIXES and not path.name.startswith(".")
+        (path for path in root.iterdir() if path.suffix.lower() in FOOTAGE_SUFFIXES and not path.name.startswith(".")),
+        key=lambda path: natural_order(path.name),
     )
     if not paths:
         raise SceneError(root, f"videos ({', '.join(FOOTAGE_SUFFIXES)}) or images in order", "none")
@@ -96,15 +123,20 @@ def find_footage(root: Path) -> list[VideoFile]:
     for path in paths:
         if stems.count(path.stem) > 1:
             raise SceneError(path, "one video a camera", f"several called {path.stem}")
-    return [VideoFile(path.stem, number, path) for number, path in enumerate(paths)]
+    stated = [int(end[0]) for stem in stems if (end := re.search(r"[0-9]+$", stem))]
+    numbers = stated if len(set(stated)) == len(paths) else range(len(paths))
+    return [VideoFile(path.stem, number, path) for number, path in zip(numbers, paths, strict=True)]
 
 
-def probe(files: Sequence[VideoFile], keep: Collection[int], drop: Collection[int]) -> tuple[Video, ...]:
+def probe(
+    files: Sequence[VideoFile], keep: Collection[int], drop: Collection[int], square: bool = True
+) -> tuple[Video, ...]:
     """The videos of the cameras `keep`, with header and first frame checked.
 
-    drop: the cameras dropped already, for the advice in messages.
+    drop: the cameras dropped already, for the advice in messages. square: frames have square pixels; otherwise those
+    that are stored.
     """
-    return tuple(_probe(file, drop_advice(file.number, drop)) for file in files if file.number in keep)
+    return tuple(_probe(file, drop_advice(file.number, drop), square) for file in files if file.number in keep)
 
 
 def open_video(path: Path, threads: int, advice: str) -> cv2.VideoCapture:
@@ -122,7 +154,7 @@ def open_video(path: Path, threads: int, advice: str) -> cv2.VideoCapture:
     return capture
 
 
-def _probe(file: VideoFile, advice: str) -> Video:
+def _probe(file: VideoFile, advice: str, square: bool) -> Video:
     capture = open_video(file.path, 1, advice)
     try:
         width, height, count, rate = (
@@ -141,7 +173,11 @@ def _probe(file: VideoFile, advice: str) -> Video:
         raise SceneError(file.path, "a first frame that can be decoded", f"{error}; {advice}") from None
     finally:
         capture.release()
-    return Video(file.name, file.number, file.path, (int(width), int(height)), rate, int(count), start, advice)
+    header, stored = read_header(file.path), (int(width), int(height))
+    if not square:
+        header = replace(header, size=stored, pixel_aspect=1.0)
+    video = Video(file.name, file.number, file.path, stored, rate, int(count), start, advice, header)
+    return replace(video, size=header.size) if video.converted else video
 
 
 def _frame_count(path: Path, stated: float) -> float:

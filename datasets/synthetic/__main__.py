@@ -9,13 +9,14 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 from datasets.files.errors import SceneError
 from datasets.settings import CAMERA_PATHS
-from datasets.synthetic import FILMED, PHOTOGRAPHED, SCENE_NAMES, build_scene
+from datasets.synthetic import DRIVEN, FILMED, PHOTOGRAPHED, SCENE_NAMES, build_scene
 from rasterizer.cores import usable_cores
 
 
@@ -24,7 +25,8 @@ def main(arguments: list[str] | None = None) -> int:
         prog="python -m datasets.synthetic",
         description="Makes a synthetic scene in the "
         "D-NeRF layout, with exact depth, optical flow and moving pixels for its test views, or "
-        f"({', '.join(FILMED)}) in the Plenoptic Video layout, with the same for every frame.",
+        f"({', '.join(FILMED)}) in the Plenoptic Video layout, with the same for every frame, or "
+        f"({', '.join(DRIVEN)}) a driving log in Waymo's processed layout.",
     )
     parser.add_argument("scene", choices=SCENE_NAMES)
     parser.add_argument("--out", type=Path, required=True, help="folder to make; must not exist or be empty")
@@ -42,7 +44,7 @@ def main(arguments: list[str] | None = None) -> int:
     )
     filmed = parser.add_argument_group("filmed scenes", ", ".join(FILMED))
     filmed.add_argument("--cameras", type=int, default=12, help="default: %(default)s")
-    filmed.add_argument("--frames", type=int, default=60, help="default: %(default)s")
+    filmed.add_argument("--frames", type=int, default=60, help=f"also of {', '.join(DRIVEN)} (default: %(default)s)")
     filmed.add_argument("--samples", type=int, default=3, help="rays along a pixel's side (default: %(default)s)")
     filmed.add_argument(
         "--processes",
@@ -56,26 +58,30 @@ def main(arguments: list[str] | None = None) -> int:
         parser.error(f"--out {folder}: expected a folder that does not exist or is empty")
     start = time.perf_counter()
     try:
-        with _progress() as progress:
+        with _progress("frames" if options["scene"] in DRIVEN else "cameras") as progress:
             build_scene(folder, **options, progress=progress)
     except (SceneError, OSError) as error:
         parser.error(str(error))
-    size = options["size"]
-    what = (
-        f"{options['cameras']} cameras, {options['frames']} frames each, {size} pixels wide,"
-        if options["scene"] in FILMED
-        else f"{options['train_views']} training and {options['test_views']} test views of {size} x {size} pixels"
-    )
-    print(f"{folder}: {what} in {time.perf_counter() - start:.1f} s")
+    print(f"{folder}: {_written(options)} in {time.perf_counter() - start:.1f} s")
     return 0
 
 
+def _written(options: dict[str, Any]) -> str:
+    """What the scene consists of. options: of the command line."""
+    scene, size, frames = options["scene"], options["size"], options["frames"]
+    if scene in FILMED:
+        return f"{options['cameras']} cameras, {frames} frames each, {size} pixels wide,"
+    if scene in DRIVEN:
+        return f"a driving log of {frames} frames, with LiDAR, images {size} pixels wide,"
+    return f"{options['train_views']} training and {options['test_views']} test views of {size} x {size} pixels"
+
+
 @contextmanager
-def _progress() -> Iterator[Callable[[int, int], None]]:
-    """A progress bar on a terminal, one line per camera elsewhere."""
+def _progress(unit: str) -> Iterator[Callable[[int, int], None]]:
+    """A progress bar on a terminal, one line per unit, "cameras" or "frames", elsewhere."""
     console = Console()
     with Progress(
-        TextColumn("{task.completed:.0f}/{task.total:.0f} cameras"),
+        TextColumn(f"{{task.completed:.0f}}/{{task.total:.0f}} {unit}"),
         BarColumn(),
         TimeRemainingColumn(),
         console=console,
@@ -89,7 +95,7 @@ def _progress() -> Iterator[Callable[[int, int], None]]:
                 tasks.append(bar.add_task("film", total=total))
             bar.update(tasks[0], completed=done)
             if not console.is_terminal:
-                print(f"{done}/{total} cameras", flush=True)
+                print(f"{done}/{total} {unit}", flush=True)
 
         yield update
 

@@ -5,13 +5,15 @@
     odometry    path is sequences/NN, with calib.txt, times.txt, image_0 … 3/N.png, velodyne/N.bin; ../../poses/NN.txt
     tracking    path is training/image_02/NNNN, beside calib/NNNN.txt, oxts/NNNN.txt, velodyne/NNNN/N.bin, image_03
 
-Images are rectified: no distortion. KITTI's pixel centres lie at integers, the Camera's at integer + ½. Sky masks are
-read from sky_02/…, sky_2/… beside the images where they exist.
+Images are rectified: no distortion; those of DATE_drive_NNNN_extract are not, and are refused by their size. KITTI's
+pixel centres lie at integers, the Camera's at integer + ½. Sky masks are read from sky_02/…, sky_2/… beside the images
+where they exist.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import os
+from dataclasses import dataclass, field
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -39,6 +41,7 @@ class Calibration:
 
     projection: dict[int, np.ndarray]  # camera -> P (3, 4): rectified coordinates of camera 0 -> pixels
     velo_to_rectified: np.ndarray  # (4, 4) Velodyne -> rectified coordinates of camera 0
+    sizes: dict[int, tuple[int, int]] = field(default_factory=dict)  # camera -> (width, height) of its rectified images
 
 
 @dataclass(frozen=True)
@@ -54,6 +57,7 @@ class Pinhole:
 
 def open_kitti(path: Path) -> DrivingLog:
     """The log of a folder in one of the three layouts. SceneError names what is missing."""
+    path = Path(os.path.abspath(path))  # its name and its parents' are needed, also of "."
     if (path / "velodyne_points").is_dir() or (path / "oxts" / "data").is_dir():
         return _open_raw(path)
     if (path / "calib.txt").is_file() or (path / "times.txt").is_file():
@@ -99,7 +103,8 @@ def _open_raw(path: Path) -> DrivingLog:
     rectification = rigid(entry(values, ("R_rect_00",), (3, 3), file), np.zeros(3), f"{file}: R_rect_00")
     velo_to_camera = rectification @ _rigid_file(folder / "calib_velo_to_cam.txt")
     imu_to_rectified = velo_to_camera @ _rigid_file(folder / "calib_imu_to_velo.txt")
-    calibration = Calibration(_projections(values, "P_rect_{:02d}", file), velo_to_camera)
+    projections = _projections(values, "P_rect_{:02d}", file)
+    calibration = Calibration(projections, velo_to_camera, _rectified_sizes(values, file))
     images = {n: numbered_files(path / f"image_{n:02d}" / "data", IMAGES) for n in calibration.projection}
     sky = {n: numbered_files(path / f"sky_{n:02d}" / "data", IMAGES) for n in calibration.projection}
     numbers = _frames(images, path)
@@ -156,11 +161,12 @@ def _log(
         if not listed:
             continue
         pinhole = _pinhole(calibration.projection[camera_number], source, camera_number)
+        size = calibration.sizes.get(camera_number)
         for frame, number in enumerate(numbers):
             path = listed.get(number)
             if path is None:
                 continue  # cameras may miss a frame
-            camera = _camera(path, pinhole, rectified_to_world[frame])
+            camera = _camera(path, pinhole, rectified_to_world[frame], size)
             mask = sky[camera_number].get(number)
             found.append(LogImage(frame, camera_number, times[camera_number][frame], camera, path, sky=mask))
     time_of = next(iter(times.values()))  # cameras and Velodyne are triggered together
@@ -182,8 +188,15 @@ def _log(
     )
 
 
-def _camera(path: Path, pinhole: Pinhole, rectified_to_world: np.ndarray) -> Camera:
+def _camera(path: Path, pinhole: Pinhole, rectified_to_world: np.ndarray, size: tuple[int, int] | None) -> Camera:
+    """size: (width, height) of a rectified image, pixels; None: not known. SceneError for an image of another size."""
     width, height = image_size(path)
+    if size is not None and size != (width, height):
+        raise SceneError(
+            path,
+            "{} x {} pixels, the calibration's S_rect, as the rectified images of …_sync have".format(*size),
+            f"{width} x {height}",
+        )
     pose = pinhole.rectified_to_camera @ np.linalg.inv(rectified_to_world)
     return make_camera(path, lambda: Camera(width, height, pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy, pose))
 
@@ -211,6 +224,12 @@ def _projections(values: dict[str, np.ndarray], name: str, file: Path) -> dict[i
     if not found:
         raise SceneError(file, f"projections {name.format(0)} to {name.format(3)}", "none")
     return found
+
+
+def _rectified_sizes(values: dict[str, np.ndarray], file: Path) -> dict[int, tuple[int, int]]:
+    """Camera -> (width, height) in pixels, of the cameras whose S_rect the file has."""
+    found = {n: entry(values, (f"S_rect_{n:02d}",), (2,), file) for n in CAMERAS if f"S_rect_{n:02d}" in values}
+    return {n: (round(width), round(height)) for n, (width, height) in found.items()}
 
 
 def _velo_to_camera(values: dict[str, np.ndarray], names: tuple[str, ...], file: Path) -> np.ndarray:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ import numpy as np
 from datasets.composition import BLACK, Color, compose
 from datasets.files.errors import SceneError
 from datasets.files.image_files import read_rgba
+from datasets.files.natural_order import natural_order
 from datasets.video_files.hdr import tone_mapped
 from datasets.video_files.probe import Header, open_container
 
@@ -81,15 +81,16 @@ def frame_times(path: Path) -> np.ndarray:
 
 
 def image_paths(folder: Path) -> list[Path]:
-    """The images of a folder in the order of their names, numbers by value: 2 before 10."""
+    """The images of a folder in the natural order of their names."""
     paths = [p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(".")]
-    return sorted(paths, key=lambda path: _natural(path.name))
+    return sorted(paths, key=lambda path: natural_order(path.name))
 
 
 def image_frames(
     paths: list[Path], keep: set[int] | None = None, every: int = 1, background: Color = BLACK
 ) -> Iterator[Frame]:
-    """Images as frames at IMAGE_RATE; a damaged file comes without an image. SceneError unless all have one size.
+    """Images, upright, as frames at IMAGE_RATE; a damaged file comes without an image. SceneError unless all have one
+    size.
 
     background: under transparent pixels.
     """
@@ -98,7 +99,7 @@ def image_frames(
         if (keep is not None and index not in keep) or index % every:
             continue
         try:
-            image = compose(read_rgba(path), background)
+            image = compose(read_rgba(path, upright=True), background)
         except SceneError:
             image = None
         if image is not None:
@@ -142,8 +143,3 @@ def _upright(frame: av.VideoFrame, header: Header) -> np.ndarray:
 
 def _pixels(size: tuple[int, int]) -> str:
     return f"{size[0]} x {size[1]} pixels"
-
-
-def _natural(name: str) -> list[tuple[int, int | str]]:
-    """A sort key that compares runs of digits by value."""
-    return [(0, int(part)) if part.isdigit() else (1, part.lower()) for part in re.split(r"(\d+)", name) if part]

@@ -44,6 +44,12 @@ class Header:
             found.append(f"the clip is {self.hdr}: highlights are compressed to 8-bit colour (BT.709)")
         elif self.bits > 8:
             found.append(f"the clip has {self.bits} bits a channel: rounded to 8")
+        if self.pixel_aspect != 1:
+            found.append(
+                f"pixels are {self.pixel_aspect:.3g} times as wide as high: frames are scaled to {{}} x {{}}".format(
+                    *self.size
+                )
+            )
         return found
 
 

@@ -14,6 +14,8 @@ from datasets.settings import BACKGROUND_MODELS, SceneConfig, require
 from pipeline.config.ranges import above, at_least, between, check, one_of, positive_count
 from pipeline.config.train_schema import TrainConfig
 
+MAX_SEED = 2**63 - 1  # int64, as checkpoints and tables hold it
+
 
 @dataclass
 class InitConfig:
@@ -109,7 +111,7 @@ class Config:
             ", ".join(("auto", *BACKGROUND_MODELS)),
             self.background_model,
         )
-        require(self.seed >= 0, "seed", ">= 0", self.seed)
+        require(0 <= self.seed <= MAX_SEED, "seed", f"in 0..{MAX_SEED}", self.seed)
         require(self.threads >= 0, "threads", ">= 0 (0: all)", self.threads)
 
     @property

@@ -36,7 +36,7 @@ class LearningRates:
 
     def __post_init__(self) -> None:
         rates = {f.name: at_least(0) for f in fields(self)}
-        check("train.lr", self, rates | {"decay_iterations": positive_count()})
+        check("train.lr", self, rates | {"decay_iterations": positive_count(), "final_factor": above(0)})
         require(self.decay_start < 1, "train.lr.decay_start", "in [0, 1)", self.decay_start)
 
 

@@ -53,7 +53,9 @@ def prepare(cfg: Config, log: Callable[[str], None]) -> Prepared:
 
 
 def _check(cfg: Config, kind: SceneKind) -> None:
-    """ValueError for settings of several cameras' videos where there are none."""
+    """ValueError for settings of several cameras' videos, or of driving logs, where there are none."""
+    if cfg.init.source == "lidar" and kind != "drive":
+        raise ValueError("init.source: expected auto, random or sfm for a scene without LiDAR, found lidar")
     several = kind in ("posed_videos", "videos", "clips")
     if cfg.scene.color_correction is True and (not several or cfg.init.source == "random"):
         why = "random points" if several else "a scene that is not several videos"

@@ -115,5 +115,5 @@ def _where_it_counts(target: Target, mask: Tensor) -> Target:
         motion = replace(motion, flow=torch.where(mask, motion.flow, torch.nan))
     if depth is not None:
         counts = mask.ravel()[depth.pixel]
-        depth = replace(depth, pixel=depth.pixel[counts], inverse=depth.inverse[counts])
+        depth = SparseDepth(depth.pixel[counts], depth.inverse[counts]) if counts.any() else None
     return replace(target, motion=motion, depth=depth)

@@ -44,9 +44,6 @@ class CubeMap:
         """The initial map: INITIAL_COLOR everywhere."""
         return cls(torch.full((3, FACES, resolution, resolution), INITIAL_COLOR))
 
-    def copy(self) -> CubeMap:
-        return CubeMap(self.image.clone())
-
     @property
     def bytes(self) -> int:
         return self.image.numel() * self.image.element_size()

@@ -41,9 +41,6 @@ class EnvironmentMap:
         """The initial map: INITIAL_COLOR everywhere."""
         return cls(torch.full((3, height, 2 * height), INITIAL_COLOR))
 
-    def copy(self) -> EnvironmentMap:
-        return EnvironmentMap(self.image.clone())
-
     @property
     def bytes(self) -> int:
         return self.image.numel() * self.image.element_size()

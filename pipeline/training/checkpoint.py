@@ -24,6 +24,7 @@ from torch import Tensor
 
 from datasets.files.atomic_write import atomic_file
 from datasets.files.errors import DataError
+from pipeline.config.schema import MAX_SEED
 from pipeline.model.model import Model, ModelKind
 from pipeline.model.velocities import in_rotations
 from pipeline.training.density.statistics import Statistics
@@ -130,7 +131,7 @@ def _assemble(header: dict, tensors: dict[str, Tensor]) -> Checkpoint:
     return Checkpoint(
         iteration=_integer("iteration", header["iteration"]),
         train_seconds=_number("train_seconds", header["train_seconds"]),
-        seed=_integer("seed", header["seed"]),
+        seed=_integer("seed", header["seed"], MAX_SEED),
         model=model,
         step_count=_integer("step_count", header["step_count"]),
         moments=moments,

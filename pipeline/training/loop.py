@@ -60,7 +60,7 @@ class Watcher(Protocol):
     """Looks on while a model is trained, such as the live view; changes nothing. Its time is not training time."""
 
     def see(self, model: Model, iteration: int, loss: float, psnr: float) -> None:
-        """Called every PROGRESS_EVERY iterations. loss, psnr: of the last batch."""
+        """Called every PROGRESS_EVERY iterations. loss: of the last batch; psnr: of its last view."""
 
 
 def train(
@@ -75,7 +75,7 @@ def train(
 ) -> TrainResult:
     """Train `model` on `scene.train`, or continue from the run folder's checkpoint if `cfg.resume`.
 
-    `model` is changed in place, unless with `train.explicit_velocity`.
+    `model` is changed in place, unless a checkpoint replaces it or with `train.explicit_velocity`.
 
     evaluate_fn: called every `train.eval_every` iterations and at the end; its time is not training time.
     start_iteration, start_seconds: iterations and training seconds before a new run, for an already trained model.

@@ -48,7 +48,6 @@ class DrawnView:
 class RenderedView:
     """Result of the forward and backward pass of one view."""
 
-    time: float
     loss: float
     image: Tensor  # (3, H, W)
     target: Tensor  # (3, H, W)
@@ -115,7 +114,7 @@ class Batch:
             gradient.mark_visible(self.visible, self._kernels.threads)
         self.loss += loss / self._size
         self.n_alive += rasterizer.alive / self._size
-        self.last = RenderedView(target.time, loss, rendered.image, target.image, gradient)
+        self.last = RenderedView(loss, rendered.image, target.image, gradient)
         return self.last
 
     def _also(self, target: Target) -> tuple[str, ...]:
@@ -178,7 +177,7 @@ def draw_batch(state: TrainState, views: TrainingViews, phase: Phase, scene: Sce
         drawn = [replace(view, marginal_offset=offset) for view, offset in zip(drawn, offsets, strict=True)]
     rules = cfg.train.regularization
     if rules.rigid > 0 and state.model.kind.moves:
-        before = (state.iteration - 1) * cfg.train.batch  # training views
+        before = (state.iteration - 1) * len(drawn)  # training views
         drawn = [replace(view, rigid=(before + i) % rules.rigid_every == 0) for i, view in enumerate(drawn, 1)]
     return drawn
 

@@ -50,7 +50,14 @@ def parse() -> argparse.Namespace:
     )
     parser.add_argument("--plot", type=Path, help=f"write a roofline plot here (with --all: {ROOFLINE_FILE})")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
-    return parser.parse_args()
+    options = parser.parse_args()
+    if options.parts and (options.plot or options.all):
+        parser.error("--parts: expected neither --plot nor --all beside it")
+    if (options.plot or options.all) and options.threads and 1 not in options.threads:
+        parser.error("--threads: expected 1 among them for --plot and --all, whose roofline is of one thread")
+    if options.repeats < 1:
+        parser.error(f"--repeats: expected at least 1, found {options.repeats}")
+    return options
 
 
 def main() -> None:
@@ -95,7 +102,7 @@ def measure_workloads(options: argparse.Namespace, threads: list[int], plot: Pat
         result["workloads"][name] = frames
     if options.all:
         result["loss"] = measure_loss(options.repeats, log)
-    if plot and 1 in threads:
+    if plot:
         from rasterizer.bench.roofline_plot import write_roofline
 
         write_roofline(plot, rates, roofline)

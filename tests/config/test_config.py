@@ -230,7 +230,7 @@ def test_the_command_line_wins_over_every_file() -> None:
         ("ablation.fourier_order=3", "ablation.fourier_order: expected 0 to 2, found 3"),
         ("evaluate.renders=-5", "evaluate.renders: expected >= -1 (-1: all), found -5"),
         ("threads=-1", "threads: expected >= 0 (0: all), found -1"),
-        ("seed=-1", "seed: expected >= 0, found -1"),
+        ("seed=-1", "seed: expected in 0..9223372036854775807, found -1"),
     ],
 )
 def test_mistakes_are_named_in_one_line(override: str, expected: str) -> None:

@@ -101,6 +101,23 @@ def test_too_few_matches_leave_a_camera_alone(photographs: list[Photograph], fou
     assert lines[0].startswith("colours of c03 are left alone: it has fewer than 50 matches")
 
 
+def test_matches_with_a_camera_that_has_too_few_do_not_count() -> None:
+    """A and B have enough with each other; B and C too few, and C with D only together with those of B."""
+    names, points = ["a", "b", "c", "d"], 200
+    pairs = [("a", "b", 0, 100), ("b", "c", 100, 130), ("c", "d", 130, 160)]
+    seen = [(p, names.index(name)) for *pair, first, last in pairs for name in pair for p in range(first, last)]
+    observations = np.array([(p, place, 5 + 10 * (p % 20), 5 + 10 * (p // 20)) for p, place in seen], float)
+    image = np.full((240, 240, 3), 128, np.uint8)
+    cameras = dict.fromkeys(names, None)
+    made = Reconstruction(
+        np.zeros((points, 3)), np.zeros((points, 3), np.uint8), np.zeros(points), np.zeros(points, int), cameras,
+        "known", 4, 0.0, observations,
+    )  # fmt: skip
+    lines: list[str] = []
+    assert color_corrections([Photograph(name, image) for name in names], made, [], False, lines.append) == {}
+    assert [line.split()[2] for line in lines if "left alone" in line] == ["c", "d"]
+
+
 def test_scenes_without_poses_are_corrected(photographs: list[Photograph], tmp_path: Path) -> None:
     """Films of two frames; what training and evaluation see of the changed cameras is as the scene is."""
     videos = tmp_path / "videos"

@@ -55,6 +55,17 @@ def test_the_nearest_point_of_a_pixel_counts_at_any_size_and_from_any_camera() -
             assert index > 0 or len(found.pixel) == 1  # the farther one is hidden
 
 
+def test_a_longer_focal_length_at_the_same_place_has_its_own_pixels() -> None:
+    scene, points = drive(), ScenePoints(np.array([at_pixel(COLUMN, ROW, WALL)]), np.array([RED], np.uint8))
+    first = scene.train[0]
+    camera = replace(first.camera, fx=2 * first.camera.fx, cx=first.camera.cx + 4)
+    depths = PointDepths(replace(scene, train=[first, replace(first, camera=camera)]), points)
+    red = (torch.tensor(RED).view(3, 1, 1) / 255).expand(3, HEIGHT, WIDTH)
+    found = [depths.at(index, c, red) for index, c in enumerate((first.camera, camera))]
+    column = (COLUMN + 0.5 - WIDTH / 2) * 2 + WIDTH / 2 + 4
+    assert [f is not None and f.pixel.tolist() for f in found] == [[ROW * WIDTH + COLUMN], [ROW * WIDTH + int(column)]]
+
+
 def test_the_loss_moves_the_rendered_depth_to_the_points(tmp_path: Path) -> None:
     """Points on the disc of the first view, nearer than its Gaussians: with the loss their inverse depth is nearer to
     the points'; half the error is the margin."""

@@ -113,6 +113,13 @@ def test_sfm_is_refused_for_photographs_of_one_camera() -> None:
         prepare(cfg, print)
 
 
+@pytest.mark.parametrize("reader", ["dnerf", "synthetic"])
+def test_lidar_is_refused_where_there_is_none(reader: str) -> None:
+    cfg = Config(scene=SceneConfig(name="synthetic/wheel", reader=reader, path="x"), init=InitConfig(source="lidar"))
+    with pytest.raises(ValueError, match="init.source: expected auto, random or sfm for a scene without LiDAR"):
+        prepare(cfg, print)
+
+
 def test_a_sphere_around_lidar_points_is_refused() -> None:
     log = drive()
     cfg = replace(tiny_config(background_model="sphere"), init=InitConfig())

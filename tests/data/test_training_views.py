@@ -49,3 +49,5 @@ def test_outside_a_mask_nothing_is_measured() -> None:
     assert found.depth.pixel.tolist() == [20, 32 * 31 + 16]
     torch.testing.assert_close(found.depth.inverse, torch.tensor([0.2, 0.4]))
     assert torch.equal(found.motion.flow.isfinite(), torch.from_numpy(mask).expand(2, 32, 32))
+    none_inside = SimpleNamespace(at=lambda *_: SparseDepth(pixel[:1], torch.tensor([0.1])))
+    assert TrainingViews(views, None, none_inside).at(0, 1.0).depth is None  # type: ignore[arg-type]

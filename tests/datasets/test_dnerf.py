@@ -103,12 +103,19 @@ def test_val_as_the_held_out_split(folder: Path) -> None:
     assert [view.name for view in read(folder, test_split="val").test] == ["val/r_0", "val/r_1"]
 
 
-def test_file_path_with_suffix(folder: Path) -> None:
+@pytest.mark.parametrize("spelled", [lambda path: path + ".png", lambda path: path.replace("/", "\\")])
+def test_file_path_with_suffix_or_of_windows(folder: Path, spelled: Callable[[str], str]) -> None:
     before = read(folder)
-    edit(folder, lambda content: [entry.update(file_path=entry["file_path"] + ".png") for entry in content["frames"]])
+    edit(folder, lambda c: [entry.update(file_path=spelled(entry["file_path"])) for entry in c["frames"]])
     after = read(folder)
     assert [view.name for view in after.train] == [view.name for view in before.train]
     assert all((a.image == b.image).all() for a, b in zip(after.train, before.train))
+
+
+def test_file_with_a_byte_order_mark(folder: Path) -> None:
+    path = folder / "transforms_train.json"
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    assert [view.time for view in read(folder).train] == [0.0, 0.5, 1.0]
 
 
 @pytest.mark.parametrize(("step", "start"), [(149.0, 0.0), (5000.0, -200.0), (5.0, 1.7e9), (0.4, 0.1), (1.0, 3.0)])
@@ -127,6 +134,45 @@ def test_irregular_times_in_the_unit_interval_are_no_outliers(folder: Path, time
     scene = read(folder)
     assert tuple(view.time for view in scene.train) == times
     assert (scene.time_start, scene.duration) == (times[0], pytest.approx(times[-1] - times[0]))
+
+
+def write_times(root: Path, train: list[float], test: float) -> Path:
+    """Training views of these times and a test view."""
+    write_split(root, "train", len(train))
+    write_split(root, "test", 1)
+    edit(root, lambda c: [e.update(time=t) for e, t in zip(c["frames"], train, strict=True)])
+    edit(root, lambda c: c["frames"][0].update(time=test), "test")
+    return root
+
+
+@pytest.mark.parametrize(
+    ("train", "test"),
+    [  # seconds; what is just above 1 s continues the others
+        ([i / 30 for i in range(32) if i != 3], 0.5),
+        ([i / 30 for i in range(31)], 1.1),
+        ([i / 10 for i in range(11)], 1.02),
+        ([i / 5 for i in range(6)], 1.6),
+        ([0.0, 0.5, 1.0], 1.0 + 1e-9),
+        ([0.0, 1.0], 2.0),
+    ],
+)
+def test_times_just_above_1_are_no_outliers(tmp_path: Path, train: list[float], test: float) -> None:
+    scene = read(write_times(tmp_path, train, test))
+    assert scene.time_start == 0 and scene.duration == max(*train, test)
+
+
+@pytest.mark.parametrize(
+    ("train", "test"),
+    [
+        ([i / 30 for i in range(31)], 1.2),
+        ([i / 10 for i in range(11)], 1.5),
+        ([0.0, 0.5, 1.0], 1.3),
+        ([0.0, 1.0], 10.0),
+    ],
+)
+def test_times_that_do_not_continue_the_others_are_outliers(tmp_path: Path, train: list[float], test: float) -> None:
+    with pytest.raises(SceneError, match=rf"test/r_000: expected a time in \[0, 1\].*, found {test:g}$"):
+        read(write_times(tmp_path, train, test))
 
 
 def test_times_over_most_of_the_unit_interval_keep_duration_1(folder: Path) -> None:

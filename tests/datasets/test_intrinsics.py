@@ -11,12 +11,14 @@ import pytest
 from dnerf_folder import blender_pose
 from PIL import Image
 
+from datasets.cameras.intrinsics import merge_intrinsics, read_distortion
 from datasets.dnerf import read_dnerf
 from datasets.files.errors import SceneError
 
 WIDTH, HEIGHT = 64, 48
 FX, FY, CX, CY = 70.0, 72.0, 30.0, 26.0
 LENS = {"k1": -0.4, "k2": 0.05, "p1": 0.01, "p2": -0.005}
+LISTED = [LENS["k1"], LENS["k2"], 0.0, 0.0, LENS["p1"], LENS["p2"]]  # in nerfstudio's order
 
 
 def write(root: Path, intrinsics: dict, image: np.ndarray | None = None, **of_second_entry: float) -> Path:
@@ -104,9 +106,11 @@ def gradient(positions: np.ndarray) -> np.ndarray:
     return np.clip(np.rint(values), 0, 255).astype(np.uint8)
 
 
-def test_distorted_image_is_undistorted(tmp_path: Path) -> None:
+@pytest.mark.parametrize("lens", [LENS, {"distortion_params": LISTED}, {"distortion_params": LISTED, "k1": 9.0}])
+def test_distorted_image_is_undistorted(tmp_path: Path, lens: dict) -> None:
+    """Of a list and keys in one place nerfstudio takes the list."""
     distorted = gradient(distorted_positions())
-    write(tmp_path, {"fl_x": FX, "fl_y": FY, "cx": CX, "cy": CY, **LENS, "camera_model": "OPENCV"}, distorted)
+    write(tmp_path, {"fl_x": FX, "fl_y": FY, "cx": CX, "cy": CY, **lens, "camera_model": "OPENCV"}, distorted)
     undistorted = np.asarray(read(tmp_path).train[0].image).astype(float)
     columns, rows = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
     truth = gradient(np.stack([columns, rows], axis=-1).astype(float)).astype(float)
@@ -114,6 +118,14 @@ def test_distorted_image_is_undistorted(tmp_path: Path) -> None:
     # Two roundings to levels and OpenCV's 1/32 pixel: 0.5 + 0.5 + 3/32 levels.
     assert np.abs(undistorted - truth)[inner].max() <= 2
     assert np.abs(distorted.astype(float) - truth)[inner].max() > 4, "the distortion must be visible"
+
+
+def test_listed_distortion_is_in_nerfstudios_order() -> None:
+    values = merge_intrinsics({"distortion_params": [1, 2, 3, 0, 5, 6]}, {}, "x")
+    assert read_distortion(values, "x") == (1, 2, 5, 6, 3)  # OpenCV's: k1, k2, p1, p2, k3
+    of_an_entry = merge_intrinsics({"distortion_params": [1, 2, 3, 0, 5, 6]}, {"k1": 7, "p2": 8}, "x")
+    assert read_distortion(of_an_entry, "x") == (7, 2, 5, 8, 3)
+    assert read_distortion(merge_intrinsics({"k1": 7}, {"distortion_params": [0] * 6}, "x"), "x") == (0, 0, 0, 0, 0)
 
 
 def test_undistortion_ignores_colour_of_transparent_pixels(tmp_path: Path) -> None:
@@ -133,6 +145,10 @@ def test_undistortion_ignores_colour_of_transparent_pixels(tmp_path: Path) -> No
         ({"fl_x": FX, "is_fisheye": True}, "camera_model: expected PINHOLE, .* found a fisheye"),
         ({"fl_x": FX, "k4": 0.1}, r"k4: expected 0: .* undistort the images first .* found 0\.1"),
         ({"fl_x": FX, "k1": "small"}, "k1: expected a number, found 'small'"),
+        ({"fl_x": FX, "distortion_params": [0.1] * 4}, "distortion_params: .* k1, k2, k3, k4, p1, p2, found 4 values$"),
+        ({"fl_x": FX, "distortion_params": 0.1}, "distortion_params: expected a list of .*, found float$"),
+        ({"fl_x": FX, "distortion_params": [0, 0, None, 0, 0, 0]}, "k3: expected a number, found None$"),
+        ({"fl_x": FX, "distortion_params": [0, 0, 0, 0.1, 0, 0]}, r"k4: expected 0: .* found 0\.1"),
         ({"fl_x": FX, "w": 100, "h": HEIGHT}, "expected w x h of 64 x 48 .* found 100 x 48"),
         ({"fl_x": -FX}, "fl_x and fl_y > 0, found -70"),
         ({"fl_y": FY}, "expected the key camera_angle_x, or fl_x, found only"),

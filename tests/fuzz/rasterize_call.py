@@ -41,11 +41,13 @@ def plain_call() -> dict[str, Any]:
             "background": [0.1, 0.2, 0.3],
             "outputs": ["color", "depth"],
             "flow_dt": 0.1,
+            "marginal_offset": 0.0,
             "near": 0.2,
             "sh_degree": None,
             "fourier_order": None,
             "threads": 1,
         },
+        "flow_camera": None,
     }
 
 
@@ -101,7 +103,11 @@ def _formed(tensor: Tensor, form: str) -> Any:
 
 def camera_of(call: dict[str, Any]) -> Camera:
     """The camera of a call: its world_to_cam, or a fixed rotation at `distance` from the origin."""
-    described = {name: decoded(value) for name, value in call["camera"].items()}
+    return _camera(call["camera"])
+
+
+def _camera(description: dict[str, Any]) -> Camera:
+    described = {name: decoded(value) for name, value in description.items()}
     distance = described.pop("distance")
     if "world_to_cam" not in described:
         pose = np.eye(4)
@@ -112,7 +118,9 @@ def camera_of(call: dict[str, Any]) -> Camera:
 
 
 def arguments_of(call: dict[str, Any]) -> dict[str, Any]:
-    return {name: decoded(value) for name, value in call["arguments"].items()}
+    arguments = {name: decoded(value) for name, value in call["arguments"].items()}
+    later = call.get("flow_camera")  # which older regressions lack
+    return arguments | ({"flow_camera": _camera(later)} if later else {})
 
 
 def decoded(value: Any) -> Any:

@@ -20,14 +20,15 @@ from hypothesis import strategies as st
 from pipeline.studies.kernel_stability import textbook_formulas
 from pipeline.studies.kernel_stability.__main__ import main
 from pipeline.studies.kernel_stability.base_scene import base_gaussians, base_request
-from pipeline.studies.kernel_stability.cases import BOUND, CASES, Case
+from pipeline.studies.kernel_stability.cases import BOUND, CASES, EMPTY, Case
 from pipeline.studies.kernel_stability.families import FAMILIES
 from pipeline.studies.kernel_stability.instruction_sets import Spread, largest_difference, measure_spread, same_bits
 from pipeline.studies.kernel_stability.measure import kernel_indefinite, measure
 from pipeline.studies.kernel_stability.table import Row
-from rasterizer import Gaussians, Request, rasterize
+from rasterizer import Gaussians, Rasterizer, Request, rasterize
 from rasterizer.kernel_loader import available_isas
 from rasterizer.reference import render as reference
+from rasterizer.reference.discontinuities import away_from_discontinuities
 
 KERNEL = partial(rasterize, threads=1)
 SLOW = ("stack", "coincident", "wide", "tall")  # families that take the reference implementation too long for a search
@@ -45,6 +46,15 @@ def test_case_is_within_its_bounds(case: Case):
         measure_spread(*case.scene()),
     )
     assert not row.violations
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_a_case_compares_gaussians_unless_it_says_so(case: Case):
+    """Where none is in view any two programs agree."""
+    gaussians, request = case.scene()
+    rasterizer = Rasterizer(threads=1)
+    rasterizer.render(away_from_discontinuities(gaussians, request).to(torch.float32), request)
+    assert (rasterizer.visible == 0) == (case.name in EMPTY)
 
 
 def test_cases_cover_all_families_and_have_unique_names():

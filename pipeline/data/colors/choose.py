@@ -39,13 +39,11 @@ def color_corrections(
     """
     matches = matched_colors(photographs, found)
     training = [i for i, name in enumerate(matches.cameras) if name not in held_out]
-    rows = matches.where(np.isin(matches.camera, training)).shared()
-    enough = [i for i in training if rows.count(i) >= FEWEST_MATCHES]
+    enough, rows = _with_enough(matches, training)
     few = [i for i in training if i not in enough]
     before_after: dict[int, tuple[float, float]] = {}
     corrections: dict[int, ColorCorrection] = {}
     if len(enough) > 1:
-        rows = rows.where(np.isin(rows.camera, enough)).shared()
         chosen, before_after = _validated(rows, {}, enough, every)
         corrections = fit(rows, {i: ColorCorrection() for i in enough if i not in chosen}) if chosen else {}
         corrections = {i: corrections[i] for i in chosen}
@@ -86,6 +84,16 @@ def recolored(
         np.add.at(count, matches.point[rows], 1)
     colors = found.colors + change / np.maximum(count, 1)[:, None]
     return replace(found, colors=np.rint(np.clip(colors, 0, 255)).astype(np.uint8))
+
+
+def _with_enough(matches: Matches, cameras: list[int]) -> tuple[list[int], Matches]:
+    """(those of `cameras` with FEWEST_MATCHES among one another, what these share)."""
+    while True:
+        rows = matches.where(np.isin(matches.camera, cameras)).shared()
+        enough = [i for i in cameras if rows.count(i) >= FEWEST_MATCHES]
+        if enough == cameras:
+            return enough, rows
+        cameras = enough
 
 
 def _validated(

@@ -36,11 +36,12 @@ class PointDepths:
     def __init__(self, scene: Scene, points: ScenePoints) -> None:
         """points: in the scene's coordinates."""
         self._views, self._points = scene.train, points
-        self._cache: dict[bytes, _Projected] = {}
+        self._cache: dict[tuple, _Projected] = {}
 
     def at(self, index: int, camera: Camera, image: Tensor) -> SparseDepth | None:
         """Of view `index` at the size of `camera`, whose image (3, H, W) in [0, 1] is given; None without a point."""
-        key, size = self._views[index].camera.world_to_cam.tobytes(), (camera.width, camera.height)
+        c, size = self._views[index].camera, (camera.width, camera.height)
+        key = (c.fx, c.fy, c.cx, c.cy, c.world_to_cam.tobytes())
         if key not in self._cache or self._cache[key].size != size:
             self._cache[key] = _projected(self._points, camera)
         found = self._cache[key]

@@ -7,6 +7,7 @@ with RANSAC.
 
 from __future__ import annotations
 
+from copy import copy
 from pathlib import Path
 
 import numpy as np
@@ -59,7 +60,7 @@ def register_held_out(
     if len(pixels) < MIN_PAIRS:
         return None
     # Initial intrinsics: of the shared camera, else of another camera, then refined.
-    camera = next(iter(model.cameras.values()))
+    camera = copy(next(iter(model.cameras.values())))  # which is refined in place
     estimation, refinement = pycolmap.AbsolutePoseEstimationOptions(), pycolmap.AbsolutePoseRefinementOptions()
     estimation.ransac.random_seed = request.seed
     estimation.estimate_focal_length = refinement.refine_focal_length = not request.shared_intrinsics

@@ -36,7 +36,7 @@ def flow_picture(flow: np.ndarray, longest: float, known: np.ndarray | None = No
 
 def error_picture(error: np.ndarray, largest: float, known: np.ndarray | None = None) -> np.ndarray:
     """Errors (H, W) >= 0, dark blue at 0 to yellow at `largest`; black where not `known`."""
-    return _masked(colormaps["inferno"](np.clip(error / max(largest, 1e-9), 0.0, 1.0))[..., :3], known)
+    return _masked(colormaps["cividis"](np.clip(error / max(largest, 1e-9), 0.0, 1.0))[..., :3], known)
 
 
 def value_picture(values: np.ndarray, low: float, high: float, known: np.ndarray | None = None) -> np.ndarray:

@@ -7,7 +7,6 @@ Runs are grouped by their settings; a run without settings is grouped by its sch
 from __future__ import annotations
 
 import json
-import re
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -48,7 +47,7 @@ class CurveFigure:
     @property
     def slug(self) -> str:
         """The title as a file name."""
-        return file_name(re.sub(r"[^\w.-]+", "_", self.title.replace(": ", "__")).strip("_"))
+        return file_name(self.title.replace(": ", "__")).strip("_")
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,6 @@ common scenes and seeds are compared.
 from __future__ import annotations
 
 import math
-import re
 
 import numpy as np
 import pandas as pd
@@ -23,7 +22,7 @@ from pipeline.runs.read.run_names import file_name, parts_of, with_parts
 
 STUDY = "study_"  # prefix of the tables' slugs
 MIN_VARIANTS = 2  # a single variant is compared in other tables
-_SCENE_KEYS = ("scene.", "init.", "background=")
+_SCENE_KEYS = ("scene.", "init.", "background_model=")
 _MOVING, _FOREGROUND = "final.psnr_moving", "final.psnr_foreground"  # columns that runs without such pixels lack
 _RATIOS = {"train_seconds": "Train s ×", "n_gaussians": "N ×", "model_mb": "MB ×", "final.fps_render": "FPS ×"}
 NOTE = (
@@ -87,7 +86,7 @@ def _table(schedule: str, ablation: str, names: list[str], rows: list[Row], note
     )
     of = schedule if ablation == "full" else f"{schedule}, {ablation}"
     best_first = sorted(rows, key=lambda row: -(row.cells["mean"].value or 0.0))
-    slug = file_name(STUDY + re.sub(r"[^\w.-]+", "_", of))
+    slug = file_name(STUDY + of)
     return Table(
         slug, f"Effect of changed settings of {of}", columns, tuple(best_first), notes=(NOTE, *notes), over_seeds=False
     )

@@ -16,7 +16,7 @@ from pipeline.report.read import scenes
 from pipeline.report.tables.footnotes import held_out_notes
 from pipeline.report.tables.urban_table import is_urban
 from pipeline.runs.read.collect import Collection
-from pipeline.runs.read.run_names import parts_of, with_parts
+from pipeline.runs.read.run_names import file_name, parts_of, with_parts
 from pipeline.runs.read.variants import VALIDATION
 
 UNCHANGED, MODEL = "none", "full"  # of the changes; of the ablations
@@ -84,7 +84,7 @@ def _table(schedule: str, runs: pd.DataFrame) -> Table:
                 rows.append(_row(log, change, changed[changed["seed"].isin(common)], unchanged))
     notes = (NOTE, *held_out_notes(runs))
     title = f"What each part of an urban model is worth, {schedule}"
-    return Table(f"urban_parts_{schedule}", title, columns, tuple(rows), notes=notes, over_seeds=False)
+    return Table(file_name(f"urban_parts_{schedule}"), title, columns, tuple(rows), notes=notes, over_seeds=False)
 
 
 def _row(log: str, change: str, runs: pd.DataFrame, unchanged: pd.DataFrame | None) -> Row:

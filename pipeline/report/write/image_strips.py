@@ -130,7 +130,7 @@ def _strip(run: pd.Series, choice: str, view: str, chosen_for: str) -> Strip:
 
 def webp_name(*parts: str) -> str:
     """The parts joined to a file name that is valid in any file system."""
-    return file_name("".join(c if c.isalnum() or c in "-_." else "_" for c in "__".join(parts))) + ".webp"
+    return file_name("__".join(parts)) + ".webp"
 
 
 def is_excluded(scene: str, no_pictures: tuple[str, ...]) -> bool:

@@ -12,6 +12,7 @@ from typing import Any
 import pandas as pd
 
 from datasets.files.errors import DataError, clear
+from pipeline.config.schema import MAX_SEED
 from pipeline.runs.run_identity import read_config
 
 PROTOCOLS = ("final", "best_on_test")  # the last iteration; the best test evaluation, as in the authors' release
@@ -56,7 +57,6 @@ MOTIONS = ("static", "separable", "full")  # of rasterizer.gaussians.Motion, aft
 SFM_NUMBERS = ("points", "mean_error_px", "mean_track_length", "cameras", "registered", "seconds")
 SFM_POSES = ("known", "refined", "estimated")
 MAX_NUMBER = 1e15  # of a measurement; its square is finite too
-MAX_SEED = 2**63 - 1  # int64, as in pandas
 MAX_TEXT = 4000  # characters of a note or a command
 
 

@@ -21,7 +21,9 @@ def parts_of(name: str) -> tuple[str, list[str]]:
 
 
 def file_name(text: str) -> str:
-    """`text`, or its beginning and a hash where it is too long for a file name."""
+    """`text` as a file name that any file system takes: other characters than letters, digits and _ - . become one _,
+    and of what is too long the beginning and a hash are left."""
+    text = re.sub(r"[^\w.-]+", "_", text)
     encoded = text.encode()
     if len(encoded) <= _MAX_BYTES:
         return text

@@ -25,20 +25,10 @@ from pipeline.config.renamed_keys import renamed_key
 from pipeline.runs.read import model_labels as models
 from pipeline.runs.read.collect import Collection
 from pipeline.runs.read.run_names import parts_of, with_parts
+from pipeline.runs.run_identity import FREE_KEYS
 
-# Keys that do not affect the trained model, and the seed: paths, threads, checkpoint interval, kinds of output.
-_IGNORED = (
-    "seed",
-    "out",
-    "threads",
-    "resume",
-    "estimate",
-    "scene.cache",
-    "train.checkpoint_every",
-    "train.checkpoint_keep_moments",
-    "evaluate",
-    "hydra",
-)
+# Keys that do not affect the trained model, and the seed.
+_IGNORED = (*FREE_KEYS, "seed", "train.checkpoint_every", "train.checkpoint_keep_moments", "hydra")
 _NAMED = ("train.", "scene.", "init.", "background_model=")  # overrides that become part of the name
 VALIDATION = "scene.validation_every"
 _MAX_KEYS = 3  # differing keys in a name

@@ -25,6 +25,7 @@ from pipeline.studies.kernel_stability.base_scene import (
     with_mean,
 )
 from rasterizer import Gaussians, Request
+from rasterizer.reference.render import slice_in_time
 
 Scene = tuple[Gaussians, Request]
 COUNT = 24  # Gaussians, where they are not the parameter
@@ -124,8 +125,11 @@ def velocity(speed: float, seed: int) -> Scene:
 
 @family(1e-8, 1e6, "standard deviation in time, durations")
 def time_scale(st: float, seed: int) -> Scene:
+    """At the time of the view the Gaussians are where those of the base scene are at theirs."""
     gaussians = with_log_scale(base_gaussians(COUNT, seed), None, None, None, st)
-    return with_mean(gaussians, time=st * uniform((COUNT,), -1.5, 1.5, generator(seed + 1))), base_request(time=0.0)
+    gaussians = with_mean(gaussians, time=st * uniform((COUNT,), -1.5, 1.5, generator(seed + 1)))
+    moved = slice_in_time(gaussians, 0.0).mean - gaussians.mean[:, :3]
+    return with_mean(gaussians, gaussians.mean[:, :3] - moved), base_request(time=0.0)
 
 
 @family(1e-8, 1e6, "standard deviation in time, durations; no motion")

@@ -246,8 +246,7 @@ inline void preprocess(ViewState& view, const Parameters& p) {
     view.depth_low.resize(static_cast<size_t>(chunks) * kChunk);
     if (differentiable) view.color_jacobian.resize(static_cast<size_t>(chunks) * kChunk);
     const bool extras = view.settings.extra_channels();
-    if (extras)
-        view.extras.resize(static_cast<size_t>(chunks) * kChunk * kExtraStride);
+    if (extras) view.extras.resize(static_cast<size_t>(chunks) * kChunk * kExtraStride);
     view.chunk_count.assign(chunks, 0);
     view.chunk_in_time.assign(chunks, 0);
     view.chunk_first.assign(chunks + 1, 0);

@@ -121,7 +121,8 @@ inline void intersect_tiles(ViewState& view) {
     size_t all = 0;
     for (const auto& list : view.thread_intersections)
         for (uint32_t count : list.tile_count) all += count;
-    if (all > kMaxIntersections) throw std::length_error("more than 4294967000 intersections of Gaussians with tiles");
+    if (all > kMaxIntersections)
+        throw std::length_error("more than 4294967000 intersections of Gaussians with tiles");
 
     // Where each tile's list begins, and in it each thread's part.
     view.tile_begin.resize(tiles + 1);

@@ -11,11 +11,14 @@ import numpy as np
 import pytest
 from clips import textured_plane, write_clip
 from imageio_ffmpeg import get_ffmpeg_exe
+from PIL import ExifTags, Image
 
 from datasets import load_clip
 from datasets.clip import Clip, ClipOptions, is_clip, open_clip
 from datasets.files.errors import SceneError
+from datasets.files.image_files import read_rgba
 from datasets.settings import SceneConfig
+from datasets.video_files.decode import image_paths
 from rasterizer.camera import Camera
 
 SIZE = (96, 64)
@@ -77,6 +80,19 @@ def test_ten_bits_are_rounded_and_high_dynamic_range_is_mapped(tmp_path: Path) -
     image = clip.frames[3].image
     order = np.corrcoef(image.mean(axis=2).ravel(), images[3].mean(axis=2).ravel())[0, 1]
     assert order > 0.8 and image.std() > 20 and image.max() <= 255  # the picture is still there, in range
+
+
+def test_pixels_that_are_not_square_are_made_so(tmp_path: Path) -> None:
+    """Two columns of the frame are a stored one. Grey, so that colour of half the resolution does not count."""
+    images = [image.reshape(64, 48, 6).mean(axis=2).astype(np.uint8) for image in frames(16)]
+    stored = [np.dstack([image] * 3) for image in images]
+    narrow, wide = write_clip(tmp_path / "narrow.mp4", stored, evenly(16)), tmp_path / "wide.mp4"
+    aspect = "-c copy -bsf:v h264_metadata=sample_aspect_ratio=2"
+    subprocess.run([get_ffmpeg_exe(), "-v", "error", "-i", narrow, *aspect.split(), wide], check=True)
+    clip, said = opened(wide)
+    assert clip.size == SIZE and "pixels are 2 times as wide as high: frames are scaled to 96 x 64" in said
+    found = clip.frames[3].image.reshape(64, 48, 6).mean(axis=2)
+    assert np.abs(found - images[3]).mean() < 3  # crf 12: about two levels
 
 
 def test_a_cut_leaves_the_longest_take(tmp_path: Path) -> None:
@@ -173,6 +189,34 @@ def test_images_in_the_order_of_their_numbers(tmp_path: Path) -> None:
         cv2.imwrite(str(tmp_path / f"shot{i}.png"), image[..., ::-1])  # shot10 after shot9, not after shot1
     clip, _ = opened(tmp_path)
     assert all((frame.image == image).all() for frame, image in zip(clip.frames, images, strict=True))
+
+
+def test_names_with_digits_that_are_no_numbers(tmp_path: Path) -> None:
+    for name in ("a10.png", "a9.png", "a²1.png"):
+        (tmp_path / name).touch()
+    assert [path.name for path in image_paths(tmp_path)] == ["a9.png", "a10.png", "a²1.png"]
+
+
+def stored_with_orientation(image: np.ndarray, orientation: int) -> np.ndarray:
+    """EXIF: 1 to 8 say which sides of the upright image the file's row 0 and column 0 are: 1 top and left, 2 top and
+    right, 3 bottom and right, 4 bottom and left; 5 to 8 left, right, right, left and top, top, bottom, bottom."""
+    rows = image[::-1] if orientation in (3, 4, 7, 8) else image
+    both = rows[:, ::-1] if orientation in (2, 3, 6, 7) else rows
+    return np.ascontiguousarray(both.swapaxes(0, 1) if orientation > 4 else both)
+
+
+@pytest.mark.parametrize("suffix", ["png", "tif"])
+def test_photographs_are_turned_as_their_exif_says(tmp_path: Path, suffix: str) -> None:
+    images = frames(16)
+    for i, image in enumerate(images):
+        exif = Image.Exif()
+        exif[ExifTags.Base.Orientation] = 1 + i % 8
+        Image.fromarray(stored_with_orientation(image, 1 + i % 8)).save(tmp_path / f"{i:02d}.{suffix}", exif=exif)
+    clip, _ = opened(tmp_path)
+    assert all((frame.image == image).all() for frame, image in zip(clip.frames, images, strict=True))
+    if suffix == "png":  # known poses are of the pixels as stored; Pillow turns TIFF itself
+        stored = read_rgba(tmp_path / "05.png")[..., :3]
+        assert (stored == stored_with_orientation(images[5], 6)).all() and stored.shape == (*SIZE, 3)
 
 
 def test_transparent_pixels_have_the_background(tmp_path: Path) -> None:

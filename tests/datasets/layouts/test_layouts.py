@@ -2,92 +2,25 @@
 
 from __future__ import annotations
 
-import json
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from layout_folders import (
-    COUNT,
     HEIGHT,
     WIDTH,
     cameras,
     picture,
-    write_colmap,
     write_dynamic_gaussians,
     write_llff,
     write_nerfies,
     write_nerfstudio,
 )
+from layout_scenes import check, read
 from PIL import Image
-from scipy.spatial.transform import Rotation
 
-from datasets import load_scene, with_reader
 from datasets.files.errors import SceneError
-from datasets.scene import Scene
-from datasets.settings import SceneConfig
-
-
-def read(path: Path, **settings: object) -> tuple[Scene, list[str]]:
-    lines: list[str] = []
-    cfg = SceneConfig(name="x", reader="auto", path=str(path), downscale=0)
-    cfg = replace(with_reader(cfg, lines.append), **settings)  # type: ignore[arg-type]
-    return load_scene(cfg, log=lines.append), lines
-
-
-def check(scene: Scene, order: list[int] | None = None) -> None:
-    """Cameras and pixels are those written; by time, `order` of the COUNT places."""
-    views = sorted(scene.train + scene.test, key=lambda view: view.time)
-    for view, index in zip(views, order or range(COUNT), strict=True):
-        expected = cameras()[index]
-        np.testing.assert_allclose(view.camera.world_to_cam, expected.world_to_cam, atol=1e-6)
-        found = [getattr(view.camera, name) for name in ("fx", "fy", "cx", "cy")]
-        np.testing.assert_allclose(found, [50, 50, 20, 15], rtol=1e-9)
-        assert (np.asarray(view.image) == picture(index)).all()
-
-
-@pytest.mark.parametrize("binary", [True, False])
-def test_colmap(tmp_path: Path, binary: bool) -> None:
-    scene, lines = read(write_colmap(tmp_path, binary))
-    check(scene)
-    assert "taken for COLMAP" in lines[0] and "not Dynamic 3D Gaussians (no train_meta.json)" in lines[0]
-    assert any("times: the numbers in the file names" in line for line in lines)
-    assert scene.test_split == "every 8th frame" and [view.name for view in scene.test] == ["test/frame_005"]
-    assert scene.points is not None
-    np.testing.assert_allclose(scene.points.positions, [[i, 2 * i, 0.5] for i in range(5)])
-    assert scene.points.colors[:, 0].tolist() == [0, 10, 20, 30, 40]
-
-
-@pytest.mark.parametrize(
-    "model, bent",
-    [("RADIAL", (0.05, -0.01)), ("OPENCV", (0.05, 0.0, 0.001, 0.0)), ("OPENCV_FISHEYE", (0.02, 0.0, 0.0, 0.0))],
-)
-def test_colmap_lenses_are_undistorted(tmp_path: Path, model: str, bent: tuple[float, ...]) -> None:
-    """A ramp of grey along x seen through the lens: the ramp of the straight image follows from the model's formula."""
-    root = write_colmap(tmp_path, True, model, bent)
-    ramp = np.repeat(np.broadcast_to(np.arange(WIDTH)[None, :, None] * 6, (HEIGHT, WIDTH, 1)), 3, axis=2)
-    for path in (root / "images").iterdir():
-        Image.fromarray(ramp.astype(np.uint8)).save(path)
-    scene, _ = read(root)
-    image = np.asarray(scene.train[0].image)[..., 0].astype(float)
-    x, y = (np.arange(WIDTH) + 0.5 - 20) / 50, (15.5 - 15) / 50
-    r2 = x**2 + y**2
-    if model == "OPENCV_FISHEYE":
-        theta = np.arctan(np.sqrt(r2))
-        source = x * theta * (1 + bent[0] * theta**2) / np.sqrt(r2)
-    else:
-        source = x * (1 + bent[0] * r2 + (bent[1] * r2**2 if model == "RADIAL" else 0))
-        source = source + (2 * bent[2] * x * y if model == "OPENCV" else 0)
-    expected = 6 * (50 * source + 20 - 0.5)
-    inside = (expected > 2) & (expected < 6 * (WIDTH - 2))
-    np.testing.assert_allclose(image[15, inside], expected[inside], atol=1.0)  # 8 bits, and 1/32 pixel of OpenCV's maps
-
-
-def test_colmap_lens_without_a_formula_is_refused_by_name(tmp_path: Path) -> None:
-    with pytest.raises(SceneError, match="found FOV; colmap image_undistorter"):
-        read(write_colmap(tmp_path, True, "FOV", (0.5,)))
 
 
 @pytest.mark.parametrize(
@@ -101,41 +34,6 @@ def test_colmap_lens_without_a_formula_is_refused_by_name(tmp_path: Path) -> Non
 def test_settings_that_leave_too_few_photographs_are_named(tmp_path: Path, settings: dict, expected: str) -> None:
     with pytest.raises(SceneError, match=expected):
         read(write_llff(tmp_path), **settings)
-
-
-def test_nerfstudio(tmp_path: Path) -> None:
-    scene, lines = read(write_nerfstudio(tmp_path))
-    check(scene)
-    assert "taken for nerfstudio" in lines[0]
-    assert scene.points is not None and scene.points.positions.tolist() == [[1, 2, 3], [4, 5, 6]]
-    assert all(view.mask is not None and view.mask.sum() == WIDTH * HEIGHT // 2 for view in scene.train)
-
-
-def test_nerfstudio_splits_and_missing_masks(tmp_path: Path) -> None:
-    scene, _ = read(write_nerfstudio(tmp_path, val_filenames=["images/frame_00003.png"]))
-    assert [view.name for view in scene.test] == ["test/frame_00003"] and scene.test_split == "the layout's test frames"
-    (tmp_path / "masks/frame_00002.png").unlink()
-    with pytest.raises(SceneError, match="expected the mask of frame_00002, found no such file"):
-        read(tmp_path)
-
-
-def test_folders_of_several_cameras_count_alike(tmp_path: Path) -> None:
-    """Four numbers in each of three folders are four times."""
-    write_nerfstudio(tmp_path)
-    content = json.loads((tmp_path / "transforms.json").read_text())
-    for index, frame in enumerate(content["frames"]):
-        moved = f"images/cam{index // 4}/{index % 4:04d}.png"
-        (tmp_path / moved).parent.mkdir(exist_ok=True)
-        (tmp_path / frame["file_path"]).rename(tmp_path / moved)
-        frame["file_path"] = moved
-    (tmp_path / "transforms.json").write_text(json.dumps(content))
-    scene, lines = read(tmp_path)
-    assert any("times: the numbers in the file names" in line for line in lines) and scene.test_split == "camera 0"
-    assert [view.time for view in scene.test] == [0, 1, 2, 3] and scene.several_cameras and not scene.is_clip
-    shown = {(view.time, view.camera.world_to_cam.tobytes()): np.asarray(view.image) for view in scene.train}
-    for index in range(4, COUNT):
-        key = next(key for key in shown if key[0] == index % 4 and np.array_equal(shown[key], picture(index)))
-        np.testing.assert_allclose(np.frombuffer(key[1]).reshape(4, 4), cameras()[index].world_to_cam, atol=1e-6)
 
 
 def test_alpha_of_folders_is_kept(tmp_path: Path) -> None:
@@ -256,21 +154,3 @@ def test_what_is_no_layout_is_refused_with_every_reason(tmp_path: Path) -> None:
         "no videos and no images",
     ):
         assert reason in str(error.value)
-
-
-@pytest.mark.parametrize("size", [0, 3, 20, 200])
-def test_damaged_colmap_files_end_in_one_line(tmp_path: Path, size: int) -> None:
-    root = write_colmap(tmp_path, True)
-    file = root / "sparse/0/images.bin"
-    file.write_bytes(file.read_bytes()[:size])
-    with pytest.raises(SceneError) as error:
-        read(root)
-    assert "\n" not in str(error.value) and "images.bin" in str(error.value)
-
-
-def test_a_rotation_is_colmaps() -> None:
-    from datasets.layouts.colmap import rotation_of
-
-    quaternion = np.array([0.3, -0.5, 0.7, 0.2])
-    expected = Rotation.from_quat(quaternion[[1, 2, 3, 0]]).as_matrix()
-    np.testing.assert_allclose(rotation_of(quaternion, "x"), expected, atol=1e-12)

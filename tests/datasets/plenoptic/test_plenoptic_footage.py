@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from clips import textured_plane, write_clip
-from plenoptic_folder import FRAMES, HEIGHT, RATE, WIDTH, inside, picture, write_camera
+from plenoptic_folder import FRAMES, HEIGHT, RATE, WIDTH, inside, picture, write_camera, write_folder
 
 from datasets import SceneError, load_footage, load_scene
-from datasets.plenoptic import Footage, Undistortion, read_footage
+from datasets.plenoptic import Footage, Undistortion, open_plenoptic, read_footage
 from datasets.plenoptic.unsynchronised import AlignedStream
 from datasets.settings import SceneConfig
 from rasterizer.camera import Camera
 
-NAMES = ("GX 03.mov", "b.cam.mp4", "left.MKV", "right.avi")
+NAMES = ("b.cam.mp4", "GX 03.mov", "left.MKV", "right.avi")
 CODEC = 4  # see test_plenoptic_videos.py
 
 
@@ -47,9 +47,42 @@ def cameras(footage: Footage) -> dict[str, Camera]:
 
 def test_videos_are_sorted_by_name(filmed: Path) -> None:
     footage = read(filmed, test_cameras=[2])
-    assert footage.names == ("GX 03", "b.cam", "left", "right") and footage.numbers == (0, 1, 2, 3)
+    assert footage.names == ("b.cam", "GX 03", "left", "right") and footage.numbers == (0, 1, 2, 3)
     assert (footage.size, footage.rate, footage.count, footage.source) == ((WIDTH, HEIGHT), RATE, FRAMES, filmed)
     assert footage.held_out == ("left",)
+
+
+def test_cameras_have_the_numbers_of_their_names_as_with_poses(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "scene", (1, 2, 10))
+    for number in (1, 2):
+        (folder / f"cam{number:02d}.mp4").rename(folder / f"cam{number}.mp4")
+    lines: list[str] = []
+    footage = read(folder, log=lines.append)
+    assert (footage.names, footage.numbers) == (("cam1", "cam2", "cam10"), (1, 2, 10))
+    # The default of scene.test_cameras, [0], is none of them.
+    assert footage.held_out == ("cam1",) and lines == [
+        "no camera has the number 0: camera 1 is held out (scene.test_cameras)"
+    ]
+    assert read(folder, drop_cameras=[1]).held_out == ("cam2",)
+    chosen = {"test_cameras": [2], "drop_cameras": [1]}
+    posed = open_plenoptic(folder, name="plenoptic/toy", **chosen).footage
+    footage = read(folder, **chosen)
+    assert footage.held_out == posed.held_out == ("cam2",) and set(footage.names) == set(posed.names)
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [(("take2_9", "take2_10", "take3_9"), "0 take2_9, 1 take2_10, 2 take3_9"), (("a1", "B2", "c"), "0 a1, 1 B2, 2 c")],
+)
+def test_cameras_without_numbers_of_their_own_have_their_place(
+    names: tuple[str, ...], said: str, tmp_path: Path
+) -> None:
+    for number, name in enumerate(names):
+        write_camera(tmp_path / f"{name}.mp4", number, 2)
+    lines: list[str] = []
+    footage = read(tmp_path, log=lines.append)
+    assert (footage.names, footage.numbers, footage.held_out) == (names, (0, 1, 2), names[:1])
+    assert lines == [f"cameras are numbered by their place in the order of names: {said}"]
 
 
 def test_first_images_are_full_size_first_frames_in_use(filmed: Path, tmp_path: Path) -> None:
@@ -64,7 +97,7 @@ def test_to_scene_with_given_cameras(filmed: Path, tmp_path: Path) -> None:
     footage = read(filmed, cache=tmp_path)
     scene = footage.to_scene(cameras(footage), unit=2.0)
     assert (len(scene.train), len(scene.test), scene.unit) == (3 * FRAMES, FRAMES, 2.0)
-    assert scene.train[0].name == "train/b.cam_0000"
+    assert scene.train[0].name == "train/GX 03_0000"
     camera = scene.train[0].camera
     assert (camera.width, camera.fx, camera.fy, camera.cx, camera.cy) == (WIDTH / 2, 25.0, 25.5, 15.5, 12.5)
     low, high = scene.init_box
@@ -182,7 +215,7 @@ def test_invalid_footage_is_refused(filmed: Path, tmp_path: Path, damage, messag
 
 def test_load_footage_by_config(filmed: Path, tmp_path: Path) -> None:
     cfg = SceneConfig(name="video", reader="video", path=str(filmed), cache=str(tmp_path), test_cameras=[1, 3])
-    assert load_footage(cfg).held_out == ("b.cam", "right")
+    assert load_footage(cfg).held_out == ("GX 03", "right")
     with pytest.raises(SceneError, match="scene.reader: expected several cameras with known poses: .* found 'video'"):
         load_scene(cfg)
     with pytest.raises(SceneError, match="scene.reader: expected several cameras with known poses: .* found 'dnerf'"):

@@ -7,12 +7,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from plenoptic_folder import FOCAL, FRAMES, HEIGHT, NEAR, RATE, WIDTH, inside, picture, read, write_camera, write_folder
 
 from datasets import load_scene
 from datasets.files.frame_store import StoredFrame
+from datasets.layouts.detect import detect
 from datasets.settings import SceneConfig
 
 # Levels of 255, inside a block: 1 to 2 from limited range, the rest from x264 at crf 1.
@@ -102,6 +104,30 @@ def test_camera_numbers_with_gaps(tmp_path: Path) -> None:
     assert {view.name[:10] for view in scene.test} == {"test/cam04"}
     np.testing.assert_allclose(scene.test[0].camera.position, [4, 0, -4], atol=1e-12)
     np.testing.assert_allclose(scene.train[-1].camera.position, [10, 0, -4], atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["CAM{:02d}.MP4", "cam_{:02d}.mp4"])
+def test_names_may_differ_in_case_and_have_an_underscore(folder: Path, name: str) -> None:
+    for number in range(3):
+        (folder / f"cam{number:02d}.mp4").rename(folder / name.format(number))
+    assert detect(folder).reader == "plenoptic"
+    scene = read(folder, test_cameras=[1])
+    stem = name.format(1)[:-4]
+    assert [view.name for view in scene.test] == [f"test/{stem}_{frame:04d}" for frame in range(FRAMES)]
+    np.testing.assert_allclose(scene.test[0].camera.position, [1, 0, -4], atol=1e-12)
+
+
+def test_poses_that_are_not_used_are_named(folder: Path) -> None:
+    unused = "poses_bounds.npy is there and not used: the videos are not called cam00.mp4"
+    assert unused not in detect(folder).line
+    for number in range(3):
+        (folder / f"cam{number:02d}.mp4").rename(folder / f"{number:02d}.mp4")
+    found = detect(folder)
+    assert found.reader == "video" and unused in found.line and "\n" not in found.line
+    (folder / "images").mkdir()  # whose poses they are
+    cv2.imwrite(str(folder / "images" / "0.png"), picture(0, 0))
+    found = detect(folder)
+    assert found.reader == "llff" and unused not in found.line
 
 
 def test_videos_of_different_lengths_with_enough_common_frames(folder: Path) -> None:

@@ -65,6 +65,38 @@ def test_cameras_of_a_raw_drive_have_their_own_times(tmp_path: Path) -> None:
     assert times[2, 3] == pytest.approx(0.3, abs=1e-6)
 
 
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_a_path_may_be_relative(layout: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where it lacks the names of the folders that the layout is known by."""
+    folder = LAYOUTS[layout](tmp_path)
+    expected = [image.camera.world_to_cam for image in open_log("kitti", folder).images]
+    name = folder.name
+    for start, path in (
+        (folder.parent, name),
+        (folder, "."),
+        (folder.parent, f"{name}/../{name}"),
+        (folder, f"../{name}/."),
+    ):
+        monkeypatch.chdir(start)
+        found = [image.camera.world_to_cam for image in open_log("kitti", Path(path)).images]
+        np.testing.assert_array_equal(found, expected)
+
+
+def test_images_that_are_not_rectified_are_refused(tmp_path: Path) -> None:
+    """As in …_extract, where they have the size S and not S_rect; S_rect alone changes nothing."""
+    folder = k.write_raw(tmp_path)
+    calibration = folder.parent / "calib_cam_to_cam.txt"
+    sizes = f"S_02: 2.8e+01 1.6e+01\nS_rect_02: {k.WIDTH:e} {k.HEIGHT:e}\n"
+    calibration.write_text(calibration.read_text() + sizes)
+    assert len(open_log("kitti", folder).images) == 2 * k.FRAMES
+    extract = folder.rename(folder.with_name("2011_09_26_drive_0001_extract"))
+    for path in (extract / "image_02" / "data").iterdir():
+        Image.open(path).resize((28, 16)).save(path)
+    with pytest.raises(SceneError, match=r"0\.png: expected 24 x 12 pixels, .* S_rect, .* found 28 x 16$") as refused:
+        open_log("kitti", extract)
+    assert "\n" not in str(refused.value)
+
+
 def cut(path: Path, count: int = 5) -> None:
     path.write_bytes(path.read_bytes()[:-count])
 

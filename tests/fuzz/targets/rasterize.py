@@ -64,9 +64,14 @@ def calls(draw: DrawFn) -> dict[str, Any]:
     arguments["outputs"] = draw(st.lists(st.sampled_from(tuple(CHANNELS)), min_size=1, max_size=5))
     if call["motion"] == "static":
         arguments["outputs"] = [name for name in arguments["outputs"] if name != "stats"] or ["color"]
-    for name in ("time", "duration", "near", "flow_dt"):
+    for name in ("time", "duration", "near", "flow_dt", "marginal_offset"):
         if _one_in(draw, 3):
-            arguments[name] = draw(NUMBERS if name in ("time", "flow_dt") else LENGTHS)
+            arguments[name] = draw(LENGTHS if name in ("duration", "near") else NUMBERS)
+    if _one_in(draw, 3):
+        call["flow_camera"] = dict(camera)
+        for name in ("fx", "fy", "cx", "cy", "distance"):
+            if _one_in(draw, 4):
+                call["flow_camera"][name] = draw(LENGTHS)
     arguments["background"] = draw(st.lists(NUMBERS, min_size=3, max_size=3)) if _one_in(draw, 3) else [0.1, 0.2, 0.3]
     for name in ("sh_degree", "fourier_order"):
         if _one_in(draw, 4):

@@ -120,3 +120,17 @@ def test_it_takes_every_so_many_training_views(tmp_path, every):
         phase = state.begin_iteration(scene, cfg)
         found += [view.rigid for view in draw_batch(state, views, phase, scene, cfg)]
     assert found == [i % every == 0 for i in range(1, 25)]
+
+
+def test_it_counts_the_views_that_a_smaller_batch_has(tmp_path):
+    """One camera sees each time, so that a batch of one time has a single view."""
+    rules = RegularizationConfig(rigid=1.0, rigid_every=4)
+    cfg = tiny_config(batch=4, sampler="views_at_one_time", regularization=rules)
+    scene = tiny_scene()
+    views = TrainingViews(scene.train)
+    state = start(initialise(scene, cfg, np.random.default_rng(0)), scene, cfg, TinyRun(tmp_path), 0, 0.0)
+    found = []
+    for _ in range(12):
+        phase = state.begin_iteration(scene, cfg)
+        found.append([view.rigid for view in draw_batch(state, views, phase, scene, cfg)])
+    assert found == [[i % 4 == 0] for i in range(1, 13)]

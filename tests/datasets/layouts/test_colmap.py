@@ -1,0 +1,157 @@
+"""COLMAP's folder, written by its own library: lenses, the files' layout and cameras by folder."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from layout_folders import COUNT, HEIGHT, WIDTH, picture, write_colmap
+from layout_scenes import check, check_ramp, fisheye, read, row_15, write_ramp
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+from datasets.files.errors import SceneError
+
+
+@pytest.mark.parametrize("binary", [True, False])
+def test_colmap(tmp_path: Path, binary: bool) -> None:
+    scene, lines = read(write_colmap(tmp_path, binary))
+    check(scene)
+    assert "taken for COLMAP" in lines[0] and "not Dynamic 3D Gaussians (no train_meta.json)" in lines[0]
+    assert any("times: the numbers in the file names" in line for line in lines)
+    assert scene.test_split == "every 8th frame" and [view.name for view in scene.test] == ["test/frame_005"]
+    assert scene.points is not None
+    np.testing.assert_allclose(scene.points.positions, [[i, 2 * i, 0.5] for i in range(5)])
+    assert scene.points.colors[:, 0].tolist() == [0, 10, 20, 30, 40]
+
+
+@pytest.mark.parametrize(
+    "model, bent",
+    [("RADIAL", (0.05, -0.01)), ("OPENCV", (0.05, 0.0, 0.001, 0.0)), ("OPENCV_FISHEYE", (0.02, 0.0, 0.0, 0.0))],
+)
+def test_colmap_lenses_are_undistorted(tmp_path: Path, model: str, bent: tuple[float, ...]) -> None:
+    """The ramp of the straight image follows from the model's formula."""
+    root = write_colmap(tmp_path, True, model, bent)
+    write_ramp(root / "images")
+    x, y = row_15()
+    r2 = x**2 + y**2
+    source = x * (1 + bent[0] * r2 + (bent[1] * r2**2 if model == "RADIAL" else 0))
+    source = source + (2 * bent[2] * x * y if model == "OPENCV" else 0)
+    check_ramp(read(root)[0], fisheye(bent) if model == "OPENCV_FISHEYE" else source)
+
+
+@pytest.mark.parametrize(
+    "lens",
+    [
+        "OPENCV_FISHEYE 40 30 50 50 20 15 0 0 0 0",
+        "SIMPLE_RADIAL_FISHEYE 40 30 50 20 15 0",
+        "RADIAL_FISHEYE 40 30 50 20 15 0 0",
+    ],
+)
+def test_fisheye_without_coefficients_is_equidistant(tmp_path: Path, lens: str) -> None:
+    root = write_colmap(tmp_path, False)
+    (root / "sparse/0/cameras.txt").write_text(f"1 {lens}\n")
+    write_ramp(root / "images")
+    check_ramp(read(root)[0], fisheye(()))
+
+
+def test_colmap_lens_without_a_formula_is_refused_by_name(tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match="found FOV; colmap image_undistorter"):
+        read(write_colmap(tmp_path, True, "FOV", (0.5,)))
+
+
+def test_images_beside_the_model_come_first(tmp_path: Path) -> None:
+    """colmap image_undistorter writes dense/images, while images/ has the distorted ones of the same names."""
+    write_colmap(tmp_path, True)
+    (tmp_path / "dense").mkdir()
+    (tmp_path / "sparse/0").rename(tmp_path / "dense/sparse")
+    shutil.copytree(tmp_path / "images", tmp_path / "dense/images")
+    for path in (tmp_path / "images").iterdir():
+        Image.new("RGB", (WIDTH, HEIGHT)).save(path)
+    check(read(tmp_path)[0])
+    shutil.rmtree(tmp_path / "images")
+    check(read(tmp_path)[0])
+
+
+@pytest.mark.parametrize("binary", [True, False])
+def test_a_missing_image_is_said_with_the_file_that_names_it(tmp_path: Path, binary: bool) -> None:
+    root = write_colmap(tmp_path, binary)
+    (root / "images/frame_004.png").unlink()
+    file = re.escape(str(root / "sparse/0" / ("images.bin" if binary else "images.txt")))
+    with pytest.raises(SceneError, match=rf"frame_004\.png: expected the image that {file} names, found no such file$"):
+        read(root)
+
+
+def entries_of_images(root: Path) -> list[str]:
+    lines = (root / "sparse/0/images.txt").read_text().splitlines()
+    return [line for line in lines if line.strip() and not line.startswith("#")]
+
+
+@pytest.mark.parametrize("between", ["", "# an image", "\n\n  # an image\n"])
+@pytest.mark.parametrize("points", ["", "1.5 2.5 -1 3.5 4.5 -1"])
+def test_blank_lines_and_comments_between_entries_of_images(tmp_path: Path, between: str, points: str) -> None:
+    """Only the line after an entry is its points, which may be none."""
+    root = write_colmap(tmp_path, False)
+    content = "".join(f"{between}\n{entry}\n{points}\n" for entry in entries_of_images(root))
+    (root / "sparse/0/images.txt").write_text(content)
+    check(read(root)[0])
+
+
+def filmed(root: Path, folders: tuple[str, ...]) -> Path:
+    """Frames by cameras in turn, each with a folder of images."""
+    write_colmap(root, False)
+    lines = []
+    for entry in entries_of_images(root):
+        *values, name = entry.split()
+        number = int(name[6:9]) - 1  # pycolmap writes in an order of its own
+        moved = f"{folders[number % len(folders)]}/{number // len(folders):04d}.png"
+        (root / "images" / moved).parent.mkdir(exist_ok=True)
+        (root / "images" / name).rename(root / "images" / moved)
+        lines.append((number, " ".join([*values, moved]) + "\n\n"))
+    (root / "sparse/0/images.txt").write_text("".join(line for _, line in sorted(lines)))
+    return root
+
+
+@pytest.mark.parametrize(
+    "folders, settings, held_out",
+    [
+        (("camC", "camA", "camB"), {}, "camera 0 (camA)"),
+        (("camC", "camA", "camB"), {"test_cameras": [2, 1]}, "camera 1 (camB), 2 (camC)"),
+        (("cam10", "cam9", "cam2"), {}, "camera 0 (cam2)"),
+        (("right", "left"), {"test_cameras": [1]}, "camera 1 (right)"),
+    ],
+)
+def test_cameras_are_numbered_by_their_folders(
+    tmp_path: Path, folders: tuple[str, ...], settings: dict, held_out: str
+) -> None:
+    scene, lines = read(filmed(tmp_path, folders), **settings)
+    assert scene.test_split == held_out and f"held out: {held_out}" in lines
+    shown = {np.asarray(view.image).tobytes() for view in scene.test}
+    assert shown == {picture(i).tobytes() for i in range(COUNT) if f"({folders[i % len(folders)]})" in held_out}
+
+
+def test_two_cameras_are_held_out_only_on_request(tmp_path: Path) -> None:
+    assert read(filmed(tmp_path, ("right", "left")))[0].test_split == "every 8th frame"
+    with pytest.raises(SceneError, match=r"expected some of the cameras 0 \(left\), 1 \(right\), found \[7\]$"):
+        read(tmp_path, test_cameras=[7])
+
+
+@pytest.mark.parametrize("size", [0, 3, 20, 200])
+def test_damaged_colmap_files_end_in_one_line(tmp_path: Path, size: int) -> None:
+    root = write_colmap(tmp_path, True)
+    file = root / "sparse/0/images.bin"
+    file.write_bytes(file.read_bytes()[:size])
+    with pytest.raises(SceneError) as error:
+        read(root)
+    assert "\n" not in str(error.value) and "images.bin" in str(error.value)
+
+
+def test_a_rotation_is_colmaps() -> None:
+    from datasets.layouts.colmap import rotation_of
+
+    quaternion = np.array([0.3, -0.5, 0.7, 0.2])
+    expected = Rotation.from_quat(quaternion[[1, 2, 3, 0]]).as_matrix()
+    np.testing.assert_allclose(rotation_of(quaternion, "x"), expected, atol=1e-12)
