@@ -197,11 +197,12 @@ def _read_view(
         raise SceneError(
             entry.image_path, f"{width} x {height} pixels as its header says", "{1} x {0}".format(*rgba.shape)
         )
+    camera, mask = make_camera(entry.image_path, lambda: reduced_camera(full_size, downscale)), None
     if distortion:
-        from datasets.cameras.lens import Undistortion, undistort_rgba  # imports OpenCV, which few scenes need
+        from datasets.cameras.lens import Undistortion, imaged, undistort_rgba  # imports OpenCV, which few scenes need
 
-        rgba = undistort_rgba(rgba, Undistortion.of(full_size, *distortion).maps(size))
-    camera = make_camera(entry.image_path, lambda: reduced_camera(full_size, downscale))
+        lens = Undistortion.of(full_size, *distortion)
+        rgba, mask = undistort_rgba(rgba, lens.maps(size)), imaged(lens, size, (camera.width, camera.height))
     image = compose(rgba, background, downscale)
     truth = None if distortion else truth_beside(entry.image_path, downscale)  # of undistorted images only
-    return View(camera, entry.time or 0.0, image, view_name(entry), coverage(rgba, downscale), truth)
+    return View(camera, entry.time or 0.0, image, view_name(entry), coverage(rgba, downscale), truth, mask=mask)

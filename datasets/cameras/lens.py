@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Protocol
 
 import cv2
@@ -58,8 +59,29 @@ class Lens(Protocol):
 
 
 def undistort(image: np.ndarray, maps: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    """The undistorted image; maps: Undistortion.maps. Pixels outside the original image repeat its border."""
+    """The undistorted image; maps: Undistortion.maps. Pixels outside the original image repeat its border; `imaged`
+    says which."""
     return cv2.remap(image, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
+
+@lru_cache(maxsize=64)  # the frames of a camera share theirs
+def imaged(lens: Lens | None, size: tuple[int, int], reduced: tuple[int, int]) -> np.ndarray | None:
+    """(h, w) bool: the pixels of the undistorted image, reduced from `size` to `reduced`, that the lens has imaged.
+
+    None: all of them. Sizes are (width, height). A reduced pixel counts if all that it averages do.
+    """
+    if lens is None:
+        return None
+    ones = np.ones(size[::-1], np.float32)
+    inside = cv2.remap(ones, *lens.maps(size), cv2.INTER_LINEAR) >= 0.5  # by the border's middle: 0 is beyond it
+    if inside.all():
+        return None
+    return cv2.resize(inside.astype(np.float32), reduced, interpolation=cv2.INTER_AREA) >= 1 - 1e-6
+
+
+def both(a: np.ndarray | None, b: np.ndarray | None) -> np.ndarray | None:
+    """The mask of pixels that count in `a` and in `b`; None: all count."""
+    return b if a is None else a if b is None else a & b
 
 
 def undistort_rgba(rgba: np.ndarray, maps: tuple[np.ndarray, np.ndarray]) -> np.ndarray:

@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from datasets.cameras.lens import Undistortion, undistort
+from datasets.cameras.lens import Undistortion, imaged, undistort
 from datasets.clip.choose import Choice, choose
 from datasets.clip.scene import playback_rate, scene_of_views
 from datasets.clip.survey import MOST_SURVEYED, survey
@@ -76,12 +76,14 @@ class Clip:
         cameras = {frame.name: self.frame_camera(cameras[frame.name]) for frame in kept}
         held_out = _held_out(self.source, len(kept), self.options.test_every)
         views: dict[str, list[View]] = {"train": [], "test": []}
-        lens = Undistortion.of(cameras[kept[0].name], radial).maps(_size(kept[0].image)) if radial else None
+        lens, size = Undistortion.of(cameras[kept[0].name], radial) if radial else None, _size(kept[0].image)
+        maps = lens.maps(size) if lens else None
         for index, frame in enumerate(kept):
             split = "test" if index in held_out else "train"
-            image = undistort(frame.image, lens) if lens else frame.image
+            image = undistort(frame.image, maps) if maps else frame.image
             camera, image = self.training_view(cameras[frame.name], image)
-            views[split].append(View(camera, frame.time - kept[0].time, image, f"{split}/{frame.name}"))
+            mask = imaged(lens, size, (camera.width, camera.height))
+            views[split].append(View(camera, frame.time - kept[0].time, image, f"{split}/{frame.name}", mask=mask))
         return scene_of_views(
             views,
             name=self.options.name,

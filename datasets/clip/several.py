@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from datasets.cameras.color import ColorCorrection
-from datasets.cameras.lens import Undistortion, undistort
+from datasets.cameras.lens import Undistortion, imaged, undistort
 from datasets.clip.footage import FEWEST_FRAMES, Clip, ClipFrame, ClipOptions, survey_clip
 from datasets.clip.scene import playback_rate, scene_of_views
 from datasets.clip.still import stands_still
@@ -98,17 +98,18 @@ class ClipSet:
         for camera in self.cameras:
             frames, color = kept[camera.name], (colors or {}).get(camera.name)
             held_out = self._held_out(camera, len(frames))
-            lens = None
-            if radial[camera.name]:
-                one = poses[camera.photograph(frames[0])]
-                lens = Undistortion.of(one, radial[camera.name]).maps((one.width, one.height))
+            one = poses[camera.photograph(frames[0])]
+            lens = Undistortion.of(one, radial[camera.name]) if radial[camera.name] else None
+            size = one.width, one.height
+            maps = lens.maps(size) if lens else None
             for index, frame in enumerate(frames):
                 split = "test" if index in held_out else "train"
                 image = color.apply(frame.image) if color else frame.image
-                image = undistort(image, lens) if lens else image
+                image = undistort(image, maps) if maps else image
                 pose, image = camera.clip.training_view(poses[camera.photograph(frame)], image)
                 name = f"{split}/{camera.name}_{frame.name.rpartition('_')[2]}"
-                views[split].append(View(pose, camera.time(frame) - start, image, name))
+                mask = imaged(lens, size, (pose.width, pose.height))
+                views[split].append(View(pose, camera.time(frame) - start, image, name, mask=mask))
         longest = max(self.cameras, key=lambda camera: len(kept[camera.name]))
         return scene_of_views(
             views,

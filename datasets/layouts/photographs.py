@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets.cameras.lens import Lens, undistort, undistort_rgba
+from datasets.cameras.lens import Lens, both, imaged, undistort, undistort_rgba
 from datasets.canonical import canonical_space
 from datasets.composition import BLACK, Color, chosen_background, chosen_downscale, compose, coverage, reduced_camera
 from datasets.files.errors import SceneError
@@ -130,7 +130,9 @@ def to_scene(
         image.keep = len(photographs) * 3 * small.width * small.height <= KEPT_BYTES
         assert photograph.time is not None
         alpha = coverage(_undistorted(photograph), downscale) if has_alpha(photograph.path) else None
-        name, mask = f"{split}/{photograph.name}", _mask(photograph, downscale)
+        name, full = f"{split}/{photograph.name}", photograph.camera
+        seen = imaged(photograph.lens, (full.width, full.height), (small.width, small.height))
+        mask = both(_mask(photograph, downscale), seen)
         views[split].append(View(small, photograph.time, image, name, alpha, mask=mask))
     train_cameras = [view.camera for view in views["train"]]
     background = _background(views["train"], options)

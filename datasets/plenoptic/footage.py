@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from datasets.cameras.color import ColorCorrection
-from datasets.cameras.lens import Undistortion, undistort
+from datasets.cameras.lens import Undistortion, imaged, undistort
 from datasets.canonical import FRAMES_PER_UNIT
 from datasets.composition import BLACK, Color, as_color, reduced_camera
 from datasets.files.errors import SceneError
@@ -139,12 +139,16 @@ class Footage:
         truth = {
             stream.name: self._truth(stream, estimated) for stream in self.streams if stream.name not in undistortion
         }
-        validate_scene(self._scene(small, {name: [blank] * self.count for name in self.names}, unit, init_box, truth))
+        masks = {
+            name: imaged(undistortion.get(name), self.size, (one.width, one.height)) for name, one in small.items()
+        }
+        blanks = {name: [blank] * self.count for name in self.names}
+        validate_scene(self._scene(small, blanks, unit, init_box, truth, masks))
 
         decoding = DecodeOptions(options.first_frame, self.count, options.downscale)
         folder = store_folder(Path(options.cache), options.name, self.content, decoding, undistortion, colors or {})
         images = decode(self.streams, folder, decoding, undistortion, colors or {}, options.cores, options.log)
-        return validate_scene(self._scene(small, images, unit, init_box, truth))
+        return validate_scene(self._scene(small, images, unit, init_box, truth, masks))
 
     def _truth(self, stream: Stream, estimated: bool) -> list[StoredTruth] | None:
         """The ground truth of a camera's frames in use; None without one, and where frames are scaled or cropped."""
@@ -192,6 +196,7 @@ class Footage:
         unit: float,
         init_box: Box,
         known: Mapping[str, Sequence[StoredTruth] | None],
+        masks: Mapping[str, np.ndarray | None],
     ) -> Scene:
         views: dict[str, list[View]] = {"train": [], "test": []}
         for stream in self.streams:
@@ -204,6 +209,7 @@ class Footage:
                     image,
                     f"{split}/{stream.name}_{self.options.first_frame + index:04d}",
                     truth=None if truth is None else truth[index],
+                    mask=masks[stream.name],
                 )
                 for index, image in enumerate(images[stream.name])
             ]

@@ -143,14 +143,15 @@ def _view(image: LogImage, split: str, cfg: SceneConfig) -> View:
         )
     if min(full.width, full.height) < cfg.downscale:
         raise SceneError(image.path, f"at least {cfg.downscale} pixels a side (downscale)", f"{full.width}")
-    maps = None
-    if any(image.distortion):
-        from datasets.cameras.lens import Undistortion, undistort_rgba  # imports OpenCV, which few scenes need
-
-        maps = Undistortion.of(full, *image.distortion).maps((full.width, full.height))
-        rgba = undistort_rgba(rgba, maps)
     camera = make_camera(image.path, lambda: reduced_camera(full, cfg.downscale))
     shape = camera.height, camera.width
+    maps = counts = None
+    if any(image.distortion):
+        from datasets.cameras.lens import Undistortion, imaged, undistort_rgba  # imports OpenCV, which few scenes need
+
+        lens, size = Undistortion.of(full, *image.distortion), (full.width, full.height)
+        maps, counts = lens.maps(size), imaged(lens, size, shape[::-1])
+        rgba = undistort_rgba(rgba, maps)
     sky = moving = None
     if image.sky is not None and cfg.sky_masks in ("auto", "files"):
         sky = majority(_mask(image.sky, full, maps), *shape, cfg.downscale)
@@ -168,6 +169,7 @@ def _view(image: LogImage, split: str, cfg: SceneConfig) -> View:
         frame=image.frame,
         sky=sky,
         moving=moving,
+        mask=counts,
     )
 
 

@@ -120,6 +120,26 @@ def test_distorted_image_is_undistorted(tmp_path: Path, lens: dict) -> None:
     assert np.abs(distorted.astype(float) - truth)[inner].max() > 4, "the distortion must be visible"
 
 
+@pytest.mark.parametrize("downscale", [1, 2])
+def test_what_the_lens_has_not_imaged_does_not_count(tmp_path: Path, downscale: int) -> None:
+    """A pixel at radius r of the undistorted image is at r (1 + k1 r²) of the file, beyond its border near the edges.
+    Positions have OpenCV's 1/32 of a pixel: what is nearer than that to the border is left out of the comparison."""
+    k1 = 0.3
+    write(tmp_path, {"fl_x": FX, "fl_y": FY, "cx": CX, "cy": CY, "k1": k1})
+    columns, rows = np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5)
+    x, y = (columns - CX) / FX, (rows - CY) / FY
+    radial = 1 + k1 * (x**2 + y**2)
+    at = x * radial * FX + CX, y * radial * FY + CY
+    margin = np.minimum.reduce([at[0], WIDTH - at[0], at[1], HEIGHT - at[1]])  # pixels within the file's image
+    blocks = margin.reshape(HEIGHT // downscale, downscale, WIDTH // downscale, downscale).min(axis=(1, 3))
+    mask = read(tmp_path, downscale=downscale).train[0].mask
+    sure = np.abs(blocks) > 1 / 16
+    assert mask is not None and mask.dtype == bool and 0.05 < (~mask).mean() < 0.3
+    np.testing.assert_array_equal(mask[sure], blocks[sure] > 0)
+    write(tmp_path / "barrel", {"fl_x": FX, "fl_y": FY, "cx": CX, "cy": CY, "k1": -k1})
+    assert read(tmp_path / "barrel").train[0].mask is None
+
+
 def test_listed_distortion_is_in_nerfstudios_order() -> None:
     values = merge_intrinsics({"distortion_params": [1, 2, 3, 0, 5, 6]}, {}, "x")
     assert read_distortion(values, "x") == (1, 2, 5, 6, 3)  # OpenCV's: k1, k2, p1, p2, k3

@@ -89,7 +89,7 @@ def test_listed_names_that_are_no_frames_are_refused(tmp_path: Path, key: str) -
         read(tmp_path)
 
 
-@pytest.mark.parametrize("distortion", [{}, {"k1": 0.3, "p1": 0.02}])
+@pytest.mark.parametrize("distortion", [{}, {"k1": -0.3, "p1": 0.002}])  # a lens that images all pixels
 def test_masks_of_0_and_1_are_those_of_0_and_255(tmp_path: Path, distortion: dict) -> None:
     """The lens bends the edge of the mask across pixels, and downscale=2 averages it: only whole pixels count."""
     write_nerfstudio(tmp_path, **distortion)
