@@ -42,7 +42,8 @@ def adam_step(
         raise ValueError(f"param must be (N,) or (N, C), got {list(param.shape)}")
     _check_step(sparse_rows, len(param), step, beta1, beta2)
     columns = param.shape[1] if param.ndim == 2 else 1
-    rates = [float(rate) for rate in lr] if np.ndim(lr) else [float(lr)] * columns
+    given = np.asarray(lr, np.float64)
+    rates = given.tolist() if given.ndim else [float(given)] * columns
     if len(rates) != columns:
         raise ValueError(f"lr must hold one rate or one for each of {columns} columns, got {len(rates)}")
     kernel.adam(

@@ -57,6 +57,8 @@ class Lens(Protocol):
 
     def maps(self, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]: ...
 
+    def __hash__(self) -> int: ...
+
 
 def undistort(image: np.ndarray, maps: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     """The undistorted image; maps: Undistortion.maps. Pixels outside the original image repeat its border; `imaged`
