@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -109,28 +110,25 @@ def test_equal_velocities_have_no_loss(tensors):
     assert rigid_loss({"mean": mean, **same}, TIME, DURATION, NEIGHBOURS).item() <= 1.01e-10
 
 
-@pytest.mark.parametrize("every", [1, 3, 4])
-def test_it_takes_every_so_many_training_views(tmp_path, every):
-    cfg = tiny_config(batch=2, regularization=RegularizationConfig(rigid=1.0, rigid_every=every))
+def rigid_views(path: Path, every: int, iterations: int, **train_keys) -> list[bool]:
+    """Whether each view that is drawn takes part in the rigid loss."""
+    cfg = tiny_config(regularization=RegularizationConfig(rigid=1.0, rigid_every=every), **train_keys)
     scene = tiny_scene()
     views = TrainingViews(scene.train)
-    state = start(initialise(scene, cfg, np.random.default_rng(0)), scene, cfg, TinyRun(tmp_path), 0, 0.0)
+    state = start(initialise(scene, cfg, np.random.default_rng(0)), scene, cfg, TinyRun(path), 0, 0.0)
     found = []
-    for _ in range(12):
+    for _ in range(iterations):
         phase = state.begin_iteration(scene, cfg)
         found += [view.rigid for view in draw_batch(state, views, phase, scene, cfg)]
-    assert found == [i % every == 0 for i in range(1, 25)]
+    return found
+
+
+@pytest.mark.parametrize("every", [1, 3, 4])
+def test_it_takes_every_so_many_training_views(tmp_path, every):
+    assert rigid_views(tmp_path, every, 12, batch=2) == [i % every == 0 for i in range(1, 25)]
 
 
 def test_it_counts_the_views_that_a_smaller_batch_has(tmp_path):
     """One camera sees each time, so that a batch of one time has a single view."""
-    rules = RegularizationConfig(rigid=1.0, rigid_every=4)
-    cfg = tiny_config(batch=4, sampler="views_at_one_time", regularization=rules)
-    scene = tiny_scene()
-    views = TrainingViews(scene.train)
-    state = start(initialise(scene, cfg, np.random.default_rng(0)), scene, cfg, TinyRun(tmp_path), 0, 0.0)
-    found = []
-    for _ in range(12):
-        phase = state.begin_iteration(scene, cfg)
-        found.append([view.rigid for view in draw_batch(state, views, phase, scene, cfg)])
-    assert found == [[i % 4 == 0] for i in range(1, 13)]
+    found = rigid_views(tmp_path, 4, 12, batch=4, sampler="views_at_one_time")
+    assert found == [i % 4 == 0 for i in range(1, 13)]
