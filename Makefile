@@ -3,7 +3,7 @@
 .DELETE_ON_ERROR:
 .PHONY: help setup build lock lint format test test-data reproduce ablations bench work-precision scaling stability report sanitize fuzz clean
 
-PYTHON ?= $(shell command -v python3.11 || command -v python3)
+PYTHON ?= $(or $(shell command -v python3.11 || command -v python3),python3)
 RUN := .venv/bin/python -m
 RUNS ?= results/runs
 FUZZ_SECONDS ?= 20
@@ -18,7 +18,8 @@ JAVASCRIPT := build/javascript
 biome = if command -v npm > /dev/null; then \
 	if ! cmp -s tools/javascript/package.json $(JAVASCRIPT)/package.json; then \
 		mkdir -p $(JAVASCRIPT) && cp tools/javascript/package.json $(JAVASCRIPT) && \
-		(cd $(JAVASCRIPT) && npm install --silent --no-package-lock --no-audit --no-fund) || exit 1; fi; \
+		(cd $(JAVASCRIPT) && npm install --silent --no-package-lock --no-audit --no-fund) || \
+		{ rm -f $(JAVASCRIPT)/package.json; exit 1; }; fi; \
 	echo "biome $(1) pipeline/view/page" && $(JAVASCRIPT)/node_modules/.bin/biome $(1) --config-path=tools/javascript pipeline/view/page; \
 	else echo "lint: npm is not installed, so the viewer's JavaScript is not checked"; fi
 
@@ -40,7 +41,7 @@ setup: $(BUILT) ## make .venv, install what requirements.lock pins, build the ke
 build: $(BUILT) ## rebuild the kernel if its sources changed
 
 lock: ## renew requirements.lock after a change of pyproject.toml; UPGRADE=--upgrade takes the newest versions
-	@$(PYTHON) tools/lock.py $(UPGRADE)
+	@"$(PYTHON)" tools/lock.py $(UPGRADE)
 
 lint: $(INSTALLED) ## check style, imports, types, Markdown and, where npm is installed, JavaScript; changes nothing
 	.venv/bin/ruff check .
@@ -65,14 +66,14 @@ test-data: $(BUILT) ## the tests that need real data: DATA_DIR=/path holds dnerf
 
 reproduce: $(BUILT) ## train the synthetic suite, and each ablation on the scene made for it; write tables, plots, report
 	$(RUN) pipeline experiment=synthetic_suite,ablation/no_4drot,ablation/no_4dsh,ablation/no_time_split
-	$(RUN) pipeline.report $(RUNS)
-	@echo "make reproduce: the report is $(dir $(RUNS))report/report.html"
+	$(RUN) pipeline.report results/runs
+	@echo "make reproduce: the report is results/report/report.html"
 	@$(call took,done)
 
 ablations: $(BUILT) ## all ablations on all dynamic synthetic scenes, beside the runs of reproduce
 	$(RUN) pipeline experiment=synthetic_suite,synthetic_ablation
-	$(RUN) pipeline.report $(RUNS)
-	@echo "make ablations: the report is $(dir $(RUNS))report/report.html"
+	$(RUN) pipeline.report results/runs
+	@echo "make ablations: the report is results/report/report.html"
 	@$(call took,done)
 
 bench: $(ALL_KERNELS) ## time kernel, loss, optimiser and reference implementation in one run; a roofline plot in results/bench
@@ -90,7 +91,7 @@ stability: $(ALL_KERNELS) ## float32 kernel against float64 in ill-conditioned s
 	$(RUN) pipeline.studies.kernel_stability
 
 report: $(BUILT) ## tables, plots and the HTML page from the run folders under RUNS=results/runs
-	$(RUN) pipeline.report $(RUNS)
+	$(RUN) pipeline.report "$(RUNS)"
 
 sanitize: $(ALL_KERNELS) ## the kernel's tests with every memory access and operation checked
 	.venv/bin/python tests/sanitize.py
@@ -99,15 +100,15 @@ fuzz: $(BUILT) ## fuzz every reader with damaged files and rasterize with odd ar
 	PYTHONPATH=tests $(RUN) fuzz all --seconds $(FUZZ_SECONDS)
 
 clean: ## remove the built kernel and caches; .venv and results stay
-	rm -rf build rasterizer/*.so .pytest_cache .hypothesis
+	rm -rf build rasterizer/*.so .pytest_cache .hypothesis .mypy_cache .ruff_cache
 	find . -name __pycache__ -not -path './.venv/*' -prune -exec rm -rf {} +
 
 $(TOOLS): pyproject.toml requirements.lock tools/setup_environment.py
-	@$(PYTHON) tools/setup_environment.py tools
+	@"$(PYTHON)" tools/setup_environment.py tools
 	@touch $@
 
 $(INSTALLED): $(TOOLS)
-	@$(PYTHON) tools/setup_environment.py packages
+	@"$(PYTHON)" tools/setup_environment.py packages
 	@touch $@
 
 # The project itself, editable. No build isolation, which would fetch a second set of tools for every build. Ninja is

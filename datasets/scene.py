@@ -135,6 +135,13 @@ class Scene:
         return max(map(len, self._times_of_cameras))
 
     @property
+    def played_seconds(self) -> float | None:
+        """How long a player shows it; None for photographs, which have no frame rate."""
+        if self.frame_rate is not None:
+            return self.duration * self.frame_rate / (self.playback_rate or self.frame_rate)
+        return None if self.playback_rate is None else self.frame_count / self.playback_rate
+
+    @property
     def several_cameras(self) -> bool:
         """Whether the training views show each time from two places or more, on average; in videos, whose cameras need
         not be synchronised, whether they are of two cameras or more."""

@@ -164,7 +164,7 @@ def _hint_at_settings(cfg: Config, chosen: str | None) -> None:
 
 
 def _refuse(line: str) -> None:
-    """Prints the error and ends the command; without a scene, prints the help page instead."""
+    """Ends the command with the error; without a scene the help page comes first, and with --cfg a hint instead."""
     if line.startswith("scene: must be given"):
         with quiet_on_closed_pipe():
             print(help_page(), end="")

@@ -102,8 +102,9 @@ def render_path(
 ) -> list[str]:
     """Writes render.mp4, depth.mp4 and flow.mp4, or 0000_render.png … each, or both; returns their names."""
     out.mkdir(parents=True, exist_ok=True)
-    for old in out.glob("[0-9][0-9][0-9][0-9]_*.png"):  # of a longer path
-        old.unlink()
+    for kind in ("render", "depth", "flow"):
+        for old in out.glob(f"[0-9][0-9][0-9][0-9]_{kind}.png"):  # of a longer path
+            old.unlink()
     step = renderer.scene.frame_spacing
     moves = renderer.model.kind.motion != "static"
     sampled = [

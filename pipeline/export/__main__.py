@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.export.formats import FORMATS
+from pipeline.export.formats import FORMATS, CheckpointFormat
 from pipeline.export.source import Source, open_source
 from pipeline.export.write_files import write_files
 from pipeline.terminal.command_line import CommandParser, command, log
@@ -29,13 +29,18 @@ def main(arguments: list[str]) -> int:
     options = parser.parse_args(arguments)
     if (duration := options.duration) is not None:
         parser.require(0 < duration < math.inf, "--duration", "a positive time", f"{duration:g}")
+    if (start := options.start) is not None:
+        parser.require(math.isfinite(start), "--start", "a finite time", f"{start:g}")
     source = open_source(options.model, options.start, options.duration, log)
     folder = options.out or source.folder
     for name in options.formats:
         paths = list(write_files(name, source, _times(options.times, source), folder, options.world))
         size = sum(path.stat().st_size for path in paths)
         files = f"{paths[0].name} … {paths[-1].name}" if len(paths) > 1 else paths[0].name
-        log(f"{folder}/{files}: {size / 1e6:.1f} MB; lost: {FORMATS[name].loses}")
+        lost = FORMATS[name].loses
+        if source.model.environment_map is not None and not isinstance(FORMATS[name], CheckpointFormat):
+            lost += "; the environment map"
+        log(f"{folder}/{files}: {size / 1e6:.1f} MB; lost: {lost}")
     return 0
 
 
@@ -67,7 +72,9 @@ def _parser() -> CommandParser:
         metavar="T,T,…",
         help=f"of the frames of a static format (default: {SEQUENCE} from the first time to the last)",
     )
-    parser.add_argument("--out", type=Path, metavar="DIR", help="default: RUN/exports, or the folder of the file")
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="default: exports/ in the run folder or beside the file"
+    )
     parser.add_argument("--world", action="store_true", help="lengths and times of the data's files, not canonical")
     parser.add_argument("--start", type=float, metavar="T", help="of a file: the scene's first time (default: 0)")
     parser.add_argument("--duration", type=float, metavar="T", help="of a file: the scene's duration (default: 1)")

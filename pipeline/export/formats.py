@@ -73,7 +73,7 @@ FORMATS: dict[str, FrameFormat | FilmFormat | CheckpointFormat] = {
         "gsplat.js, splaTV",
         f"SH of degree 1 and more; {_NO_4DSH}; colours and opacities have 8 bits, all but positions half precision; "
         "p(t) ends at 0.02 instead of 0.05",
-        lambda moving, line: splatv_bytes(moving, line.start, line.duration),
+        lambda moving, line: splatv_bytes(moving, line.start, line.duration, line.camera),
     ),
     "4dgs": FilmFormat(
         "fourdgs and its players",

@@ -26,6 +26,8 @@ RENDERING = {
 
 def glb_bytes(model: Model) -> bytes:
     """The file of a static model. COLOR_0 is what viewers without the extension show: a point cloud."""
+    if len(model) == 0:
+        raise ValueError("glb: expected a Gaussian in the frame at least, found none at this time")
     arrays = _attributes(flipped(model))
     views: list[dict[str, Any]] = []
     accessors: list[dict[str, Any]] = []
@@ -42,7 +44,7 @@ def glb_bytes(model: Model) -> bytes:
         }
         if array.dtype == np.uint8:
             accessor["normalized"] = True
-        if name == "POSITION" and len(array):
+        if name == "POSITION":
             accessor |= {"min": array.min(axis=0).tolist(), "max": array.max(axis=0).tolist()}
         accessors.append(accessor)
         chunks.append(_padded(data, b"\0"))

@@ -11,6 +11,7 @@ from pipeline.model.model import Model
 from pipeline.model.transformed import in_canonical
 from pipeline.studies.model_file import read_model
 from pipeline.studies.open_run import open_run
+from rasterizer import Camera
 
 PLAYED_SECONDS = 5.0  # of photographs, which have no frame rate
 FRAMES = 300  # of a file's timeline, whose frames are not known
@@ -24,6 +25,7 @@ class Timeline:
     duration: float
     seconds: float = PLAYED_SECONDS  # of playback
     frames: int = FRAMES  # Scene.frame_count; for a player's slider
+    camera: Camera | None = None  # that a player begins with; None: unknown
 
     @property
     def end(self) -> float:
@@ -39,6 +41,7 @@ class Source:
     canonical: Canonical  # from the coordinates of the data's files
     name: str  # of the exported files
     folder: Path  # where they are written by default
+    file: Path | None = None  # that the model was read from, which is not overwritten; None: of a run
 
     def time_in_world(self, time: float) -> float:
         return self.canonical.inverse.time(time)
@@ -46,7 +49,9 @@ class Source:
     def in_world(self) -> tuple[Model, Timeline]:
         """Both in the coordinates of the data's files."""
         line, inverse = self.timeline, self.canonical.inverse
-        in_files = replace(line, start=inverse.time(line.start), duration=line.duration * inverse.time_scale)
+        camera = None if line.camera is None else inverse.camera(line.camera)
+        start, duration = inverse.time(line.start), line.duration * inverse.time_scale
+        in_files = replace(line, start=start, duration=duration, camera=camera)
         return in_canonical(self.model, inverse), in_files
 
 
@@ -58,13 +63,13 @@ def open_source(path: Path, start: float | None, duration: float | None, log: Ca
     if path.is_file():
         model = read_model(path, Canonical())
         timeline = Timeline(start or 0.0, 1.0 if duration is None else duration)
-        return Source(model, timeline, Canonical(), path.name.removesuffix(path.suffix), path.parent)
+        return Source(model, timeline, Canonical(), path.name.removesuffix(path.suffix), path.parent / "exports", path)
     if start is not None or duration is not None:
         raise ValueError(
             f"{path}: expected a file with --start or --duration, found none; a run's data set has its times"
         )
     run = open_run(path, log)
     scene = run.scene
-    seconds = PLAYED_SECONDS if scene.frame_rate is None else scene.duration  # 30 frames of a film are a unit
-    timeline = Timeline(scene.time_start, scene.duration, seconds, scene.frame_count)
+    seconds, camera = scene.played_seconds or PLAYED_SECONDS, scene.train[0].camera
+    timeline = Timeline(scene.time_start, scene.duration, seconds, scene.frame_count, camera)
     return Source(run.model, timeline, run.canonical, run.cfg.scene.name.replace("/", "_"), path / "exports")

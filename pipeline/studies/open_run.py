@@ -6,9 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from omegaconf.errors import OmegaConfBaseException
+
 from datasets.canonical import Canonical
 from datasets.scene import Scene
-from pipeline.config.compose import config_of_tree
+from pipeline.config.compose import config_of_tree, one_line
 from pipeline.config.schema import Config
 from pipeline.data.prepare import prepare
 from pipeline.model.model import Model
@@ -30,6 +32,16 @@ def open_run(folder: Path, log: Callable[[str], None]) -> TrainedRun:
     for name in ("config.yaml", FILE_NAME):
         if not (folder / name).exists():
             raise ValueError(f"{folder}: expected a trained run with {name}, found none")
-    cfg = config_of_tree(read_config(folder / "config.yaml"))
+    cfg = stored_config(folder)
     data = prepare(cfg, log)
     return TrainedRun(resolved(cfg, data.scene), data.scene, load_model(folder / FILE_NAME), data.canonical)
+
+
+def stored_config(folder: Path) -> Config:
+    """The configuration of a run. ValueError, one line, for a key or a value that today's schema does not have."""
+    path = folder / "config.yaml"
+    tree = read_config(path)
+    try:
+        return config_of_tree(tree)
+    except (ValueError, OmegaConfBaseException) as error:
+        raise ValueError(f"{path}: {one_line(error)}") from None

@@ -57,8 +57,8 @@ class SweepRun:
     @classmethod
     def joined(cls, out: str, iterations: int) -> SweepRun | None:
         """None where no sweep is announced: a job on another machine does not see its folder."""
-        folder = Path(os.environ.get(FOLDER_VARIABLE, ""))
-        return cls(folder, out, iterations) if (folder / "plan.json").is_file() else None
+        folder = os.environ.get(FOLDER_VARIABLE)
+        return cls(Path(folder), out, iterations) if folder and (Path(folder) / "plan.json").is_file() else None
 
     def update(self, iteration: int, iterations: int) -> None:
         """iterations: of all; a training within the run that has fewer is no progress."""

@@ -65,9 +65,7 @@ def live_page(label: str, scene: Scene, cfg: Config) -> str:
 
 def page_header(scene: Scene, cfg: Config, cameras: Cameras, has_time: bool) -> dict:
     """What a page needs besides the models: the scene, its cameras, about what to turn. has_time: a model has."""
-    seconds = LOOP_SECONDS
-    if scene.frame_rate is not None:  # frames a unit of time; playback_rate: frames a second
-        seconds = scene.duration * scene.frame_rate / (scene.playback_rate or scene.frame_rate)
+    seconds = scene.played_seconds or LOOP_SECONDS
     up = -np.mean([view.camera.world_to_cam[1, :3] for view in scene.train], axis=0)
     distances = [np.linalg.norm(view.camera.position) for view in scene.train]
     return {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -67,7 +68,7 @@ def test_a_model_in_a_file_is_exported_and_evaluated(run: Path, tmp_path: Path, 
     assert export([str(run), "pth", "--out", str(tmp_path)]) == 0
     file = tmp_path / "synthetic_wheel.pth"
     assert export([str(file), "ply", "--times", "0.5"]) == 0
-    assert load_ply(tmp_path / "synthetic_wheel.ply").kind.motion == "static"
+    assert load_ply(tmp_path / "exports/synthetic_wheel.ply").kind.motion == "static"
     assert evaluate([str(file), *SCENE, f"scene.cache={run.parent}/cache", "--out", str(tmp_path / "found")]) == 0
     found, own = (json.loads((folder / "metrics.json").read_text()) for folder in (tmp_path / "found", run))
     for name in ("psnr", "ssim", "flow_error", "depth_error_median"):
@@ -81,14 +82,29 @@ def test_a_model_in_a_file_is_exported_and_evaluated(run: Path, tmp_path: Path, 
     assert "error: scene=synthetic/weel: no such option" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("times", ["0.5", "0,1"])
+def test_the_exported_file_itself_is_not_replaced(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture, times: str
+) -> None:
+    file = tmp_path / "run.ply"
+    shutil.copy(run / "init.ply", file)
+    before = file.read_bytes()
+    assert export([str(file), "ply", "--times", times, "--out", str(tmp_path)]) == 1
+    assert "run.ply: would be replaced by its export; expected another folder" in capsys.readouterr().err
+    assert file.read_bytes() == before
+
+
 def test_a_path_of_ones_own_is_rendered(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     pose = [[1, 0, 0, 0], [0, 0, -1, -4.0], [0, 1, 0, 0], [0, 0, 0, 1]]
     file = tmp_path / "poses.json"
     file.write_text(json.dumps({"w": 40, "h": 30, "frames": [{"transform_matrix": pose, "time": 0.5}] * 2}))
     out = tmp_path / "out"
+    out.mkdir()
+    for name in ("0000_left.png", "0007_render.png"):  # somebody's, and of a longer path
+        (out / name).write_bytes(b"")
     assert render([str(run), "--path", str(file), "--out", str(out)]) == 0
     kinds = ("render", "depth", "flow")
-    assert {path.name for path in out.iterdir()} == {f"{kind}.mp4" for kind in kinds} | {
+    assert {path.name for path in out.iterdir()} == {"0000_left.png"} | {f"{kind}.mp4" for kind in kinds} | {
         f"{number:04d}_{kind}.png" for number in (0, 1) for kind in kinds
     }
     first, second = (np.asarray(Image.open(out / f"000{i}_render.png")) for i in (0, 1))

@@ -94,6 +94,8 @@ def test_a_training_within_the_run_is_no_progress() -> None:
 
 def test_without_a_sweep_there_is_no_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     with sweep({}):
+        monkeypatch.chdir(tmp_path)
+        (tmp_path / "plan.json").write_text("{}")  # somebody else's
         assert SweepRun.joined("out", 1) is None
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "of another machine"))
     assert SweepRun.joined("out", 1) is None

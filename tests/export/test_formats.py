@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
 from pathlib import Path
 
 import fourdgs
@@ -18,7 +20,7 @@ from pipeline.export.moving import MovingGaussians, moving_gaussians
 from pipeline.export.source import Timeline
 from pipeline.model.model import Model
 from pipeline.model.ply import load_ply
-from rasterizer import Rasterizer
+from rasterizer import Camera, Rasterizer
 from rasterizer.covariance import rotation_3d
 
 START, DURATION, TIME = 0.1, 0.8, 0.45
@@ -127,6 +129,33 @@ def test_splatv_keeps_half_precision(model: Model) -> None:
     for time in (START, TIME, START + DURATION):
         # As .splat; times are off by 1/4096 of the duration at speeds of about 1 in a scene of size 2
         assert psnr(image(read.at(time)), image(plain, time)) > 40
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_splatv_begins_with_a_camera_that_sees_the_gaussians(model: Model, known: bool) -> None:
+    """Its `rotation` is camera-to-world, its position the centre; splaTV fails without one."""
+    camera = make_request().camera
+    line = replace(LINE, camera=camera) if known else LINE
+    content = FORMATS["splatv"].content(moving_gaussians(model, START, DURATION), line)
+    length = int.from_bytes(content[4:8], "little")
+    (entry,) = json.loads(content[8 : 8 + length])[0]["cameras"]
+    pose = np.eye(4)
+    pose[:3, :3] = np.array(entry["rotation"]).T
+    pose[:3, 3] = -pose[:3, :3] @ entry["position"]
+    read = Camera(
+        entry["width"], entry["height"], entry["fx"], entry["fy"], entry["width"] / 2, entry["height"] / 2, pose
+    )
+    if known:
+        np.testing.assert_allclose(pose, camera.world_to_cam, atol=1e-12)
+        assert (read.width, read.fx, read.fy) == (camera.width, camera.fx, camera.fy)
+    rasterizer = Rasterizer(threads=1)
+    rasterizer.render(model.gaussians(), make_request(camera=read, time=TIME))
+    assert rasterizer.visible > 0.8 * rasterizer.alive > 0
+
+
+def test_a_frame_without_gaussians_is_no_gltf(model: Model) -> None:
+    with pytest.raises(ValueError, match="glb: expected a Gaussian in the frame at least"):
+        FORMATS["glb"].content(frame_at(model, 1e6, DURATION))
 
 
 def test_fourdgs_keeps_its_bounds(model: Model) -> None:

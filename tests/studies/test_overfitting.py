@@ -119,6 +119,13 @@ def test_history_of_an_unusable_log_is_an_error(tmp_path, rows, found):
         read_history(tmp_path / "run")
 
 
+def test_metrics_without_the_name_of_the_run_are_an_error(tmp_path):
+    write_run(tmp_path / "run", [{"event": "evaluate", "iteration": 1, "psnr": 1, "train_psnr": 1}])
+    (tmp_path / "run" / "metrics.json").write_text('{"train": "fast"}')
+    with pytest.raises(ValueError, match=r"metrics\.json: expected ablation, seed, scene, found none"):
+        read_history(tmp_path / "run")
+
+
 def test_image_grid_places_every_image():
     a, b = np.zeros((4, 5, 3)), np.ones((4, 5, 3)) * 0.5
     pixels = np.asarray(image_grid([[a, b], [b]]))

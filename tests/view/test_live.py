@@ -5,6 +5,7 @@ from __future__ import annotations
 import http.client
 import json
 import socket
+import struct
 import threading
 import zlib
 from pathlib import Path
@@ -176,6 +177,15 @@ def test_the_page_follows_training(browser: Browser) -> None:
         finally:
             stop.set()
             training.join()
+
+
+def test_a_page_that_goes_away_prints_nothing(server: LiveServer, capfd: pytest.CaptureFixture) -> None:
+    with socket.create_connection(("127.0.0.1", server.address.port)) as connection:
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # it is reset, not closed
+        connection.send(b"GET / HT")
+    assert get(server)[0] == 200
+    assert get(server)[0] == 200  # each in a thread: the first one has ended
+    assert capfd.readouterr().err == ""
 
 
 def test_a_run_of_another_process_is_followed(tmp_path: Path) -> None:

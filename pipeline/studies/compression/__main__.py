@@ -7,6 +7,7 @@ compression.md, compression.svg, and the smallest model within --loss dB of the 
 
 from __future__ import annotations
 
+import math
 import sys
 from pathlib import Path
 
@@ -47,6 +48,7 @@ def main(arguments: list[str]) -> int:
         help=f"fractions of the Gaussians to keep, besides all of them (default: {' '.join(map(str, FRACTIONS))})",
     )
     options = parser.parse_args(arguments)
+    parser.require(0 <= options.loss < math.inf, "--loss", "dB, 0 or more", f"{options.loss:g}")
     parser.require(0 <= options.retrain <= 1, "--retrain", "a part of the schedule, 0 to 1", options.retrain)
     for fraction in options.fractions:
         parser.require(0 < fraction < 1, "--fractions", "parts of the Gaussians, above 0 and below 1", f"{fraction:g}")

@@ -29,8 +29,13 @@ def read_history(folder: Path) -> History:
         lines = (folder / "log.jsonl").read_text().splitlines()
     except (OSError, json.JSONDecodeError) as error:
         raise ValueError(f"{folder}: expected a finished run, found {error}") from None
+    missing = [
+        key for key in ("train", "ablation", "seed", "scene") if not isinstance(metrics, dict) or key not in metrics
+    ]
+    if missing:
+        raise ValueError(f"{folder / 'metrics.json'}: expected {', '.join(missing)}, found none")
     rows = [row for row in map(_parsed, lines) if row.get("event") == "evaluate"]
-    if not rows or any("train_psnr" not in row or isinstance(row["lifetimes"], list) for row in rows):
+    if not rows or any("train_psnr" not in row or isinstance(row.get("lifetimes", []), list) for row in rows):
         raise ValueError(
             f"{folder / 'log.jsonl'}: expected evaluations with train_psnr, found "
             f"{'none' if not rows else 'a run of an earlier version'}"

@@ -6,12 +6,11 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
-from pipeline.config.compose import config_of_tree
 from pipeline.data.prepare import prepare
 from pipeline.model.model import Model
 from pipeline.model.ply import load_ply
 from pipeline.model.scene_settings import resolved
-from pipeline.runs.run_identity import read_config
+from pipeline.studies.open_run import stored_config
 from pipeline.training import checkpoint as checkpoints
 from pipeline.view.live.address import Address
 from pipeline.view.live.feed import Feed
@@ -28,7 +27,7 @@ def serve_run(folder: Path, address: Address, log: Callable[[str], None], stop: 
     """Serves until Ctrl-C, or until `stop` is set. ValueError, one line, where `folder` is no run."""
     if not (folder / "config.yaml").exists():
         raise ValueError(f"{folder}: expected a run with config.yaml, found none")
-    cfg = config_of_tree(read_config(folder / "config.yaml"))
+    cfg = stored_config(folder)
     scene = prepare(cfg, log).scene
     cfg = resolved(cfg, scene)
     feed, stop = Feed(), stop or threading.Event()
@@ -37,7 +36,9 @@ def serve_run(folder: Path, address: Address, log: Callable[[str], None], stop: 
     with LiveServer(address, live_page(cfg.ablation.name, scene, cfg), feed) as server:
         log(f"live view: {server.url}   (Ctrl-C ends it)")
         try:
-            while not stop.wait(POLL_S if packed else 0):
+            wait = 0.0
+            while not stop.wait(wait):
+                wait = POLL_S
                 if newest := progress.newest():
                     feed.report(newest)
                 found = _newest_model(folder)

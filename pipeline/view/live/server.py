@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import errno
 import json
+import sys
 import threading
 from collections.abc import Callable
 from dataclasses import replace
@@ -99,6 +100,8 @@ class LiveServer:
         if self.address.is_local:
             names = ("127.0.0.1", "localhost", "[::1]")
             hosts = {str(self.address), *(f"{name}:{self.address.port}" for name in names)}
+            if self.address.port == 80:  # which browsers leave out
+                hosts |= {*names, self.address.host}
             if host not in hosts:
                 return f"Host: expected {self.address}, found {host}"
         if origin is not None and origin != f"http://{host}":
@@ -144,6 +147,11 @@ def _server_class(address: Address) -> type[ThreadingHTTPServer]:
     class Server(ThreadingHTTPServer):
         address_family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
         daemon_threads = True  # an open page does not keep the run from ending
+
+        def handle_error(self, request: object, client_address: object) -> None:
+            """Nothing for a page that was closed, as the terminal is the run's."""
+            if not isinstance(sys.exception(), ConnectionError):
+                super().handle_error(request, client_address)  # type: ignore[arg-type]
 
     return Server
 

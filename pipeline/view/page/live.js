@@ -4,6 +4,9 @@ import { $ } from "./dom.js";
 import { readModel } from "./model.js";
 import { writeList } from "./panel.js";
 
+const PAUSE_MS = 500;
+const LOST_PAUSE_MS = 3000; // between attempts, while the server does not answer
+
 // Resolves when the first model is there. The server is asked for a model only while the page is seen.
 export async function followTraining(pane, stage) {
     const curve = [];
@@ -15,28 +18,31 @@ export async function followTraining(pane, stage) {
         showProgress(progress, curve);
     });
     const run = { ended: false };
-    const end = () => {
+    events.addEventListener("end", () => {
         run.ended = true;
-        events.close();
-    };
-    events.addEventListener("end", end);
-    events.addEventListener("error", end);
+        events.close(); // after an error it connects again by itself
+    });
     while (!pane.model) await fetchModel(pane, stage);
     keepFetching(pane, stage, run);
 }
 
 async function keepFetching(pane, stage, run) {
-    for (let last = false; !last; ) {
+    const section = $("training").classList;
+    for (let last = false, pause = PAUSE_MS; !last; ) {
         last = run.ended;
-        await new Promise((resolve) => setTimeout(resolve, 500));
+        await new Promise((resolve) => setTimeout(resolve, pause));
         if (document.hidden && !last) continue;
         try {
             await fetchModel(pane, stage);
+            section.remove("lost");
+            pause = PAUSE_MS;
         } catch {
-            last = true; // the server ended with the run
+            if (!last) section.add("lost"); // a sleeping computer, or the run was stopped: the last model stays
+            pause = LOST_PAUSE_MS;
         }
     }
-    $("training").classList.add("ended"); // the last model stays
+    section.remove("lost");
+    section.add("ended");
 }
 
 // The server answers when there is a newer model than the one that is shown, or after a while that there is none.

@@ -17,7 +17,7 @@ function load(loaded) {
     counts = new Uint32Array(1 << 16);
 }
 
-// view: { frame, time, forward [3], offset, near, order }. Depth is forward · x + offset. `order` is written and sent back.
+// view: { time, forward [3], offset, near, order }. Depth is forward · x + offset. `order` is written and sent back.
 function sort(view) {
     const { mean, velocity, meanT, lifetime } = gaussians;
     const [fx, fy, fz] = view.forward;
@@ -38,7 +38,7 @@ function sort(view) {
     }
     radixSort(count, view.order);
     const at = (share) => depths[sorted[Math.min(count - 1, Math.floor(share * count))]];
-    return { frame: view.frame, count, alive, depths: count ? [at(0.01), at(0.9)] : [0, 1], order: view.order };
+    return { count, alive, depths: count ? [at(0.01), at(0.9)] : [0, 1], order: view.order };
 }
 
 // Positive floats sort as their bits do: two stable passes of 16 bits.
