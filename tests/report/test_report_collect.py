@@ -104,6 +104,13 @@ def test_copied_run_counts_once(tmp_path):
     )
 
 
+def test_a_run_of_before_a_key_was_added_is_another_seed_of_the_same(tmp_path):
+    write_run(tmp_path, "synthetic/wheel", seed=0)
+    write_run(tmp_path, "synthetic/wheel", seed=1, settings="  dropout: 0.0\n", scene_settings="  camera_path: jumps\n")
+    write_run(tmp_path, "synthetic/wheel", seed=2, settings="  dropout: 0.1\n", scene_settings="  camera_path: jumps\n")
+    assert name_variants(collect(tmp_path)).runs["train"].tolist() == ["fast", "fast", "fast (dropout=0.1)"]
+
+
 @pytest.mark.parametrize("key", ["select_time_colour", "trial"])  # its name today and up to version 0.1
 def test_result_of_selection_is_in_the_table_of_all_runs(tmp_path, key: str):
     for scene, selection in (

@@ -21,7 +21,7 @@ from typing import Any
 
 import pandas as pd
 
-from pipeline.config.renamed_keys import renamed_key
+from pipeline.config.renamed_keys import ADDED, renamed_key
 from pipeline.runs.read import model_labels as models
 from pipeline.runs.read.collect import Collection
 from pipeline.runs.read.run_names import parts_of, with_parts
@@ -177,4 +177,9 @@ def _difference(settings: dict[str, Any], usual: dict[str, Any]) -> list[str]:
 
 
 def _differing(one: dict[str, Any], other: dict[str, Any]) -> list[str]:
-    return sorted(key for key in one.keys() | other.keys() if one.get(key) != other.get(key))
+    """The keys of which the values differ. A run of before a key was added has the value that changes nothing."""
+
+    def value(settings: dict[str, Any], key: str) -> Any:
+        return settings.get(key, ADDED.get(key))
+
+    return sorted(key for key in one.keys() | other.keys() if value(one, key) != value(other, key))
