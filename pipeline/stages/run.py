@@ -81,7 +81,8 @@ def run(cfg: Config, overrides: Sequence[str], log: Log) -> dict:
         stages = [stage for stage in STAGES if stage.name in inputs]
         if not all(stage.is_done(folder, inputs[stage.name]) for stage in stages):
             command = shlex.join(["python", "-m", "pipeline", *overrides])
-            if "train" not in read_stages(path):  # of what trained the model, which a later evaluation leaves as it is
+            # Of what trained the model, which a later evaluation leaves as it is.
+            if any(stage.name == "train" and not stage.is_done(folder, inputs["train"]) for stage in stages):
                 write_json(folder.provenance, {**provenance(command), "overrides": list(overrides)})
             folder.log({"event": "start", "command": command})
         for stage in stages:
