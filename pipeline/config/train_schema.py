@@ -119,7 +119,7 @@ class RegularizationConfig:
     Those of motion and opacity are × the share of the training images that is not background.
     """
 
-    motion: float = 0.0  # towards no motion: × mean tilt between space and time, radians
+    motion: float = 0.0  # towards no motion: × mean of 2 sin(θ/2), θ the tilt between space and time
     opacity: float = 0.0  # towards transparency: × mean opacity
     reference_views: float = 0.0  # `motion` and `opacity` are × this / number of training views; 0: they are as given
     opacity_views: float = 0.0  # one camera: `opacity` is weaker where more views than this share a lifetime; 0: never
