@@ -117,10 +117,16 @@ class Scene:
     @cached_property
     def _times_of_cameras(self) -> list[list[float]]:
         """The distinct times, ascending, of each training camera of videos; of photographs all in one list."""
-        found: dict[bytes, set[float]] = defaultdict(set)
+        found: dict[bytes | str, set[float]] = defaultdict(set)
         for view in self.train:
-            found[b"" if self.frame_rate is None else view.camera.world_to_cam.tobytes()].add(view.time)
+            found[self._camera_of(view)].add(view.time)
         return [sorted(times) for times in found.values()]
+
+    def _camera_of(self, view: View) -> bytes | str:
+        """Tells cameras of videos apart: those that move by their views' names, others by their pose."""
+        if self.cameras_move:
+            return view.name.rpartition("_")[0]
+        return b"" if self.frame_rate is None else view.camera.world_to_cam.tobytes()
 
     @cached_property
     def frame_spacing(self) -> float:
@@ -146,7 +152,8 @@ class Scene:
         """Whether the training views show each time from two places or more, on average; in videos, whose cameras need
         not be synchronised, whether they are of two cameras or more."""
         shared = len(self.train) >= 2 * len(self.train_times)
-        return shared or (self.frame_rate is not None and len(self._times_of_cameras) > 1)
+        videos = self.frame_rate is not None or self.cameras_move
+        return shared or (videos and len(self._times_of_cameras) > 1)
 
     @property
     def is_clip(self) -> bool:

@@ -109,11 +109,12 @@ class TrainingViews:
 
 
 def _where_it_counts(target: Target, mask: Tensor) -> Target:
-    """The target without the measured flow and depths of the pixels outside its mask (H, W)."""
+    """The target without the measured flow, depths and sky of the pixels outside its mask (H, W)."""
     motion, depth = target.motion, target.depth
+    sky = None if target.sky is None else target.sky * mask
     if motion is not None:
         motion = replace(motion, flow=torch.where(mask, motion.flow, torch.nan))
     if depth is not None:
         counts = mask.ravel()[depth.pixel]
         depth = SparseDepth(depth.pixel[counts], depth.inverse[counts]) if counts.any() else None
-    return replace(target, motion=motion, depth=depth)
+    return replace(target, motion=motion, depth=depth, sky=sky)

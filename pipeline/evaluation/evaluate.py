@@ -17,9 +17,9 @@ from datasets.scene import Scene, Sweep
 from datasets.urban.projection import depth_image
 from pipeline.config.schema import Config
 from pipeline.data.frame_order import film_order
-from pipeline.data.training_views import Target, evenly_spaced, target_of
+from pipeline.data.training_views import Target, camera_at, evenly_spaced, target_of
 from pipeline.evaluation.flicker import FlickerMeter, mean_flicker
-from pipeline.evaluation.metrics import METRICS, MS_SSIM_NOTE, mean, measure
+from pipeline.evaluation.metrics import METRICS, MS_SSIM_NOTE, SSIM_SMALLEST_SIDE, mean, measure
 from pipeline.evaluation.motion.motion_metrics import measure_motion, motion_means
 from pipeline.evaluation.motion.moving_pixels import MovingPixels
 from pipeline.evaluation.perceptual import Perceptual
@@ -54,6 +54,17 @@ class Evaluation:
         """Why numbers are missing, or None."""
         notes = [str(value) for name, value in self.metrics.items() if name.endswith("_note") and value]
         return "; ".join(notes) or None
+
+
+def refuse_small_images(scene: Scene, scale: float) -> None:
+    """ValueError, one line, if a test view at `scale` of its size is smaller than SSIM's window."""
+    for view in scene.test:
+        camera = camera_at(view.camera, scale)
+        if min(camera.width, camera.height) < SSIM_SMALLEST_SIDE:
+            raise ValueError(
+                f"{view.name}: SSIM needs images of at least {SSIM_SMALLEST_SIDE} px a side, found {camera.width} x "
+                f"{camera.height}; lower scene.downscale, or raise scene.size or train.resolution_scale"
+            )
 
 
 def evaluate(

@@ -14,6 +14,7 @@ import torch
 from pytorch_msssim import ms_ssim as _ms_ssim
 from skimage.metrics import structural_similarity
 
+SSIM_SMALLEST_SIDE = 11  # its window
 # MS-SSIM halves the image four times; its 11-pixel window must fit into the smallest: 10 · 2⁴ < side.
 MS_SSIM_SMALLEST_SIDE = 161
 MS_SSIM_NOTE = f"MS-SSIM needs images of at least {MS_SSIM_SMALLEST_SIDE} px a side"

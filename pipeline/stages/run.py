@@ -16,6 +16,7 @@ from pipeline.config.compose import config_of_tree
 from pipeline.config.scene_overrides import with_overrides
 from pipeline.config.schema import Config
 from pipeline.data.prepare import prepare
+from pipeline.evaluation.evaluate import refuse_small_images
 from pipeline.model.scene_settings import overrides_for, resolved
 from pipeline.runs.provenance import provenance
 from pipeline.runs.run_folder import RunFolder
@@ -65,6 +66,7 @@ def run(cfg: Config, overrides: Sequence[str], log: Log) -> dict:
             log(line)
     data = prepare(cfg, log)
     unresolved, cfg = cfg, resolved(cfg, data.scene)
+    refuse_small_images(data.scene, cfg.train.resolution_scale)  # before hours of training
     if (data.is_clip or data.scene.cameras_move) and not (cfg.resume and "train" in read_stages(path)):
         log(training_minutes(cfg, data.scene))
     group = overrides_for(data.scene, cfg)

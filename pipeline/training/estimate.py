@@ -113,6 +113,8 @@ def estimate_if_large(cfg: Config, log: Callable[[str], None]) -> Estimate | Non
 
 
 def _estimate(cfg: Config, size: Size, threads: int) -> Estimate:
+    read, scale = size, cfg.train.resolution_scale
+    size = replace(read, width=max(1, round(scale * read.width)), height=max(1, round(scale * read.height)))
     gaussians = min(cfg.train.densify.max_gaussians, MAX_GAUSSIANS)
     if cfg.effective_background_model == "sphere":
         gaussians += cfg.init.sphere_points
@@ -133,9 +135,9 @@ def _estimate(cfg: Config, size: Size, threads: int) -> Estimate:
     quick = cfg.train.iterations // cfg.train.eval_every * min(size.test_views, cfg.train.eval_views) * 2 * view
     final = (1 + cfg.evaluate.best_on_test) * size.test_views * (2 * view + measured / threads)
     pixels = size.width * size.height
-    images = 0 if size.stored_bytes else (size.train_views + size.test_views) * 3 * pixels
+    images = 0 if read.stored_bytes else (read.train_views + read.test_views) * 3 * read.width * read.height
     floats = min((size.train_views * 3 * pixels) * 4, CACHE_LIMIT_BYTES)
-    measured_pixels = math.prod(measured_size(size.width, size.height)) if cfg.train.regularization.flow > 0 else 0
+    measured_pixels = math.prod(measured_size(read.width, read.height)) if cfg.train.regularization.flow > 0 else 0
     flows = min(size.train_views * 4 * measured_pixels, FLOW_CACHE_LIMIT_BYTES)  # two numbers in half precision
     resident = 4 * gaussians * (FLOATS_PER_GAUSSIAN + FLOATS_PER_VIEW * cfg.train.batch) + images + floats + flows
     return Estimate(

@@ -138,6 +138,6 @@ def fourier_order(clock: float, starts: list[int], highest: int) -> int:
 def resolution(fraction: float, steps: list[ResolutionStep]) -> float:
     """Scale of the first step whose `until` has not passed; full size after the last."""
     for step in steps:
-        if fraction < step.until:
+        if fraction < step.until or step.until == 1:
             return step.scale
     return 1.0

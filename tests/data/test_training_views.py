@@ -37,11 +37,11 @@ def test_views_are_cached_only_below_the_memory_limit() -> None:
 
 
 def test_outside_a_mask_nothing_is_measured() -> None:
-    """Flow is NaN there, and depths are left out; inside, both stay."""
+    """Flow is NaN there, depths are left out and no sky is known; inside, all stay."""
     view = tiny_scene().train[0]
     mask = np.zeros((32, 32), bool)
     mask[:, 16:] = True
-    views = [replace(view, mask=mask)]
+    views = [replace(view, mask=mask, sky=np.ones((32, 32), bool))]
     pixel = torch.tensor([5, 20, 32 * 31 + 15, 32 * 31 + 16])  # columns 5, 20, 15, 16
     flows = SimpleNamespace(at=lambda index, camera: MeasuredFlow(0.1, torch.ones(2, 32, 32)))
     depths = SimpleNamespace(at=lambda index, camera, image: SparseDepth(pixel, torch.tensor([0.1, 0.2, 0.3, 0.4])))
@@ -49,5 +49,6 @@ def test_outside_a_mask_nothing_is_measured() -> None:
     assert found.depth.pixel.tolist() == [20, 32 * 31 + 16]
     torch.testing.assert_close(found.depth.inverse, torch.tensor([0.2, 0.4]))
     assert torch.equal(found.motion.flow.isfinite(), torch.from_numpy(mask).expand(2, 32, 32))
+    assert torch.equal(found.sky[0] == 1, torch.from_numpy(mask)) and not found.sky[0, :, :16].any()
     none_inside = SimpleNamespace(at=lambda *_: SparseDepth(pixel[:1], torch.tensor([0.1])))
     assert TrainingViews(views, None, none_inside).at(0, 1.0).depth is None  # type: ignore[arg-type]

@@ -64,6 +64,9 @@ def test_cameras_that_are_not_synchronised_are_several_with_the_spacing_of_one()
     assert film.frame_spacing == pytest.approx(1 / 30, rel=1e-12)
     photographs = replace(film, frame_rate=None)  # so many poses of one camera that moves
     assert not photographs.several_cameras and photographs.is_clip and photographs.frame_count == 120
+    moving = replace(photographs, cameras_move=True)  # their names tell them apart, not their poses
+    assert moving.several_cameras and not moving.is_clip and moving.frame_count == 30
+    assert moving.frame_spacing == pytest.approx(1 / 30, rel=1e-12)
 
 
 def test_spacing_of_synchronised_cameras_is_that_of_all_times_to_the_bit() -> None:

@@ -13,7 +13,7 @@ from tiny_film import tiny_film
 from datasets.scene import Scene, View
 from pipeline.evaluation import evaluate as evaluation
 from pipeline.evaluation import lpips, perceptual
-from pipeline.evaluation.evaluate import evaluate
+from pipeline.evaluation.evaluate import evaluate, refuse_small_images
 from pipeline.evaluation.metrics import METRICS, psnr
 from pipeline.model.initialise import initialise
 from pipeline.model.model import Model
@@ -190,3 +190,10 @@ def test_psnr_is_of_the_clamped_render() -> None:
     found = evaluate(model, scene, evaluation_config(renders=-1), 1, lambda name, image, truth: images.append(image))
     assert images[0].max() <= 1.0
     assert found.metrics["psnr"] == pytest.approx(psnr(images[0], np.ones_like(images[0])))
+
+
+def test_images_smaller_than_the_window_of_ssim_are_refused_before_training() -> None:
+    scene = tiny_scene()
+    refuse_small_images(scene, 11 / SIZE)
+    with pytest.raises(ValueError, match="r_0: SSIM needs images of at least 11 px a side, found 10 x 10; "):
+        refuse_small_images(scene, 10 / SIZE)

@@ -73,6 +73,8 @@ def test_resolution_steps_are_fractions_of_the_schedule() -> None:
     found = [phase(now, cfg, 1.0, 3, 2).resolution for now in (1, 149, 150, 499, 500, 1000)]
     assert found == [0.125, 0.125, 0.25, 0.25, 0.5, 0.5]
     assert phase(1, TrainConfig(), 1.0, 3, 2).resolution == 1.0
+    throughout = TrainConfig(iterations=1000, resolution_steps=[ResolutionStep(scale=0.5)])
+    assert [phase(now, throughout, 1.0, 3, 2).resolution for now in (1, 999, 1000)] == [0.5, 0.5, 0.5]
 
 
 def test_background_models_are_trained_until_and_including_the_given_iteration() -> None:

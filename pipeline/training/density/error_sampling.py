@@ -183,6 +183,9 @@ class ErrorSampler:
                 u, v = np.floor(c.fx * x / z + c.cx), np.floor(c.fy * y / z + c.cy)
             seen = (z > near) & (u >= 0) & (u < c.width) & (v >= 0) & (v < c.height)
             u, v = u[seen].astype(int), v[seen].astype(int)
+            if target.mask is not None:  # what does not count says nothing of the candidate
+                counts = target.mask.numpy()[v, u]
+                seen[seen], u, v = counts, u[counts], v[counts]
             error[row, seen] = errors[index][v, u]
             color[row, seen] = target.image.numpy()[:, v, u].T
         enough = np.isfinite(error).sum(axis=0) >= min(FEWEST_VIEWS, len(views))

@@ -62,7 +62,7 @@ def due(cfg: Config, scene: Scene) -> bool:
     train = cfg.train
     if train.select_motion == 0 or train.time_budget_s is not None or cfg.ablation.static is not None:
         return False
-    if kind_of(scene, cfg).motion == "static":
+    if kind_of(scene, cfg).motion == "static" or scene.several_cameras:
         return False
     poses = {view.camera.world_to_cam.tobytes() for view in scene.train}
     if len(poses) < len(scene.train):

@@ -100,8 +100,13 @@ def test_nothing_is_added_where_the_model_is_right():
     assert draw(replace(scene, train=tuple(replace(view, image=faint) for view in scene.train))) is None
 
 
-def test_score_and_colour_equal_those_of_a_naive_loop():
+@pytest.mark.parametrize("masked", [False, True])
+def test_score_and_colour_equal_those_of_a_naive_loop(masked: bool):
     scene = sphere_scene()
+    counts = np.ones((32, 32), bool)
+    if masked:  # a projection there is as unknown as one outside the image
+        counts[:, ::2] = False
+        scene = replace(scene, train=tuple(replace(view, mask=counts) for view in scene.train))
     sampler, rng = ErrorSampler(scene), np.random.default_rng(3)
     views = [6, 7, 8, 9, 10]
     errors = sampler._errors(transparent_model(scene), views, 0.2, 1)
@@ -113,7 +118,7 @@ def test_score_and_colour_equal_those_of_a_naive_loop():
             camera, image = scene.train[index].camera, scene.train[index].image / 255
             x, y, z = camera.world_to_cam[:3, :3] @ point + camera.world_to_cam[:3, 3]
             column, row = int(np.floor(camera.fx * x / z + camera.cx)), int(np.floor(camera.fy * y / z + camera.cy))
-            if 0 <= column < 32 and 0 <= row < 32:
+            if 0 <= column < 32 and 0 <= row < 32 and counts[row, column]:
                 found.append(errors[index][row, column])
                 colors.append(image[row, column])
         expected = np.quantile(found, 0.25) if len(found) >= FEWEST_VIEWS else 0.0

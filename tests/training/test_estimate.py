@@ -1,0 +1,20 @@
+"""The estimate of a run's memory: it follows the size that is trained, not the one that is read."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from tiny import tiny_config
+
+from pipeline.training.estimate import Size, _estimate
+
+
+def test_images_in_memory_have_the_size_that_is_trained() -> None:
+    """At half the size a training image takes a quarter of its 12 bytes a pixel; images as read stay as they are."""
+    size = Size(train_views=50, test_views=1, width=400, height=300, stored_bytes=0, decode_seconds=0.0)
+    cfg = tiny_config(10)
+    cfg = replace(cfg, train=replace(cfg.train, densify=replace(cfg.train.densify, max_gaussians=100)))
+    whole = _estimate(cfg, size, 1)
+    half = _estimate(replace(cfg, train=replace(cfg.train, resolution_scale=0.5)), size, 1)
+    saved = 50 * 12 * 400 * 300 * (1 - 0.25)
+    assert abs((whole.memory_gb - half.memory_gb) * 1e9 - saved) < 1  # both are sums of integers below 2^53
