@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import statistics
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -114,23 +114,32 @@ class Scene:
         """The distinct times of the training views, ascending."""
         return tuple(sorted({view.time for view in self.train}))
 
+    def camera_of(self, view: View) -> Hashable:
+        """Tells cameras apart: those that move by their views' names, others by lens and pose."""
+        if self._several_move:
+            return view.name.rpartition("_")[0]
+        return lens_and_pose(view.camera)
+
+    @property
+    def _several_move(self) -> bool:
+        return self.cameras_move or self.is_drive
+
+    @property
+    def _is_filmed(self) -> bool:
+        """Whether several cameras that stand still or move took the views one after another."""
+        return self.frame_rate is not None or self._several_move
+
     @cached_property
     def _times_of_cameras(self) -> list[list[float]]:
-        """The distinct times, ascending, of each training camera of videos; of photographs all in one list."""
-        found: dict[bytes | str, set[float]] = defaultdict(set)
+        """The distinct times, ascending, of each training camera of videos and logs; of photographs all in one list."""
+        found: dict[Hashable, set[float]] = defaultdict(set)
         for view in self.train:
-            found[self._camera_of(view)].add(view.time)
+            found[self.camera_of(view) if self._is_filmed else None].add(view.time)
         return [sorted(times) for times in found.values()]
-
-    def _camera_of(self, view: View) -> bytes | str:
-        """Tells cameras of videos apart: those that move by their views' names, others by their pose."""
-        if self.cameras_move:
-            return view.name.rpartition("_")[0]
-        return b"" if self.frame_rate is None else view.camera.world_to_cam.tobytes()
 
     @cached_property
     def frame_spacing(self) -> float:
-        """Mean difference of consecutive training times, in videos of those of one camera, as cameras need not be
+        """Mean difference of consecutive training times, in videos and logs of one camera's, as cameras need not be
         synchronised; the duration if there is only one time."""
         spacings = [(t[-1] - t[0]) / (len(t) - 1) for t in self._times_of_cameras if len(t) > 1]
         return statistics.mean(spacings) if spacings else self.duration  # exact for equal ones
@@ -149,11 +158,10 @@ class Scene:
 
     @property
     def several_cameras(self) -> bool:
-        """Whether the training views show each time from two places or more, on average; in videos, whose cameras need
-        not be synchronised, whether they are of two cameras or more."""
+        """Whether the training views show each time from two places or more, on average; in videos and driving logs,
+        whose cameras need not be synchronised, whether they are of two cameras or more."""
         shared = len(self.train) >= 2 * len(self.train_times)
-        videos = self.frame_rate is not None or self.cameras_move
-        return shared or (videos and len(self._times_of_cameras) > 1)
+        return shared or (self._is_filmed and len(self._times_of_cameras) > 1)
 
     @property
     def is_clip(self) -> bool:
@@ -164,6 +172,12 @@ class Scene:
     def is_static(self) -> bool:
         """True if every view has the same time: the model then has no time axis."""
         return len({view.time for view in self.train + self.test}) <= 1
+
+
+def lens_and_pose(camera: Camera) -> Hashable:
+    """The same for two views if one camera that stood still took both."""
+    lens = camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy
+    return *lens, camera.world_to_cam.tobytes()
 
 
 def camera_extent(cameras: Sequence[Camera]) -> float:

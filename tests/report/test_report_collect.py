@@ -31,6 +31,12 @@ from pipeline.runs.read.variants import name_variants
             ),
             "select_time_colour: expected an object, found 3",
         ),
+        (
+            lambda f: (f / "metrics.json").write_text(
+                (f / "metrics.json").read_text().replace('"seed"', '"select_motion": 3, "seed"')
+            ),
+            "select_motion: expected an object, found 3",
+        ),
         (lambda f: (f / "config.yaml").write_text("a: [1"), "config.yaml: expected YAML"),
     ],
 )

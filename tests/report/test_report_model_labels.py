@@ -56,6 +56,8 @@ def test_motions_are_those_of_a_model() -> None:
         ("no_4dsh", "  fourier_order: 0\n", model(fourier_order=0), "no_4dsh"),  # none were requested
         ("no_4dsh", "", model(fourier_order=0), "no_4dsh"),  # a run without its settings
         ("static", "  rotation_4d: false\n  fourier_order: 0\n  static: true\n", model("static", 0), "static"),
+        ("full", "  static: null\n", model("static", 0) | {"select_motion": {"dynamic": False}}, "static"),
+        ("full", "", model() | {"select_motion": {"dynamic": True}}, "full"),
         # Overrides of `ablation` keys, also if all runs of the name have them.
         ("full", "  fourier_order: 1\n", {}, "full (fourier_order=1)"),
         ("full", "  fourier_order: 1\n", model(fourier_order=1), "full (fourier_order=1)"),

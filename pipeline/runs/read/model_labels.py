@@ -1,7 +1,8 @@
 """Labels the model that a run trained: `full`, `no_4dsh`, `full, 4DSH left out`, `full (fourier_order=1)`.
 
 The trained model can differ from the requested ablation. Selection by validation may leave out time-varying colour
-(the Fourier orders of 4DSH), and a command may change keys of `ablation`. The label states both.
+(the Fourier orders of 4DSH), and a command may change keys of `ablation`. The label states both. A clip that validation
+found static is labelled `static`, as its model is that of the ablation.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from pipeline.config.schema import AblationConfig
 from pipeline.runs.read.run_names import parts_of, with_parts
 from pipeline.runs.run_identity import read_config
 
+STATIC = "static"  # conf/ablation/static.yaml
 LEFT_OUT = ", 4DSH left out"
 LEFT_OUT_NOTE = ("", "4DSH left out: the run requested time-varying colour, and selection by validation removed it.")
 _ABLATIONS = Path(__file__).resolve().parents[3] / "conf" / "ablation"
@@ -78,6 +80,8 @@ def trained_model(ablation: str, settings: Mapping[str, Any], run: Mapping[str, 
     motion, order, degree = run["model.motion"], run["model.fourier_order"], run["model.sh_degree"]
     if not math.isnan(degree):
         found["sh_degree"] = int(degree)
+    if run["found_static"]:
+        found["static"] = True
     if motion == "static":
         return TrainedModel({key: value for key, value in found.items() if key not in _TIME_KEYS}, False)
     if motion:

@@ -101,6 +101,10 @@ def read_metrics(path: Path) -> dict[str, Any]:
         row[f"selection.{key}"] = _number(selection.get(key), f"select_time_colour.{key}")
     row["selection.kept"] = selection.get("kept") is True
     row |= _model(data.get("model"), left_out=selection.get("kept") is False)
+    motion = data.get("select_motion") or {}
+    if not isinstance(motion, dict):
+        raise BrokenRun(f"metrics.json: select_motion: expected an object, found {motion!r}")
+    row["found_static"] = motion.get("dynamic") is False
     row["test_split"] = _text(data.get("test_split"))
     for key in ("lpips_note", "ms_ssim_note"):  # the reason for a missing number
         row[key] = _text(data["final"].get(key))

@@ -133,8 +133,8 @@ def _model_names(runs: pd.DataFrame, settings: dict[str, dict[str, Any]]) -> pd.
         row["run"]: models.trained_model(row["ablation"], settings[row["run"]], row) for row in runs.to_dict("records")
     }
     labels = [
-        f"{name}{models.LEFT_OUT}" if trained[run].left_out else name
-        for run, name in zip(runs["run"], runs["ablation"])
+        models.STATIC if found_static else f"{name}{models.LEFT_OUT}" if trained[run].left_out else name
+        for run, name, found_static in zip(runs["run"], runs["ablation"], runs["found_static"])
     ]
     settings = {run: model.settings for run, model in trained.items()}
     return _distinct_names(

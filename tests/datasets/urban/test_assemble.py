@@ -54,6 +54,17 @@ def test_frames_and_cameras_are_selected(tmp_path: Path) -> None:
             load_scene(config(folder, **{key: wrong}), log=lambda line: None)
 
 
+def test_cameras_that_are_triggered_one_after_another_are_several(tmp_path: Path) -> None:
+    """KITTI's cameras have times of their own, tenths of a millisecond apart: no two images have the same."""
+    scene = load_scene(config(k.write_raw(tmp_path, 9), test_every=9))
+    assert len({view.time for view in scene.train}) == len(scene.train) == 16
+    assert scene.several_cameras and scene.frame_count == 8
+    of_one = sorted(view.time for view in scene.train if "cam2" in view.name)
+    assert scene.frame_spacing == pytest.approx((of_one[-1] - of_one[0]) / 7, rel=1e-9)
+    alone = load_scene(config(k.write_raw(tmp_path / "alone", 9), test_every=9, log_cameras=[2]))
+    assert not alone.several_cameras
+
+
 def test_truth_of_distorted_images_is_not_read(tmp_path: Path) -> None:
     log = open_log("kitti", k.write_odometry(tmp_path, 9))
     bent = (0.05, 0.0, 0.0, 0.0, 0.0)
