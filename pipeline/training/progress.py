@@ -50,7 +50,7 @@ class TrainingProgress:
         """loss, psnr: of the last batch. n_alive: Gaussians with temporal marginal p(t) >= 0.05, mean over its views.
         train_seconds: since the start."""
         if sweep_progress.current is not None:
-            sweep_progress.current.update(iteration, self._iterations)
+            sweep_progress.current.update(iteration, self._iterations, self._first)
             return
         for name, value in (("loss", loss), ("psnr", psnr)):
             if math.isfinite(value):

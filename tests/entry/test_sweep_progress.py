@@ -58,6 +58,18 @@ def test_what_was_done_before_says_nothing_about_the_speed(capsys: pytest.Captur
         assert joined("later").text() == "2/3 runs, 10 min left"
 
 
+def test_what_a_resumed_run_had_done_before_says_nothing_about_the_speed(capsys: pytest.CaptureFixture) -> None:
+    with sweep({"resumed": 1.0, "later": 1.0}):
+        began(600)
+        run = joined("resumed")
+        run.update(90, 100, first=80)
+        share = TRAINING_SHARE * 0.1  # of a run, in 10 minutes
+        assert run.text() == f"0/2 runs, {10 * (2 - TRAINING_SHARE * 0.9) / share:.0f} min left"
+        run.finished("result")
+        done = 1 - TRAINING_SHARE * 0.8
+        assert capsys.readouterr().out == f"1/2 runs, {10 / done:.0f} min left  result\n"
+
+
 def test_a_failed_run_is_no_longer_to_do_and_another_run_of_its_folder_is_reported(
     capsys: pytest.CaptureFixture,
 ) -> None:
