@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import statistics
 from collections import defaultdict
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -114,28 +114,19 @@ class Scene:
         """The distinct times of the training views, ascending."""
         return tuple(sorted({view.time for view in self.train}))
 
-    def camera_of(self, view: View) -> Hashable:
-        """Tells cameras apart: those that move by their views' names, others by lens and pose."""
-        if self._several_move:
-            return view.name.rpartition("_")[0]
-        return lens_and_pose(view.camera)
-
-    @property
-    def _several_move(self) -> bool:
-        return self.cameras_move or self.is_drive
-
-    @property
-    def _is_filmed(self) -> bool:
-        """Whether several cameras that stand still or move took the views one after another."""
-        return self.frame_rate is not None or self._several_move
-
     @cached_property
     def _times_of_cameras(self) -> list[list[float]]:
         """The distinct times, ascending, of each training camera of videos and logs; of photographs all in one list."""
-        found: dict[Hashable, set[float]] = defaultdict(set)
+        found: dict[bytes | str, set[float]] = defaultdict(set)
         for view in self.train:
-            found[self.camera_of(view) if self._is_filmed else None].add(view.time)
+            found[self._camera_of(view)].add(view.time)
         return [sorted(times) for times in found.values()]
+
+    def _camera_of(self, view: View) -> bytes | str:
+        """Tells cameras of videos and logs apart: those that move by their views' names, others by their pose."""
+        if self.cameras_move or self.is_drive:
+            return view.name.rpartition("_")[0]
+        return b"" if self.frame_rate is None else view.camera.world_to_cam.tobytes()
 
     @cached_property
     def frame_spacing(self) -> float:
@@ -161,7 +152,7 @@ class Scene:
         """Whether the training views show each time from two places or more, on average; in videos and driving logs,
         whose cameras need not be synchronised, whether they are of two cameras or more."""
         shared = len(self.train) >= 2 * len(self.train_times)
-        return shared or (self._is_filmed and len(self._times_of_cameras) > 1)
+        return shared or len(self._times_of_cameras) > 1
 
     @property
     def is_clip(self) -> bool:
@@ -172,12 +163,6 @@ class Scene:
     def is_static(self) -> bool:
         """True if every view has the same time: the model then has no time axis."""
         return len({view.time for view in self.train + self.test}) <= 1
-
-
-def lens_and_pose(camera: Camera) -> Hashable:
-    """The same for two views if one camera that stood still took both."""
-    lens = camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy
-    return *lens, camera.world_to_cam.tobytes()
 
 
 def camera_extent(cameras: Sequence[Camera]) -> float:

@@ -10,7 +10,7 @@ the width by 60 %: hence the size of its own at which it is measured.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -47,8 +47,7 @@ class FlowTargets:
 
     def __init__(self, scene: Scene, cache_limit_bytes: int = CACHE_LIMIT_BYTES) -> None:
         self._views = scene.train
-        camera_of = _one_camera if scene.is_clip else scene.camera_of
-        self._neighbour = neighbours(scene.train, MAX_GAP * scene.frame_spacing, camera_of)
+        self._neighbour = neighbours(scene.train, MAX_GAP * scene.frame_spacing, scene.is_clip)
         self._bytes_left = cache_limit_bytes
         self._cache: dict[int, np.ndarray] = {}
 
@@ -67,11 +66,16 @@ class FlowTargets:
         return MeasuredFlow(other.time - view.time, resized_flow(flow, camera.width, camera.height), later)
 
 
-def neighbours(views: Sequence[View], max_gap: float, camera_of: Callable[[View], Hashable]) -> dict[int, int]:
-    """View -> view of the same camera at the next time, or at the previous one after the last, at most max_gap away."""
+def neighbours(views: Sequence[View], max_gap: float, is_clip: bool = False) -> dict[int, int]:
+    """View -> view of the same camera at the next time, or at the previous one after the last, at most max_gap away.
+
+    is_clip: one camera filmed all views; else cameras stand still, and one place is one camera.
+    """
     by_camera = defaultdict(list)
     for index, view in enumerate(views):
-        by_camera[camera_of(view)].append(index)
+        c = view.camera
+        place = None if is_clip else (c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.world_to_cam.tobytes())
+        by_camera[place].append(index)
     found: dict[int, int] = {}
     for indices in by_camera.values():
         indices.sort(key=lambda index: views[index].time)
@@ -119,10 +123,6 @@ def resized_flow(flow: np.ndarray, width: int, height: int) -> Tensor:
     sums, share = planes[..., :2], planes[..., 2:]
     mean = np.divide(sums, share, out=np.full_like(sums, np.nan), where=share >= TRUSTED_SHARE)
     return torch.from_numpy(np.ascontiguousarray(mean.transpose(2, 0, 1)))
-
-
-def _one_camera(view: View) -> None:
-    """The camera of a clip, which filmed all views."""
 
 
 def _same(a: Camera, b: Camera) -> bool:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from datasets.ground_truth import GroundTruth
-from datasets.scene import lens_and_pose
 from pipeline.data.optical_flow import measure_flow, neighbours, resized_flow
 from pipeline.data.training_views import Target, target_of
 from pipeline.evaluation.motion.moving_pixels import MovingPixels
@@ -38,8 +37,7 @@ def most_moving(renderer: Renderer) -> MovingView:
     """The test view with most moving pixels; the middle one where it is unknown what moves."""
     scene, scale = renderer.scene, renderer.cfg.train.resolution_scale
     pixels, views = MovingPixels(scene, scale), scene.test
-    # Of cameras that stand still. What is too far to follow is not trusted.
-    following = neighbours(views, max_gap=scene.duration, camera_of=lambda view: lens_and_pose(view.camera))
+    following = neighbours(views, max_gap=scene.duration)  # what is too far to follow is not trusted
     indices = np.unique(np.linspace(0, len(views) - 1, min(len(views), CANDIDATES)).round().astype(int)).tolist()
     counts = {i: 0 if (mask := pixels.of(i)) is None else int(mask.sum()) for i in indices}
     middle = len(views) / 2

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from tiny import tiny_scene
@@ -52,29 +50,14 @@ def test_flow_is_averaged_over_what_is_trusted() -> None:
 
 
 def test_pairs_are_consecutive_frames_of_one_camera() -> None:
-    film = tiny_film(frames=4)  # four frames each of three cameras
-    views, gap = film.train, 1.5 / RATE
-    assert neighbours(views, gap, film.camera_of) == {i: i + 1 if i % 4 < 3 else i - 1 for i in range(12)}
-    assert neighbours(views[::2], gap, film.camera_of) == {}, "frames in between are missing"
-    photographs = tiny_scene(views=12)
-    views, gap = photographs.train, 1.5 / 11
-    assert neighbours(views, gap, photographs.camera_of) == {}, "cameras jump from one time to the next"
-    assert neighbours(views, gap, lambda view: None) == {i: i + 1 if i < 11 else 10 for i in range(12)}
-    assert neighbours(views[::2], gap, lambda view: None) == {}, "frames in between are missing"
-
-
-def test_frames_of_cameras_that_move_are_told_apart_by_their_names() -> None:
-    """Two cameras that pass a plane side by side: each view's flow is to the next frame of its own camera."""
-    clip = clip_past_a_plane()
-    count = len(clip.train)
-    views = [replace(view, name=f"train/{camera}_{i:04d}") for camera in "ab" for i, view in enumerate(clip.train)]
-    pair = replace(clip, train=tuple(views), playback_rate=None, cameras_move=True)
-    targets, alone = FlowTargets(pair), FlowTargets(clip)
-    for index, view in enumerate(views):
-        found, expected = targets.at(index, view.camera), alone.at(index % count, view.camera)
-        assert found.step == expected.step
-        np.testing.assert_array_equal(found.camera.world_to_cam, expected.camera.world_to_cam)
-        np.testing.assert_array_equal(found.flow.numpy(), expected.flow.numpy())
+    views = tiny_film(frames=4).train  # four frames each of three cameras
+    gap = 1.5 / RATE
+    assert neighbours(views, gap) == {i: i + 1 if i % 4 < 3 else i - 1 for i in range(12)}
+    assert neighbours(views[::2], gap) == {}, "frames in between are missing"
+    photographs, gap = tiny_scene(views=12).train, 1.5 / 11
+    assert neighbours(photographs, gap) == {}, "cameras jump from one time to the next"
+    assert neighbours(photographs, gap, is_clip=True) == {i: i + 1 if i < 11 else 10 for i in range(12)}
+    assert neighbours(photographs[::2], gap, is_clip=True) == {}, "frames in between are missing"
 
 
 def test_flow_of_a_clip_comes_with_the_camera_that_sees_it() -> None:
