@@ -245,8 +245,7 @@ def _title(cfg: Config, metrics: dict | None = None) -> str:
     """scene, model, schedule and seed in one line. metrics: of the finished run, for what selection left out."""
     found = metrics or {}
     selection = found.get("select_time_colour")
-    left_out = bool(selection) and not selection["kept"]
-    model = cfg.ablation.name + (", 4DSH left out" if left_out else "")
+    model = cfg.ablation.name + (", 4DSH left out" if selection and not selection["kept"] else "")
     if (motion := found.get("select_motion")) and not motion["dynamic"]:
         model = "static, as validation found"
     return f"{cfg.scene.name} · {model} · {cfg.train.name} · seed {cfg.seed}"
