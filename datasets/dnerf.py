@@ -6,7 +6,8 @@
     DIR/train/r_0.png …   RGB or RGBA with straight alpha, all of one size
 
 Poses have Blender's camera axes (x right, y up, z backward). Intrinsics may be in pixels, with lens distortion
-(cameras/intrinsics.py). A single transforms.json is read as transforms_train.json. Times may be in any unit and from
+(cameras/intrinsics.py). A single transforms.json is read as transforms_train.json, unless it has nerfstudio's masks or
+lists of file names. Times may be in any unit and from
 any origin; if no entry has a time the scene is static. Invalid input raises SceneError, before any image is decoded
 where the headers suffice.
 """
@@ -23,7 +24,7 @@ from datasets.cameras.intrinsics import read_distortion, read_pinhole
 from datasets.cameras.transforms import TransformsEntry, read_transforms
 from datasets.canonical import canonical_space
 from datasets.composition import BLACK, Color, as_color, chosen_background, compose, coverage, reduced_camera
-from datasets.files.errors import SceneError
+from datasets.files.errors import SceneError, read_json
 from datasets.files.image_files import common_size, read_rgba
 from datasets.ground_truth import truth_beside
 from datasets.scene import Scene, View, camera_extent, make_camera, validate_scene
@@ -38,6 +39,7 @@ STEPS_BEYOND = 4.0  # times in [0, 1]: bound of its distance, × the longest ste
 STRETCH, WHOLE_STEP = 0.25, 0.75
 OUTLIER_DISTANCE = 10.0  # times in another unit: bound of its distance, × the span of the other times
 SPLITS = ("train", "test", "val")
+FILE_LISTS = ("train_filenames", "val_filenames", "test_filenames")  # of nerfstudio
 VALIDATION_EVERY = 8  # suggested in the message about a missing split
 
 
@@ -114,9 +116,20 @@ def _read_split(root: Path, split: str) -> list[TransformsEntry]:
     path = root / f"transforms_{split}.json"
     if split == "train" and not path.exists() and (root / "transforms.json").is_file():
         path = root / "transforms.json"
+        _refuse_nerfstudio(path)
     elif not path.exists():
         raise SceneError(path, "a file (D-NeRF layout)", _missing_split(root, split))
     return read_transforms(path, root)
+
+
+def _refuse_nerfstudio(path: Path) -> None:
+    """SceneError if the file says which pixels and frames to train on, which only the reader of nerfstudio obeys."""
+    content = read_json(path, SceneError)
+    frames = content.get("frames", []) if isinstance(content, dict) else []
+    found = [key for key in FILE_LISTS if key in content]
+    found += ["mask_path"] if any(isinstance(frame, dict) and "mask_path" in frame for frame in frames) else []
+    if found:
+        raise SceneError(path, f"no {found[0]} (scene=auto reads files of nerfstudio)", found[0])
 
 
 def _missing_split(root: Path, split: str) -> str:

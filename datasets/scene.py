@@ -98,6 +98,7 @@ class Scene:
     sweeps: tuple[Sweep, ...] = ()  # LiDAR of the training frames, in the order of time
     test_sweeps: tuple[Sweep, ...] = ()  # of the held-out frames; no model is trained on them
     cameras_move: bool = False  # several cameras, of which some move; views are named <split>/<camera>_<frame>
+    cameras_stand: bool = False  # photographs by several cameras, each from one place, at times of their own
     is_drive: bool = False  # a car drives through it; images of different cameras may differ in size
     metre: float | None = None  # world units per metre; None: unknown
     seconds_per_unit: float = 1.0  # of a driving log: seconds per unit of its times
@@ -116,17 +117,17 @@ class Scene:
 
     @cached_property
     def _times_of_cameras(self) -> list[list[float]]:
-        """The distinct times, ascending, of each training camera of videos and logs; of photographs all in one list."""
+        """The distinct times, ascending, of each training camera that films; of other photographs all in one list."""
         found: dict[bytes | str, set[float]] = defaultdict(set)
         for view in self.train:
             found[self._camera_of(view)].add(view.time)
         return [sorted(times) for times in found.values()]
 
     def _camera_of(self, view: View) -> bytes | str:
-        """Tells cameras of videos and logs apart: those that move by their views' names, others by their pose."""
+        """Tells cameras that film apart: those that move by their views' names, others by their pose."""
         if self.cameras_move or self.is_drive:
             return view.name.rpartition("_")[0]
-        return b"" if self.frame_rate is None else view.camera.world_to_cam.tobytes()
+        return view.camera.world_to_cam.tobytes() if self.frame_rate is not None or self.cameras_stand else b""
 
     @cached_property
     def frame_spacing(self) -> float:

@@ -10,6 +10,7 @@ Poses have OpenGL's camera axes. Masks are 0 where pixels do not count.
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -36,6 +37,9 @@ def read_nerfstudio(root: Path, options: LayoutOptions) -> Scene:
     entries = read_transforms(file, root)
     content = read_json(file, SceneError)
     used = _in_use(root, entries, content, file, options)
+    (path, count), *_ = Counter(entry.image_path.resolve() for entry, _ in used).most_common(1) or [(root, 0)]
+    if count > 1:  # it would be trained on and held out
+        raise SceneError(file, "each image once", f"{path} {count} times")
     size = common_size([entry.image_path for entry, _ in used])
     photographs = [_photograph(root, entry, size, test) for entry, test in used]
     repeated = {p.name for p in photographs}

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -42,7 +42,7 @@ class LayoutOptions:
     test_every: int = 8  # where the layout has no test split
     test_cameras: Sequence[int] = (0,)  # where several cameras filmed
     first_frame: int = 0
-    frames: int = 300  # largest number of different times in use
+    frames: int = 300  # largest number of different times in use, of cameras that stand still each
     background: Color | None = None  # under transparent pixels; None: see composition.chosen_background
     log: Log = print
 
@@ -118,6 +118,7 @@ def to_scene(
         raise SceneError(root, f"at least {downscale} pixels a side (scene.downscale)", "{} x {}".format(*size))
     held_out, how = _held_out(root, photographs, options)
     options.log(f"held out: {how}")
+    trained = [photograph for photograph in photographs if photograph.name not in held_out]
     composed_over = options.background or BLACK
     views: dict[str, list[View]] = {"train": [], "test": []}
     cameras: dict[int, Camera] = {}
@@ -154,7 +155,8 @@ def to_scene(
             init_box=space.inverse.box((-1.2, 1.2)),
             source=root,
             unit=space.unit,
-            playback_rate=PLAYBACK_RATE if len({p.group for p in photographs}) == 1 and high > low else None,
+            playback_rate=PLAYBACK_RATE if len({p.group for p in trained}) == 1 and high > low else None,
+            cameras_stand=_stand_still(trained),
             points=points,
             test_split=how,
         )
@@ -206,7 +208,7 @@ def _timed(photographs: Sequence[Photograph], options: LayoutOptions) -> list[Ph
     numbers = [_last_number(photograph.path.stem) for photograph in photographs]
     of_cameras = {(photograph.group, number) for photograph, number in zip(photographs, numbers)}
     if None not in numbers and len(of_cameras) == len(numbers) and len(set(numbers)) > 1:
-        times, how = [float(number) for number in numbers if number is not None], "the numbers in the file names"
+        times, how = [number for number in numbers if number is not None], "the numbers in the file names"
     else:
         times, how = [float(index) for index in range(len(photographs))], "evenly spaced, in the order of the names"
     options.log(f"times: {how}; if nothing moves, ablation.static=true leaves time out")
@@ -219,12 +221,15 @@ def _limited(root: Path, photographs: Sequence[Photograph], options: LayoutOptio
     SceneError for settings that leave fewer than FEWEST.
     """
     times = sorted({photograph.time for photograph in photographs if photograph.time is not None})
-    chosen = times[options.first_frame :]
-    if len(chosen) > options.frames:
-        chosen = [chosen[i] for i in np.unique(np.linspace(0, len(chosen) - 1, options.frames).round().astype(int))]
-        options.log(f"{options.frames} of {len(times)} times are used, evenly spread (scene.frames={options.frames})")
-    kept = set(chosen)
-    found = [photograph for photograph in photographs if photograph.time in kept]
+    rest = [photograph for photograph in photographs if photograph.time in set(times[options.first_frame :])]
+    if _stand_still(rest):
+        found = [p for group in sorted({p.group for p in rest}) for p in _spread(rest, options.frames, group)]
+        found.sort(key=lambda p: (p.time, p.name))
+    else:
+        found = _spread(rest, options.frames)
+    if len(found) < len(rest):
+        used = len({photograph.time for photograph in found})
+        options.log(f"{used} of {len(times)} times are used, evenly spread (scene.frames={options.frames})")
     if len(found) < FEWEST:
         cut = len(times) - options.first_frame > options.frames
         key, value = ("frames", options.frames) if cut else ("first_frame", options.first_frame)
@@ -236,6 +241,36 @@ def _limited(root: Path, photographs: Sequence[Photograph], options: LayoutOptio
     return found
 
 
+def _spread(photographs: Sequence[Photograph], count: int, group: int | None = None) -> list[Photograph]:
+    """Those of at most `count` times, evenly spread; of one group or all.
+
+    Times that the layout holds out are spread by themselves: of times that alternate, an even choice from both would
+    train on one stretch and test on another.
+    """
+    own = [photograph for photograph in photographs if group is None or photograph.group == group]
+    times = {photograph.time for photograph in own}
+    trained = {photograph.time for photograph in own if not photograph.test}
+    if len(times) <= count:
+        return own
+    of_training = round(count * len(trained) / len(times))
+    kept = {
+        listed[i]
+        for chosen, number in ((trained, of_training), (times - trained, count - of_training))
+        if (listed := sorted(time for time in chosen if time is not None))
+        for i in np.linspace(0, len(listed) - 1, max(1, number)).round().astype(int)
+    }
+    return [photograph for photograph in own if photograph.time in kept]
+
+
+def _stand_still(photographs: Sequence[Photograph]) -> bool:
+    """Whether they are by two cameras or more, each of which took several from one place."""
+    poses: dict[int, set[bytes]] = defaultdict(set)
+    for photograph in photographs:
+        poses[photograph.group].add(photograph.camera.world_to_cam.tobytes())
+    fewest = min(Counter(photograph.group for photograph in photographs).values(), default=0)
+    return len(poses) > 1 and fewest > 1 and all(len(found) == 1 for found in poses.values())
+
+
 def _held_out(root: Path, photographs: Sequence[Photograph], options: LayoutOptions) -> tuple[set[str], str]:
     """(names held out, how the split is called in tables)."""
     stated = {photograph.name for photograph in photographs if photograph.test}
@@ -244,7 +279,8 @@ def _held_out(root: Path, photographs: Sequence[Photograph], options: LayoutOpti
     # Camera number -> how messages call it.
     cameras = {p.group: f"{p.group} ({p.folder})" if p.folder else f"{p.group}" for p in photographs}
     times = len({photograph.time for photograph in photographs})
-    if (len(cameras) > 2 and times < len(photographs)) or (len(cameras) > 1 and list(options.test_cameras) != [0]):
+    rig = times < len(photographs) or _stand_still(photographs)
+    if (len(cameras) > 2 and rig) or (len(cameras) > 1 and list(options.test_cameras) != [0]):
         # 0, the default, is the first camera also where a folder counts from 1.
         chosen = sorted({min(cameras) if number == 0 else number for number in options.test_cameras})
         if not set(chosen) < set(cameras):
@@ -253,7 +289,14 @@ def _held_out(root: Path, photographs: Sequence[Photograph], options: LayoutOpti
         names = {photograph.name for photograph in photographs if photograph.group in chosen}
         return names, "camera " + ", ".join(cameras[number] for number in chosen)
     every = options.test_every
-    held_out = {photograph.name for photograph in photographs[every // 2 :: every]}
+    groups = sorted(cameras)
+    held_out = {
+        photograph.name
+        for number, group in enumerate(groups)  # of two cameras at one time not both
+        for photograph in [p for p in photographs if p.group == group][
+            (every // 2 + number * every // len(groups)) % every :: every
+        ]
+    }
     if not held_out:
         held_out = {photographs[len(photographs) // 2].name}
     return held_out, f"every {ordinal(every)} frame"
@@ -282,6 +325,9 @@ def _mask(photograph: Photograph, downscale: int) -> np.ndarray | None:
     return small == 255
 
 
-def _last_number(stem: str) -> int | None:
+def _last_number(stem: str) -> float | None:
+    """12 of "frame_012"; the whole of a name that is seconds, as 1305031102.175304."""
+    if re.fullmatch(r"\d+\.\d+", stem):
+        return float(stem)
     found = re.findall(r"\d+", stem)
-    return int(found[-1]) if found else None
+    return float(found[-1]) if found else None

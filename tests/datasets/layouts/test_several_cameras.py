@@ -1,0 +1,105 @@
+"""Which photographs of a layout one camera took, at which times, and which of them are trained on."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from layout_folders import write_nerfies, write_nerfstudio
+from layout_scenes import read
+
+from datasets.scene import View
+
+
+def rewritten(root: Path, change) -> None:
+    """transforms.json after change(index, frame) of each frame, which may move its image."""
+    content = json.loads((root / "transforms.json").read_text())
+    for index, frame in enumerate(content["frames"]):
+        before = frame["file_path"]
+        change(index, frame)
+        (root / frame["file_path"]).parent.mkdir(exist_ok=True)
+        (root / before).rename(root / frame["file_path"])
+    (root / "transforms.json").write_text(json.dumps(content))
+
+
+def rig(root: Path, offset: float, count: int = 32, cameras: int = 4) -> Path:
+    """Cameras that stand still, a folder each, 30 frames a second, each `offset` seconds later than the one before."""
+    write_nerfstudio(root, count)
+    poses = [frame["transform_matrix"] for frame in json.loads((root / "transforms.json").read_text())["frames"]]
+
+    def place(index: int, frame: dict) -> None:
+        camera, number = index % cameras, index // cameras
+        frame["file_path"] = f"images/cam{camera}/{number:04d}.png"
+        frame["transform_matrix"], frame["time"] = poses[camera], number / 30 + camera * offset
+
+    rewritten(root, place)
+    return root
+
+
+@pytest.mark.parametrize("offset", [0, 0.0006, 0.01])
+def test_cameras_that_stand_still_may_have_times_of_their_own(tmp_path: Path, offset: float) -> None:
+    scene, _ = read(rig(tmp_path, offset))
+    assert scene.several_cameras and not scene.is_clip and scene.test_split == "camera 0 (cam0)"
+    assert scene.frame_spacing == pytest.approx(1 / 30, rel=1e-6) and len(scene.train) == 24
+
+
+def test_frames_of_each_camera_are_spread_evenly(tmp_path: Path) -> None:
+    scene, _ = read(rig(tmp_path, 0.0006), frames=4)
+    numbers = sorted(int(view.name[-4:].rpartition("_")[2]) for view in scene.train)
+    assert numbers == sorted([0, 2, 5, 7] * 3), "4 of 8, of three cameras in training"
+
+
+def test_of_two_cameras_both_are_held_out_at_times_of_their_own(tmp_path: Path) -> None:
+    scene, _ = read(rig(tmp_path, 0, cameras=2))
+    places = [view.camera.world_to_cam.tobytes() for view in scene.test]
+    assert len(places) == 4 and len(set(places)) == 2
+    assert len({view.time for view in scene.test}) == 4 and {v.time for v in scene.test} <= set(scene.train_times)
+
+
+def test_held_out_cameras_beside_a_clip_leave_it_a_clip(tmp_path: Path) -> None:
+    """As DyCheck: one camera moves, and others, which only test, stand still."""
+    write_nerfies(tmp_path)
+    metadata = json.loads((tmp_path / "metadata.json").read_text())
+    held_out = json.loads((tmp_path / "dataset.json").read_text())["val_ids"]
+    for name in held_out:
+        metadata[name]["camera_id"] = 1
+    (tmp_path / "metadata.json").write_text(json.dumps(metadata))
+    scene, _ = read(tmp_path)
+    assert len(scene.test) == len(held_out) == 3 and scene.is_clip
+
+
+def alternating(root: Path, count: int = 30) -> Path:
+    """As HyperNeRF's interpolation: of frames 0, 2, 4, … every second is held out."""
+    write_nerfies(root, count)
+    ids = json.loads((root / "dataset.json").read_text())["ids"]
+    split = {"ids": ids, "train_ids": ids[::2], "val_ids": ids[1::2], "count": count, "num_exemplars": len(ids[::2])}
+    (root / "dataset.json").write_text(json.dumps(split))
+    return root
+
+
+@pytest.mark.parametrize("frames", [30, 20, 15, 10])
+def test_few_frames_are_spread_over_training_and_test_alike(tmp_path: Path, frames: int) -> None:
+    scene, _ = read(alternating(tmp_path), frames=frames)
+    assert abs(len(scene.train) - frames / 2) <= 1 and abs(len(scene.test) - frames / 2) <= 1
+
+    def longest_gap(views: tuple[View, ...]) -> float:
+        return float(np.diff([0.0, *(view.time for view in views), 87.0]).max())  # frames are at 0, 3, 6, … 87
+
+    # A stretch of two times the mean distance: rounding to frames that there are, and the held-out ends.
+    assert longest_gap(scene.train) <= 2 * 87 / (len(scene.train) - 1)
+    assert longest_gap(scene.test) <= 2 * 87 / (len(scene.test) - 1)
+
+
+def test_names_that_are_seconds_are_times(tmp_path: Path) -> None:
+    write_nerfstudio(tmp_path)
+    times = 1305031102 + np.arange(12) / 30 + np.random.default_rng(0).uniform(-2e-3, 2e-3, 12)
+
+    def stamp(index: int, frame: dict) -> None:
+        frame["file_path"] = f"images/{times[index]:.6f}.png"
+
+    rewritten(tmp_path, stamp)
+    scene, _ = read(tmp_path)
+    views = sorted(scene.train + scene.test, key=lambda view: view.time)
+    np.testing.assert_allclose([view.time for view in views], times, rtol=0, atol=1e-6)  # as many decimals as the names
