@@ -103,6 +103,12 @@ class Canonical:
             "film's t counts from its first frame in use",
         }
 
+    @classmethod
+    def from_dict(cls, content: dict) -> Canonical:
+        """The transform that `to_dict` describes."""
+        centre = tuple(content["centre"])
+        return cls(centre, content["scale"], content["time_origin"], content["time_scale"])
+
     def __str__(self) -> str:
         """The transform in one line of a log."""
         parts, centre = [], ", ".join(f"{x:.6g}" for x in self.centre)

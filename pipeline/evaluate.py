@@ -2,7 +2,8 @@
 
 MODEL is a run folder or a file: a checkpoint of this program (.safetensors), one of the released program (.pth), or a
 .ply file. The scene and all other keys are those of `python -m pipeline`: scene=dnerf/lego scene.path=DIR. Writes
-metrics.json, per_image.csv and renders/. A .pth file has the coordinates of the data's files, others canonical ones.
+metrics.json, per_image.csv and renders/. A .pth file has the coordinates of the data's files, others canonical ones:
+those of the run, if its canonical.json is beside them.
 """
 
 from __future__ import annotations
@@ -18,14 +19,19 @@ from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
 from rich.table import Table
 
+from datasets.canonical import Canonical
 from datasets.files.atomic_write import write_json
+from datasets.files.errors import read_json
 from pipeline.config.compose import CONFIG_DIR, one_line, quote_paths, register_schema, to_config
 from pipeline.config.schema import Config
 from pipeline.data.prepare import prepare
+from pipeline.data.prepared import Prepared
 from pipeline.evaluation.evaluate import Evaluation, evaluate_with_images
 from pipeline.model.model import Model
 from pipeline.model.scene_settings import resolved
+from pipeline.model.transformed import in_canonical
 from pipeline.runs.run_folder import now, write_csv
+from pipeline.runs.run_identity import read_config
 from pipeline.studies.model_file import read_model
 from pipeline.terminal.command_line import CommandParser, command, log
 from pipeline.training.checkpoint import FILE_NAME
@@ -48,7 +54,7 @@ def main(arguments: list[str]) -> int:
     torch.set_num_threads(1)  # as in a run: views are measured side by side
     data = prepare(cfg, log)
     cfg = resolved(cfg, data.scene)
-    model = read_model(path, data.canonical)
+    model = _as_trained(read_model(path, data.canonical), path, cfg, data)
     out = options.out or Path("results") / "evaluated" / cfg.scene.name / name_of(options.model)
     log(f"evaluate: {len(model)} Gaussians of {path} on {len(data.scene.test)} test views of {cfg.scene.name}")
     (out / "renders").mkdir(parents=True, exist_ok=True)
@@ -61,8 +67,31 @@ def main(arguments: list[str]) -> int:
 
 
 def name_of(model: Path) -> str:
-    """Of the folder of its results: `full_fast_seed0` of the run folder …/full/fast/seed0."""
-    return "_".join(model.resolve().parts[-3:]) if model.is_dir() else model.stem
+    """Of the folder of its results: `full_fast_seed0` of the run folder …/full/fast/seed0, and with the file's name."""
+    path = model.resolve()
+    parts = path.parts[1:] if model.is_dir() else (*path.parts[1:-1][-3:], path.stem)
+    return "_".join(parts[-3:] if model.is_dir() else parts)
+
+
+def _as_trained(model: Model, path: Path, cfg: Config, data: Prepared) -> Model:
+    """The model in the canonical coordinates of the scene as it is read now.
+
+    They depend on the training cameras in use and, of videos, on the first frame; a run's folder says what its own are.
+    """
+    stored, config = path.with_name("canonical.json"), path.with_name("config.yaml")
+    if path.suffix == ".pth" or not stored.is_file():
+        return model
+    first = read_config(config).get("scene", {}).get("first_frame", 0) if config.is_file() else cfg.scene.first_frame
+    if data.scene.frame_rate is not None and first != cfg.scene.first_frame:
+        raise ValueError(
+            f"scene.first_frame: expected {first}, from which the times of {path.parent} count, "
+            f"found {cfg.scene.first_frame}"
+        )
+    own = Canonical.from_dict(read_json(stored))
+    if own == data.canonical:
+        return model
+    log(f"evaluate: from the coordinates of {stored} to those of the scene's training cameras now")
+    return in_canonical(in_canonical(model, own.inverse), data.canonical)
 
 
 def _composed(keys: list[str]) -> Config:

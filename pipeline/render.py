@@ -68,6 +68,9 @@ def path_frames(
         own = [None if time is None else canonical.time(time) for _, time in poses]
     if times is None and None not in own:
         return [PathFrame(camera, time) for camera, time in zip(cameras, own) if time is not None]
+    if times is None and any(time is not None for time in own):
+        where = f"frames[{own.index(None)}]"
+        raise ValueError(f"{path}: expected a time in every frame or in none, found none in {where}; or give --times")
     times = times or Times((scene.time_start, scene.time_end), listed=False)
     return [PathFrame(camera, time) for camera, time in zip(cameras, times.of(len(cameras)))]
 

@@ -39,7 +39,7 @@ def one_per_experiment(arguments: Sequence[str]) -> list[list[str]]:
 
 def planned_sweeps(commands: Sequence[Sequence[str]]) -> list[dict[str, PlannedRun]]:
     """For each command: run folder -> run, in the sweep's order; nothing for what is no sweep. Raises what Hydra
-    raises."""
+    raises, and ValueError where two runs of a sweep have one folder."""
     with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
         return [
             _runs_of(command) if all(argument in MULTIRUN or argument[:1] != "-" for argument in command) else {}
@@ -73,7 +73,13 @@ def _runs_of(command: Sequence[str]) -> dict[str, PlannedRun]:
         cfg.seed = next((int(override[5:]) for override in job if override.startswith("seed=")), cfg.seed)
         work = float(cfg.train.iterations * cfg.train.batch * cfg.scene.size**2)
         with _choices_of(cfg):
-            runs[cfg.out] = PlannedRun(tuple(job), hydra.runtime.choices.launcher, work)
+            run, out = PlannedRun(tuple(job), hydra.runtime.choices.launcher, work), cfg.out
+        if runs.setdefault(out, run).overrides != run.overrides:
+            differing = sorted(set(run.overrides) ^ set(runs[out].overrides))
+            raise ValueError(
+                f"out: expected a folder for each run of the sweep, found {out} for two that differ in "
+                f"{', '.join(differing)}; name what differs, as out='results/runs/${{scene.name}}/${{train.batch}}'"
+            )
     return runs
 
 

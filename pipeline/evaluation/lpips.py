@@ -138,8 +138,8 @@ def _download(url: str, path: Path, digest: str) -> None:
     raise LpipsUnavailable(
         " ".join(
             f"LPIPS weights {path.name} are neither in {folder} nor available from "
-            f"{url.split('/')[2]} ({problem}); put the file there, or set "
-            "evaluate.lpips=false".split()
+            f"{url.split('/')[2]} ({problem}); put the file there, and "
+            "delete the run's metrics.json to evaluate again, or set evaluate.lpips=false".split()
         )
     )
 

@@ -76,17 +76,18 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _refuse_other_views(folders: list[Path], runs: list[TrainedRun]) -> None:
-    """ValueError where the runs have not the same cameras and times: they could not be in step."""
+    """ValueError where the runs have not the same cameras, times and background: a page has one of each."""
 
     def views(run: TrainedRun) -> str:
         cameras = cameras_of(run.scene, run.cfg.train.resolution_scale, with_truths=False)
-        return json.dumps([run.cfg.scene.name, cameras.header])
+        return json.dumps([run.cfg.scene.name, cameras.header, list(run.scene.background), run.cfg.scene.near])
 
     for folder, run in zip(folders[1:], runs[1:]):
         if views(run) != views(runs[0]):
             raise ValueError(
-                f"{folder}: expected a run of {runs[0].cfg.scene.name} with the cameras and times of {folders[0]}, "
-                f"found {run.cfg.scene.name} with others; runs side by side are of one scene at one size"
+                f"{folder}: expected a run of {runs[0].cfg.scene.name} with the cameras, times, background and near "
+                f"plane of {folders[0]}, found {run.cfg.scene.name} with others; runs side by side are of one scene at "
+                "one size"
             )
 
 

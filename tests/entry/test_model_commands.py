@@ -11,12 +11,14 @@ import pytest
 from PIL import Image
 from shell import TINY, Shell
 
+from datasets.canonical import Canonical
 from pipeline.evaluate import main as evaluate
 from pipeline.evaluate import name_of
 from pipeline.export.__main__ import main as export
 from pipeline.export.formats import FORMATS
 from pipeline.figures.__main__ import main as figures
-from pipeline.model.ply import load_ply
+from pipeline.model.ply import load_ply, save_ply
+from pipeline.model.transformed import in_canonical
 from pipeline.render import main as render
 from pipeline.training.checkpoint import load_model
 
@@ -160,4 +162,25 @@ def test_results_of_two_runs_have_two_folders(tmp_path: Path) -> None:
         (tmp_path / ablation / "fast" / "seed0").mkdir(parents=True)
     assert name_of(tmp_path / "full/fast/seed0") == "full_fast_seed0"
     assert name_of(tmp_path / "no_4drot/fast/seed0") == "no_4drot_fast_seed0"
-    assert name_of(tmp_path / "model.ply") == "model"
+    assert name_of(tmp_path / "full/fast/seed0/checkpoint.safetensors") == "full_fast_seed0_checkpoint"
+    assert name_of(Path("/model.ply")) == "model"
+
+
+def test_a_model_is_read_in_its_own_run_s_coordinates(run: Path, tmp_path: Path) -> None:
+    """Those of another choice of training cameras: the file is moved, scaled and slower, and its canonical.json says
+    so. Images are the same up to float32."""
+    own = Canonical((0.3, -0.2, 0.1), 1.3, 0.1, 0.7)
+    save_ply(tmp_path / "model.ply", in_canonical(load_model(run / "checkpoint.safetensors"), own))
+    (tmp_path / "canonical.json").write_text(json.dumps(own.to_dict()))
+    arguments = [str(tmp_path / "model.ply"), *SCENE, f"scene.cache={run.parent}/cache", "--out", str(tmp_path / "x")]
+    assert evaluate(arguments) == 0
+    found, trained = (json.loads((folder / "metrics.json").read_text())["final"] for folder in (tmp_path / "x", run))
+    assert found["psnr"] == pytest.approx(trained["psnr"], abs=1e-2)
+
+
+def test_a_path_with_some_times_is_refused(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    pose = [[1, 0, 0, 0], [0, 0, -1, -4], [0, 1, 0, 0], [0, 0, 0, 1]]
+    frames = [{"transform_matrix": pose, "time": 0.5}, {"transform_matrix": pose}]
+    (tmp_path / "path.json").write_text(json.dumps({"camera_angle_x": 0.7, "w": 16, "h": 16, "frames": frames}))
+    assert render([str(run), "--path", str(tmp_path / "path.json"), "--out", str(tmp_path / "out")]) == 1
+    assert "path.json: expected a time in every frame or in none, found none in frames[1]" in capsys.readouterr().err

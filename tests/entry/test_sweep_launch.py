@@ -64,6 +64,18 @@ def test_a_run_of_two_experiments_is_the_first_one_s() -> None:
     assert sum("scene=synthetic/wheel" in run.overrides for run in runs.values()) == 6
 
 
+SEPARATE = "out=x/${scene.name}/${ablation.name}/${seed}"
+
+
+def test_two_runs_of_a_sweep_in_one_folder_are_refused() -> None:
+    register_schema()
+    swept = ["-m", "scene=synthetic/wheel", "train=smoke", "train.batch=2,4", "seed=0,1"]
+    with pytest.raises(ValueError, match="synthetic/wheel/full/smoke/seed0 for two that differ in .*batch=2.*batch=4"):
+        planned_sweeps([swept])
+    (runs,) = planned_sweeps([[*swept, "out=x/${train.batch}/${seed}"]])
+    assert sorted(runs) == ["x/2/0", "x/2/1", "x/4/0", "x/4/1"]
+
+
 @pytest.mark.parametrize(
     "commands, one",
     [
@@ -71,7 +83,7 @@ def test_a_run_of_two_experiments_is_the_first_one_s() -> None:
         ([SUITE], False),
         ([SUITE, SMOKE], False),  # their launchers differ
         ([SUITE, ["scene=synthetic/wheel"]], False),  # the second is a single run
-        ([[*SUITE, "out=x"], [*NO_4DROT, "out=x"]], False),  # all in one folder, which only the first may have
+        ([[*SUITE, SEPARATE], [*NO_4DROT, SEPARATE]], False),  # the same folders, which only the first may have
     ],
 )
 def test_which_commands_can_be_one(commands: list[list[str]], one: bool) -> None:

@@ -188,6 +188,18 @@ def test_schedules_are_compared_for_one_requested_model(tmp_path) -> None:
     assert models.LEFT_OUT_NOTE in table.notes
 
 
+def test_schedules_are_compared_on_the_same_images(tmp_path) -> None:
+    """Runs at another size are another scene, and what stands beside a value of the curve is of the curve too."""
+    for train, size in (("fast", 400), ("paper", 400), ("fast", 200)):
+        overrides = ["scene=dnerf/lego", f"train={train}", *([f"scene.size={size}"] if size < 400 else [])]
+        write_run(
+            tmp_path, "dnerf/lego", train=train, out=f"{train}{size}", overrides=overrides, **{"final.psnr": 99.0}
+        )
+    table = equal_time(name_variants(collect(tmp_path)))
+    assert [row.cells["train"].text for row in table.rows] == ["fast", "paper"]
+    assert all(row.cells["final_psnr"].value == row.cells["shared_psnr"].value < 99 for row in table.rows)
+
+
 def test_changed_settings_name_the_scenes_without_4dsh(tmp_path) -> None:
     write_seeds(tmp_path, **LEFT_OUT)
     write_seeds(tmp_path, "fast (batch=1)")

@@ -52,12 +52,17 @@ def changed_settings(collection: Collection) -> list[Table]:
     return tables
 
 
+def scene_settings(train: str) -> list[str]:
+    """Of a schedule's name, the settings in brackets that change images, views or initial points of the scene."""
+    return [part for part in parts_of(train)[1] if part.startswith(_SCENE_KEYS)]
+
+
 def _with_changes(runs: pd.DataFrame) -> pd.DataFrame:
     """The runs with columns `schedule` and `change`; changed scene settings become a part of the scene's name."""
     rows = []
     for scene, name in zip(runs["scene"], runs["train"]):
         schedule, parts = parts_of(name)
-        scene_parts = [part for part in parts if part.startswith(_SCENE_KEYS)]
+        scene_parts = scene_settings(name)
         rows.append((with_parts(scene, scene_parts), schedule, ", ".join(p for p in parts if p not in scene_parts)))
     return runs.assign(**{key: [row[i] for row in rows] for i, key in enumerate(("scene", "schedule", "change"))})
 

@@ -69,14 +69,25 @@ def _with_overrides(name: str, overrides: Sequence[str], settings: dict[str, Any
     Evaluation on validation views is always named, also where no override set it.
     """
     unnamed = (*_IGNORED, "scene.path", "scene.name")  # the scene's name is a column of its own
+    given = dict(
+        override.partition("=")[::2] for override in map(_current_key, overrides)
+    )  # of a repeated key the last
     changed = [
-        override.removeprefix("train.")
-        for override in map(_current_key, overrides)
-        if override.startswith(_NAMED) and override.split("=")[0] not in unnamed
+        f"{key}={_one_spelling(value)}".removeprefix("train.")
+        for key, value in given.items()
+        if f"{key}=".startswith(_NAMED) and key not in unnamed
     ]
     if evaluated_on_validation(settings) and not any(part.startswith(f"{VALIDATION}=") for part in changed):
         changed.append(f"{VALIDATION}={settings[VALIDATION]}")
     return with_parts(name, changed)
+
+
+def _one_spelling(value: str) -> str:
+    """0.1 for .1, 0.10 and 1e-1; what is no number as it is."""
+    try:
+        return f"{float(value):.15g}"
+    except ValueError:
+        return value
 
 
 def _current_key(override: str) -> str:
