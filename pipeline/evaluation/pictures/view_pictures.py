@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
@@ -73,8 +74,13 @@ def write_clip_films(folder: Path, renderer: Renderer, frame_rate: float) -> Non
     middle frame; and bullet_time.mp4."""
     scene, scale = renderer.scene, renderer.cfg.train.resolution_scale
 
+    places = Counter(view.camera.world_to_cam.tobytes() for view in scene.train + scene.test)
+
     def taker(view: View) -> str:
-        return camera_name(view.name) if scene.cameras_move else ""
+        if scene.cameras_move:
+            return camera_name(view.name)
+        place = view.camera.world_to_cam.tobytes()
+        return place.hex() if places[place] > 1 else ""  # a held-out camera that stands still beside a clip
 
     views = sorted(scene.train + scene.test, key=lambda view: (taker(view), view.time))
     middle = views[len(views) // 2]
