@@ -59,7 +59,7 @@ class Photograph:
     group: int = 0  # number of the physical camera
     test: bool | None = None  # held out by the layout; None: the layout does not say
     mask: Path | None = None  # an image, 0 where pixels do not count; None: all count
-    folder: str = ""  # of the physical camera's images, where it has one of its own
+    folder: str = ""  # of the physical camera's images, where it has one of its own, or the beginning of their names
 
 
 class FileImage:
@@ -84,14 +84,24 @@ class FileImage:
 
 
 def by_folder(photographs: Sequence[Photograph]) -> list[Photograph]:
-    """images/left/1.png, images/right/1.png: a camera for each folder, numbered in the order of the folders' names."""
+    """images/left/1.png, images/right/1.png: a camera for each folder, numbered in the order of the folders' names.
+
+    In one folder, left_1.png and right_1.png: a camera for each beginning of the names, if each stands still.
+    """
     parents = [os.path.abspath(photograph.path.parent) for photograph in photographs]
     folders = sorted(set(parents), key=natural_order)
     if len(folders) < 2:
-        return list(photographs)
+        return _by_beginning(photographs)
     names = [os.path.relpath(folder, os.path.commonpath(folders)) for folder in folders]
     groups = {folder: group for group, folder in enumerate(folders)}
     return [replace(p, group=groups[own], folder=names[groups[own]]) for p, own in zip(photographs, parents)]
+
+
+def _by_beginning(photographs: Sequence[Photograph]) -> list[Photograph]:
+    beginnings = [re.sub(r"[\W_]*\d+$", "", photograph.path.stem) for photograph in photographs]
+    numbers = {name: number for number, name in enumerate(sorted(set(beginnings), key=natural_order))}
+    found = [replace(p, group=numbers[own], folder=own) for p, own in zip(photographs, beginnings)]
+    return found if _stand_still(found) else list(photographs)
 
 
 def to_scene(

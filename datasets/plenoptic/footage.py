@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +18,7 @@ from datasets.files.errors import SceneError
 from datasets.ground_truth import StoredTruth, film_truth_file
 from datasets.plenoptic.decode import DecodeOptions, Stream, decode, store_folder
 from datasets.plenoptic.display import Log
+from datasets.plenoptic.images import ImageSequence
 from datasets.plenoptic.sync import drop_advice
 from datasets.plenoptic.unsynchronised import AlignedStream
 from datasets.scene import Box, Image, Scene, View, bounding_cube, camera_extent, make_camera, validate_scene
@@ -26,6 +27,7 @@ from rasterizer.cores import thread_count
 
 # Rates outside this range are taken to be per millisecond, per frame or the like, not per second.
 PLAYBACK_RATES = (5.0, 1000.0)
+ROUNDING = 0.1  # frames: images that are later or earlier by less are at equal steps
 
 
 @dataclass(frozen=True)
@@ -161,8 +163,20 @@ class Footage:
         return [StoredTruth(file, number, self.options.downscale, has_depth=not estimated) for number in numbers]
 
     def _time(self, stream: Stream, index: int) -> float:
-        """Of a frame in use: its own where cameras were not synchronised."""
-        return stream.times[index] if isinstance(stream, AlignedStream) else index / self.rate
+        """Of a frame in use: its own where cameras were not synchronised, or images are not at equal steps."""
+        if isinstance(stream, AlignedStream):
+            return stream.times[index]
+        return (index + self._lateness(stream, index) - self._earliest) / self.rate
+
+    def _lateness(self, stream: Stream, index: int) -> float:
+        """Frames by which a frame in use is later than at equal steps; 0 for what may be rounding."""
+        late = stream.late[self.options.first_frame + index] if isinstance(stream, ImageSequence) else 0.0
+        return late if abs(late) > ROUNDING else 0.0
+
+    @cached_property
+    def _earliest(self) -> float:
+        """The smallest lateness of the first frames in use, or 0: no time is negative."""
+        return min(0.0, *(self._lateness(stream, 0) for stream in self.streams))
 
     @property
     def mixed_lenses(self) -> bool:

@@ -52,6 +52,7 @@ class ImageSequence(Stream):
     """A camera's images; its `start` is relative to the earliest image of all cameras."""
 
     paths: tuple[Path, ...]
+    late: tuple[float, ...]  # frames by which each image is later than at equal steps from the earliest of all cameras
     background: Color  # under transparent pixels
 
     def read(self, first: int, count: int, threads: int) -> Iterator[np.ndarray]:
@@ -105,6 +106,7 @@ def image_sequences(
                 count=len(frames),
                 start=(frames[0].time - earliest) * rate,
                 paths=paths,
+                late=tuple((frame.time - earliest) * rate - index for index, frame in enumerate(frames)),
                 background=background,
             )
         )

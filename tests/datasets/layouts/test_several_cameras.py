@@ -24,15 +24,20 @@ def rewritten(root: Path, change) -> None:
     (root / "transforms.json").write_text(json.dumps(content))
 
 
-def rig(root: Path, offset: float, count: int = 32, cameras: int = 4) -> Path:
-    """Cameras that stand still, a folder each, 30 frames a second, each `offset` seconds later than the one before."""
+def rig(root: Path, offset: float | None, count: int = 32, cameras: int = 4, name: str = "cam{}/{:04d}") -> Path:
+    """Cameras that stand still, a folder each, 30 frames a second, each `offset` seconds later than the one before.
+
+    None: without times.
+    """
     write_nerfstudio(root, count)
     poses = [frame["transform_matrix"] for frame in json.loads((root / "transforms.json").read_text())["frames"]]
 
     def place(index: int, frame: dict) -> None:
         camera, number = index % cameras, index // cameras
-        frame["file_path"] = f"images/cam{camera}/{number:04d}.png"
-        frame["transform_matrix"], frame["time"] = poses[camera], number / 30 + camera * offset
+        frame["file_path"] = f"images/{name.format(camera, number)}.png"
+        frame["transform_matrix"] = poses[camera]
+        if offset is not None:
+            frame["time"] = number / 30 + camera * offset
 
     rewritten(root, place)
     return root
@@ -43,6 +48,24 @@ def test_cameras_that_stand_still_may_have_times_of_their_own(tmp_path: Path, of
     scene, _ = read(rig(tmp_path, offset))
     assert scene.several_cameras and not scene.is_clip and scene.test_split == "camera 0 (cam0)"
     assert scene.frame_spacing == pytest.approx(1 / 30, rel=1e-6) and len(scene.train) == 24
+
+
+@pytest.mark.parametrize("offset", [0.0006, None])
+def test_cameras_in_one_folder_are_told_apart_by_their_names(tmp_path: Path, offset: float | None) -> None:
+    """Without times a number in the names is one, of all cameras alike."""
+    scene, _ = read(rig(tmp_path, offset, name="cam{}_{:04d}"))
+    assert scene.several_cameras and not scene.is_clip and scene.test_split == "camera 0 (cam0)"
+    assert scene.frame_spacing == pytest.approx(1 / 30 if offset else 1)
+
+
+def test_names_of_a_camera_that_moves_tell_nothing(tmp_path: Path) -> None:
+    write_nerfstudio(tmp_path)
+
+    def rename(index: int, frame: dict) -> None:
+        frame["file_path"] = f"images/{'ab'[index // 6]}_{index:04d}.png"  # two takes, say
+
+    rewritten(tmp_path, rename)
+    assert read(tmp_path)[0].is_clip
 
 
 def test_frames_of_each_camera_are_spread_evenly(tmp_path: Path) -> None:

@@ -159,6 +159,24 @@ def test_rounded_times_since_1970_are_synchronised(folder: Path) -> None:
     assert [view.time for view in scene.test] == pytest.approx([0, 1 / 30], abs=1e-6)  # rounding is 1.2e-7
 
 
+def test_images_have_the_times_of_the_file(folder: Path) -> None:
+    """Camera 1 starts 0.4 frames late, and its second image is another 0.3 late."""
+    late = {0: 0.4, 1: 0.7, 2: 0.4}
+
+    def shift(content: dict) -> None:
+        for entry in content["frames"]:
+            if "cam01" in entry["file_path"]:
+                entry["time"] += late[int(entry["file_path"][-4:])] / 30
+
+    edit(folder, shift)
+    scene = read(folder)
+    found = {view.name: view.time * 30 for view in scene.train + scene.test}
+    for frame in range(FRAMES):
+        assert found[f"train/cam01_{frame:04d}"] == pytest.approx(frame + late[frame], abs=1e-9)
+        assert found[f"train/cam02_{frame:04d}"] == found[f"test/cam00_{frame:04d}"] == pytest.approx(frame, abs=1e-9)
+    assert scene.several_cameras and scene.frame_spacing == pytest.approx(1 / 30)
+
+
 def test_videos_with_poses_take_precedence(folder: Path) -> None:
     for number in range(3):
         write_camera(folder / f"cam{number:02d}.mp4", number)
