@@ -31,6 +31,7 @@ from pipeline.stages.training import train_model
 from pipeline.stages.viewing import write_page
 from pipeline.training import checkpoint as checkpoints
 from pipeline.training.estimate import estimate_if_large, training_minutes
+from pipeline.training.sampling import refuse_large_batch
 
 # In this order. stage_inputs says which of them a run has.
 STAGES = (
@@ -67,6 +68,7 @@ def run(cfg: Config, overrides: Sequence[str], log: Log) -> dict:
     data = prepare(cfg, log)
     unresolved, cfg = cfg, resolved(cfg, data.scene)
     refuse_small_images(data.scene, cfg.train.resolution_scale)  # before hours of training
+    refuse_large_batch(len(data.scene.train), cfg.train.sampler, cfg.train.batch)
     if (data.is_clip or data.scene.cameras_move) and not (cfg.resume and "train" in read_stages(path)):
         log(training_minutes(cfg, data.scene))
     group = overrides_for(data.scene, cfg)

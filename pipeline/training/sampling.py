@@ -17,6 +17,12 @@ from datasets.scene import View
 SAMPLERS = ("pairs", "views_at_one_time", "times_of_one_view")
 
 
+def refuse_large_batch(views: int, kind: str, batch: int) -> None:
+    """ValueError, one line, for a batch of pairs larger than the number of views."""
+    if kind == "pairs" and batch > views:
+        raise ValueError(f"train.batch: expected at most the {views} training views, found {batch}")
+
+
 class BatchSampler:
     """Endless batches of indices of training views.
 
@@ -32,8 +38,7 @@ class BatchSampler:
         """Raises ValueError for an unknown kind, and for a batch of pairs larger than the number of views."""
         if kind not in SAMPLERS:
             raise ValueError(f"train.sampler: expected one of {SAMPLERS}, found {kind!r}")
-        if kind == "pairs" and batch > len(views):
-            raise ValueError(f"train.batch: expected at most the {len(views)} training views, found {batch}")
+        refuse_large_batch(len(views), kind, batch)
         self._batch = batch
         self._pairs = kind == "pairs"
         self._groups = _groups([_group_key(view, i, kind) for i, view in enumerate(views)])

@@ -170,6 +170,7 @@ def test_a_foreign_metrics_file_survives_the_command(shell: Shell) -> None:
         ["scene=video", "scene.path=nowhere"],
         ["scene=plenoptic", "scene.path=nowhere"],
         [*TINY, "init.source=sfm"],
+        [*TINY, "train.batch=1000", "scene.cache=cache"],
     ],
 )
 def test_refused_input_leaves_no_run_folder(shell: Shell, arguments: list[str]) -> None:
