@@ -213,10 +213,11 @@ def test_killed_and_started_again_it_ends_the_same(finished: Path, shell: Shell)
 
 
 def test_a_sweep_goes_on_after_a_run_that_fails(shell: Shell) -> None:
-    out, err = shell("-m", *TINY, "ablation=no_4dsh,static", "scene.size=4,48", "train.iterations=20", status=1)
+    swept = ("ablation=no_4dsh,static", "scene.size=4,48", "out=failing/${ablation.name}/${scene.size}")
+    out, err = shell("-m", *TINY, *swept, "train.iterations=20", status=1)
     assert err.count("error: scene.size: expected 11 to 4096, as SSIM has a window of 11, found 4") == 2
     for ablation in ("no_4dsh", "static"):
-        assert (shell.folder / f"results/runs/synthetic/wheel/{ablation}/smoke/seed0/metrics.json").exists()
+        assert (shell.folder / f"failing/{ablation}/48/metrics.json").exists()
 
 
 def test_a_sweep_side_by_side(shell: Shell) -> None:
