@@ -14,7 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from datasets.files.errors import SceneError
-from datasets.layouts.photographs import LayoutOptions
+from datasets.layouts.photograph import LayoutOptions
 from datasets.scene import Scene
 
 __all__ = ["LayoutOptions", "read_layout"]

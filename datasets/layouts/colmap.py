@@ -19,8 +19,10 @@ from datasets.cameras.intrinsics import LARGEST_COEFFICIENT
 from datasets.cameras.lens import FisheyeLens, Lens, Undistortion
 from datasets.files.errors import SceneError
 from datasets.files.image_files import is_file
+from datasets.layouts.cameras_and_times import by_folder
 from datasets.layouts.colmap_files import ImageRecord, LensRecord, read_cameras, read_images, read_points
-from datasets.layouts.photographs import LayoutOptions, Photograph, by_folder, scene_points, to_scene
+from datasets.layouts.photograph import LayoutOptions, Photograph
+from datasets.layouts.photographs import scene_points, to_scene
 from datasets.scene import Scene, make_camera
 from rasterizer.camera import Camera
 

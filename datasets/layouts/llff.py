@@ -12,7 +12,8 @@ from pathlib import Path
 
 from datasets.files.errors import SceneError
 from datasets.files.image_files import common_size
-from datasets.layouts.photographs import LayoutOptions, Photograph, to_scene
+from datasets.layouts.photograph import LayoutOptions, Photograph
+from datasets.layouts.photographs import to_scene
 from datasets.plenoptic.poses import read_poses
 from datasets.scene import Scene
 

@@ -28,7 +28,8 @@ from datasets.composition import chosen_downscale
 from datasets.files.errors import SceneError, read_json
 from datasets.files.image_files import common_size
 from datasets.files.json_values import get_key, read_number
-from datasets.layouts.photographs import LayoutOptions, Photograph, scene_points, to_scene
+from datasets.layouts.photograph import LayoutOptions, Photograph
+from datasets.layouts.photographs import scene_points, to_scene
 from datasets.scene import Scene, ScenePoints, make_camera
 from rasterizer.camera import Camera
 

@@ -23,7 +23,9 @@ from datasets.cameras.transforms import TransformsEntry, named_path, read_transf
 from datasets.files.errors import SceneError, read_json
 from datasets.files.image_files import common_size, is_file
 from datasets.files.json_values import read_number
-from datasets.layouts.photographs import LayoutOptions, Photograph, by_folder, scene_points, to_scene
+from datasets.layouts.cameras_and_times import by_folder
+from datasets.layouts.photograph import LayoutOptions, Photograph
+from datasets.layouts.photographs import scene_points, to_scene
 from datasets.scene import Scene, ScenePoints
 from rasterizer.camera import Camera
 
