@@ -69,8 +69,8 @@ def main(arguments: list[str]) -> int:
 def name_of(model: Path) -> str:
     """Of the folder of its results: `full_fast_seed0` of the run folder …/full/fast/seed0, and with the file's name."""
     path = model.resolve()
-    parts = path.parts[1:] if model.is_dir() else (*path.parts[1:-1][-3:], path.stem)
-    return "_".join(parts[-3:] if model.is_dir() else parts)
+    folder, file = (path, ()) if model.is_dir() else (path.parent, (path.stem,))
+    return "_".join((*folder.parts[1:][-3:], *file))
 
 
 def _as_trained(model: Model, path: Path, cfg: Config, data: Prepared) -> Model:
@@ -87,7 +87,10 @@ def _as_trained(model: Model, path: Path, cfg: Config, data: Prepared) -> Model:
             f"scene.first_frame: expected {first}, from which the times of {path.parent} count, "
             f"found {cfg.scene.first_frame}"
         )
-    own = Canonical.from_dict(read_json(stored))
+    try:
+        own = Canonical.from_dict(read_json(stored))
+    except (KeyError, TypeError):
+        raise ValueError(f"{stored}: expected centre, scale, time_origin and time_scale of a run") from None
     if own == data.canonical:
         return model
     log(f"evaluate: from the coordinates of {stored} to those of the scene's training cameras now")

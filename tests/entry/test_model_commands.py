@@ -176,6 +176,8 @@ def test_a_model_is_read_in_its_own_run_s_coordinates(run: Path, tmp_path: Path)
     assert evaluate(arguments) == 0
     found, trained = (json.loads((folder / "metrics.json").read_text())["final"] for folder in (tmp_path / "x", run))
     assert found["psnr"] == pytest.approx(trained["psnr"], abs=1e-2)
+    (tmp_path / "canonical.json").write_text('{"scale": 1}')
+    assert evaluate(arguments) == 1
 
 
 def test_a_path_with_some_times_is_refused(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
