@@ -66,7 +66,8 @@ def within_limits(root: Path, photographs: Sequence[Photograph], options: Layout
     SceneError for settings that leave fewer than FEWEST.
     """
     times = sorted({photograph.time for photograph in photographs if photograph.time is not None})
-    rest = [photograph for photograph in photographs if photograph.time in set(times[options.first_frame :])]
+    in_use = set(times[options.first_frame :])
+    rest = [photograph for photograph in photographs if photograph.time in in_use]
     if stand_still(rest):
         found = [p for group in sorted({p.group for p in rest}) for p in _spread(rest, options.frames, group)]
         found.sort(key=lambda p: (p.time, p.name))

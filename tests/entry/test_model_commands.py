@@ -21,6 +21,7 @@ from pipeline.model.ply import load_ply, save_ply
 from pipeline.model.transformed import in_canonical
 from pipeline.render import main as render
 from pipeline.training.checkpoint import load_model
+from pipeline.view.__main__ import main as view
 
 SCENE = TINY[:1] + TINY[2:]  # without the schedule
 
@@ -178,6 +179,15 @@ def test_a_model_is_read_in_its_own_run_s_coordinates(run: Path, tmp_path: Path)
     assert found["psnr"] == pytest.approx(trained["psnr"], abs=1e-2)
     (tmp_path / "canonical.json").write_text('{"scale": 1}')
     assert evaluate(arguments) == 1
+
+
+def test_runs_over_other_backgrounds_are_not_shown_side_by_side(run: Path, capsys: pytest.CaptureFixture) -> None:
+    white = run.parent / "white"
+    shell = Shell(run.parent)
+    shell(*TINY, "out=white", f"scene.cache={run.parent}/cache", "scene.background=white")
+    assert view([str(run), str(white), "--out", str(run.parent / "both.html")]) == 1
+    assert "with the cameras, times, background and near plane of" in capsys.readouterr().err
+    assert view([str(run), str(run), "--out", str(run.parent / "both.html")]) == 0
 
 
 def test_a_path_with_some_times_is_refused(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
