@@ -72,13 +72,13 @@ def _with_overrides(name: str, overrides: Sequence[str], settings: dict[str, Any
     given = dict(
         override.partition("=")[::2] for override in map(_current_key, overrides)
     )  # of a repeated key the last
+    if evaluated_on_validation(settings):
+        given.setdefault(VALIDATION, str(settings[VALIDATION]))
     changed = [
         f"{key}={_one_spelling(value)}".removeprefix("train.")
-        for key, value in given.items()
+        for key, value in sorted(given.items())  # one name, whatever order the command gave them in
         if f"{key}=".startswith(_NAMED) and key not in unnamed
     ]
-    if evaluated_on_validation(settings) and not any(part.startswith(f"{VALIDATION}=") for part in changed):
-        changed.append(f"{VALIDATION}={settings[VALIDATION]}")
     return with_parts(name, changed)
 
 

@@ -22,7 +22,9 @@ def names(root: Path) -> list[str]:
         (("train=paper",), "fast"),  # metrics.json has the schedule's name
         (("train.densify.max_gaussians=50000",), "fast (densify.max_gaussians=50000)"),
         (("+train.dropout=0.1",), "fast (dropout=0.1)"),
-        (("train.iterations=600", "scene.frames=30"), "fast (iterations=600, scene.frames=30)"),
+        # In one order, whatever that of the command
+        (("train.iterations=600", "scene.frames=30"), "fast (scene.frames=30, iterations=600)"),
+        (("scene.frames=30", "train.iterations=600"), "fast (scene.frames=30, iterations=600)"),
         (("train.checkpoint_every=10", "scene.cache=/tmp/x", "threads=1"), "fast"),  # without effect on the result
         # Keys that have been renamed since
         (("train.rate.means=0.1",), "fast (lr.means=0.1)"),
