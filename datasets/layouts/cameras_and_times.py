@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from datasets.files.errors import SceneError
-from datasets.files.natural_order import natural_order
+from datasets.files.natural_order import last_number, natural_order
 from datasets.layouts.photograph import LayoutOptions, Photograph
 
 FEWEST = 3  # photographs
@@ -50,7 +50,7 @@ def with_times(photographs: Sequence[Photograph], options: LayoutOptions) -> lis
         raise SceneError(missing.path, "a time in every frame or in none", f"none here and {len(known)} elsewhere")
     if known:
         return sorted(photographs, key=lambda p: (p.time, p.name))
-    numbers = [_last_number(photograph.path.stem) for photograph in photographs]
+    numbers = [last_number(photograph.path.stem) for photograph in photographs]
     of_cameras = {(photograph.group, number) for photograph, number in zip(photographs, numbers)}
     if None not in numbers and len(of_cameras) == len(numbers) and len(set(numbers)) > 1:
         times, how = [number for number in numbers if number is not None], "the numbers in the file names"
@@ -152,11 +152,3 @@ def ordinal(number: int) -> str:
     """ "2nd", "3rd", "8th"."""
     ending = {1: "st", 2: "nd", 3: "rd"}.get(number % 10, "th") if number % 100 not in (11, 12, 13) else "th"
     return f"{number}{ending}"
-
-
-def _last_number(stem: str) -> float | None:
-    """12 of "frame_012"; the whole of a name that is seconds, as 1305031102.175304."""
-    if re.fullmatch(r"\d+\.\d+", stem):
-        return float(stem)
-    found = re.findall(r"\d+", stem)
-    return float(found[-1]) if found else None

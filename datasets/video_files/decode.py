@@ -14,7 +14,7 @@ import numpy as np
 from datasets.composition import BLACK, Color, compose
 from datasets.files.errors import SceneError
 from datasets.files.image_files import read_rgba
-from datasets.files.natural_order import natural_order
+from datasets.files.natural_order import last_number, natural_order
 from datasets.video_files.hdr import tone_mapped
 from datasets.video_files.probe import Header, open_container
 
@@ -86,16 +86,28 @@ def image_paths(folder: Path) -> list[Path]:
     return sorted(paths, key=lambda path: natural_order(path.name))
 
 
+def image_times(paths: list[Path]) -> np.ndarray:
+    """(images,) seconds since the first: by the numbers in their names if these ascend, so that gaps remain.
+
+    The median step is a frame at IMAGE_RATE. Evenly spaced without such numbers.
+    """
+    numbers = np.array([last_number(path.stem) for path in paths], dtype=np.float64)  # None becomes NaN
+    steps = np.diff(numbers)
+    if not (len(steps) and np.isfinite(numbers).all() and (steps > 0).all()):
+        return np.arange(len(paths)) / IMAGE_RATE
+    return (numbers - numbers[0]) / np.median(steps) / IMAGE_RATE
+
+
 def image_frames(
     paths: list[Path], keep: set[int] | None = None, every: int = 1, background: Color = BLACK
 ) -> Iterator[Frame]:
-    """Images, upright, as frames at IMAGE_RATE; a damaged file comes without an image. SceneError unless all have one
-    size.
+    """Images, upright, as frames at `image_times`; a damaged file comes without an image. SceneError unless all have
+    one size.
 
     background: under transparent pixels.
     """
     first: tuple[str, tuple[int, int]] | None = None
-    for index, path in enumerate(paths):
+    for index, (path, time) in enumerate(zip(paths, image_times(paths).tolist(), strict=True)):
         if (keep is not None and index not in keep) or index % every:
             continue
         try:
@@ -107,7 +119,7 @@ def image_frames(
             first = first or (path.name, stored)
             if stored != first[1]:
                 raise SceneError(path, f"{_pixels(first[1])}, the size of {first[0]}", _pixels(stored))
-        yield Frame(index, index / IMAGE_RATE, image)
+        yield Frame(index, time, image)
 
 
 def _decoded(

@@ -1,4 +1,4 @@
-"""Writes small clips with PyAV: frames at given times, sound, rotation, formats that a phone writes."""
+"""Writes small clips with PyAV, frames at given times, sound, formats that a phone writes, and opens them."""
 
 from __future__ import annotations
 
@@ -9,6 +9,9 @@ from pathlib import Path
 import av
 import numpy as np
 
+from datasets.clip import Clip, ClipOptions, open_clip
+
+SIZE = (96, 64)  # of textured_plane, pixels
 CLOCK = 90_000  # ticks a second of the files' time
 SOUND_RATE = 48_000
 
@@ -48,7 +51,7 @@ def write_clip(
     return path
 
 
-def textured_plane(shift: float, size: tuple[int, int] = (96, 64), seed: int = 0) -> np.ndarray:
+def textured_plane(shift: float, size: tuple[int, int] = SIZE, seed: int = 0) -> np.ndarray:
     """(H, W, 3): noise that moves to the left by `shift` pixels."""
     width, height = size
     rng = np.random.default_rng(seed)
@@ -59,3 +62,14 @@ def textured_plane(shift: float, size: tuple[int, int] = (96, 64), seed: int = 0
     fx, fy = (x % 1)[None, :, None], (y % 1)[:, None, None]
     rows = coarse[top] * (1 - fy) + coarse[top + 1] * fy
     return np.rint(255 * (rows[:, left] * (1 - fx) + rows[:, left + 1] * fx)).astype(np.uint8)
+
+
+def frames(count: int, seed: int = 0, step: float = 1.5) -> list[np.ndarray]:
+    """Of a camera that pans by `step` pixels a frame."""
+    return [textured_plane(step * i, SIZE, seed) for i in range(count)]
+
+
+def opened(path: Path, **options: int) -> tuple[Clip, str]:
+    """The clip, and everything that was said of it."""
+    lines: list[str] = []
+    return open_clip(path, ClipOptions("clip", log=lines.append, **options)), "\n".join(lines)
