@@ -115,6 +115,7 @@ def _load_photographs(cfg: SceneConfig, log: Log) -> Scene:
             cfg.downscale,
             cfg.test_every,
             cfg.test_cameras,
+            cfg.drop_cameras,
             cfg.first_frame,
             cfg.frames,
             background_color(cfg.background),

@@ -32,8 +32,8 @@ class SceneConfig:
     # Cameras that move, folders without a test split: every so many-th frame is held out. 0: several cameras that move,
     # scene.test_cameras instead
     test_every: int = 8
-    test_cameras: list[int] = field(default_factory=lambda: [0])  # plenoptic, video: numbers of held-out cameras
-    drop_cameras: list[int] = field(default_factory=list)  # plenoptic, video: numbers of cameras to ignore
+    test_cameras: list[int] = field(default_factory=lambda: [0])  # all but D-NeRF's layout: numbers of held-out cameras
+    drop_cameras: list[int] = field(default_factory=list)  # likewise: numbers of cameras to ignore
     # Videos of several cameras: none: synchronised | auto: starts found by sound, else by the picture | given: offsets
     sync: str = "none"
     offsets: list[float] = field(default_factory=list)  # seconds at which each camera started, in the order of names

@@ -39,6 +39,21 @@ def _by_beginning(photographs: Sequence[Photograph]) -> list[Photograph]:
     return found if stand_still(found) else list(photographs)
 
 
+def without_cameras(root: Path, photographs: Sequence[Photograph], options: LayoutOptions) -> list[Photograph]:
+    """Those of cameras that are not in options.drop_cameras. SceneError for unknown numbers, or if none is left."""
+    dropped, names = set(options.drop_cameras), _camera_names(photographs)
+    if dropped and not dropped < set(names):
+        known = ", ".join(names.values())
+        raise SceneError(f"{root}: scene.drop_cameras", f"some of the cameras {known}", f"{sorted(dropped)}")
+    return [photograph for photograph in photographs if photograph.group not in dropped]
+
+
+def _camera_names(photographs: Sequence[Photograph]) -> dict[int, str]:
+    """Camera number -> how messages call it, ascending."""
+    folders = {photograph.group: photograph.folder for photograph in photographs}
+    return {group: f"{group} ({folder})" if folder else f"{group}" for group, folder in sorted(folders.items())}
+
+
 def with_times(photographs: Sequence[Photograph], options: LayoutOptions) -> list[Photograph]:
     """All with a time, ascending: the layout's, else the numbers in the names, else evenly spaced.
 
@@ -122,20 +137,19 @@ def held_out_names(root: Path, photographs: Sequence[Photograph], options: Layou
     stated = {photograph.name for photograph in photographs if photograph.test}
     if stated and len(stated) < len(photographs):
         return stated, "the layout's test frames"
-    # Camera number -> how messages call it.
-    cameras = {p.group: f"{p.group} ({p.folder})" if p.folder else f"{p.group}" for p in photographs}
+    cameras = _camera_names(photographs)
     times = len({photograph.time for photograph in photographs})
     rig = times < len(photographs) or stand_still(photographs)
     if (len(cameras) > 2 and rig) or (len(cameras) > 1 and list(options.test_cameras) != [0]):
         # 0, the default, is the first camera also where a folder counts from 1.
         chosen = sorted({min(cameras) if number == 0 else number for number in options.test_cameras})
         if not set(chosen) < set(cameras):
-            known = ", ".join(cameras[number] for number in sorted(cameras))
+            known = ", ".join(cameras.values())
             raise SceneError(f"{root}: scene.test_cameras", f"some of the cameras {known}", f"{chosen}")
         names = {photograph.name for photograph in photographs if photograph.group in chosen}
         return names, "camera " + ", ".join(cameras[number] for number in chosen)
     every = options.test_every
-    groups = sorted(cameras)
+    groups = list(cameras)
     held_out = {
         photograph.name
         for number, group in enumerate(groups)  # of two cameras at one time not both

@@ -21,6 +21,7 @@ class LayoutOptions:
     downscale: int = 0  # 0: chosen, see composition.chosen_downscale
     test_every: int = 8  # where the layout has no test split
     test_cameras: Sequence[int] = (0,)  # where several cameras filmed
+    drop_cameras: Sequence[int] = ()  # ignored
     first_frame: int = 0
     frames: int = 300  # largest number of different times in use, of cameras that stand still each
     background: Color | None = None  # under transparent pixels; None: see composition.chosen_background

@@ -19,7 +19,14 @@ from datasets.composition import BLACK, Color, chosen_background, chosen_downsca
 from datasets.files.errors import SceneError
 from datasets.files.image_files import common_size, has_alpha, is_file, read_rgba
 from datasets.files.natural_order import natural_order
-from datasets.layouts.cameras_and_times import FEWEST, held_out_names, stand_still, with_times, within_limits
+from datasets.layouts.cameras_and_times import (
+    FEWEST,
+    held_out_names,
+    stand_still,
+    with_times,
+    within_limits,
+    without_cameras,
+)
 from datasets.layouts.photograph import LayoutOptions, Photograph
 from datasets.scene import PLAYBACK_RATE, Scene, ScenePoints, View, camera_extent, make_camera, validate_scene
 from rasterizer.camera import MAX_DISTANCE, Camera
@@ -54,6 +61,7 @@ def to_scene(
     root: Path, photographs: Sequence[Photograph], options: LayoutOptions, points: ScenePoints | None = None
 ) -> Scene:
     """The scene of photographs in any order. SceneError where they do not make one."""
+    photographs = without_cameras(root, photographs, options)
     photographs = with_times(sorted(photographs, key=lambda photograph: natural_order(photograph.name)), options)
     if len(photographs) < FEWEST:
         raise SceneError(root, f"at least {FEWEST} photographs with a camera", f"{len(photographs)}")

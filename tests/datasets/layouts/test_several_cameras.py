@@ -10,6 +10,7 @@ import pytest
 from layout_folders import write_nerfies, write_nerfstudio
 from layout_scenes import read
 
+from datasets.files.errors import SceneError
 from datasets.scene import View
 
 
@@ -126,3 +127,24 @@ def test_names_that_are_seconds_are_times(tmp_path: Path) -> None:
     scene, _ = read(tmp_path)
     views = sorted(scene.train + scene.test, key=lambda view: view.time)
     np.testing.assert_allclose([view.time for view in views], times, rtol=0, atol=1e-6)  # as many decimals as the names
+
+
+@pytest.mark.parametrize(
+    "dropped, held_out",
+    [([2], "camera 0 (cam0)"), ([0], "camera 1 (cam1)"), ([0, 3], "every 8th frame")],  # of two cameras none is
+)
+def test_a_camera_that_is_dropped_is_not_read(tmp_path: Path, dropped: list[int], held_out: str) -> None:
+    """The first view of camera c is the layout's c-th image."""
+    whole, _ = read(rig(tmp_path, 0))
+    places = {view.name[-10:]: view.camera.world_to_cam.tobytes() for view in (*whole.train, *whole.test)}
+    scene, _ = read(tmp_path, drop_cameras=dropped)
+    found = [view.camera.world_to_cam.tobytes() for view in (*scene.train, *scene.test)]
+    kept = {places[f"{camera:05d}_0000"] for camera in range(4) if camera not in dropped}
+    assert scene.test_split == held_out and set(found) == kept and len(found) == 8 * len(kept)
+
+
+@pytest.mark.parametrize("dropped", [[4], [0, 1, 2, 3]])
+def test_a_camera_that_is_not_there_or_all_cannot_be_dropped(tmp_path: Path, dropped: list[int]) -> None:
+    names = r"0 \(cam0\), 1 \(cam1\), 2 \(cam2\), 3 \(cam3\)"
+    with pytest.raises(SceneError, match=rf"scene\.drop_cameras: expected some of the cameras {names}, found"):
+        read(rig(tmp_path, 0), drop_cameras=dropped)
