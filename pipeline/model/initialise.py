@@ -15,7 +15,9 @@ from pipeline.data.lidar.initial_points import initial_points
 from pipeline.data.sfm.photograph import Reconstruction
 from pipeline.model.model import Model, kind_of
 from pipeline.model.sphere import sphere_points
-from rasterizer import Camera
+from pipeline.model.transformed import rotations_of
+from rasterizer import Camera, Gaussians
+from rasterizer.covariance import scaled_axes
 
 # 3DGS: lower bound of squared distances, so that coincident points have a finite log scale.
 MIN_SQUARED_DISTANCE = 1e-7
@@ -128,22 +130,17 @@ def from_points(
 
 
 def set_velocities(model: Model, velocities: np.ndarray) -> None:
-    """Tilt the time axes of spatially isotropic, unrotated Gaussians so that they move; in place. velocities: (N, 3),
-    world units per unit of time. A model without 4D rotation is unchanged.
+    """Let unrotated Gaussians move, in place: their lifetimes and their spatial covariances at any time stay.
 
-    The axis becomes u = (v, 1) / √(|v|² + 1). As ql k qr is the rotated time axis (docs/method.md 1), ql = -u k and
-    qr = 1 tilt it; what they do to the spatial axes does not show. The extent along u that keeps st is st √(|v|² + 1).
+    velocities: (N, 3), world units per unit of time. A model without 4D rotation is unchanged.
     """
-    moving = np.flatnonzero(np.abs(velocities).max(axis=1, initial=0.0) > 0)
+    moving = torch.from_numpy(np.flatnonzero(np.abs(velocities).max(axis=1, initial=0.0) > 0))
     if model.kind.motion != "full" or not len(moving):
         return
-    v = torch.from_numpy(velocities[moving]).float()
-    length = torch.sqrt((v * v).sum(dim=1) + 1)
-    x, y, z, t = (*(v / length[:, None]).unbind(1), 1 / length)
-    rows = torch.from_numpy(moving)
-    # -(x + y i + z j + t k) k = t - z i + y j - x k
-    model.parameters["quat_left"][rows] = torch.stack([t, -z, y, -x], dim=1)
-    model.parameters["log_scale"][rows, 3] += torch.log(length)
+    rows = {name: tensor[moving] for name, tensor in model.parameters.items() if name != "quat_right"}
+    rows["velocity"] = torch.from_numpy(velocities)[moving].float()
+    for name, values in rotations_of(scaled_axes(Gaussians.from_tensors(rows).to(torch.float64))).items():
+        model.parameters[name][moving] = values
 
 
 def nearest_distance(points: np.ndarray) -> np.ndarray:

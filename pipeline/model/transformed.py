@@ -40,8 +40,14 @@ def in_canonical(model: Model, canonical: Canonical) -> Model:
 
 
 def rotations_of(factor: Tensor) -> dict[str, Tensor]:
-    """log_scale, quat_left and quat_right (N, 4) of the covariances F Fᵀ, from F (N, 4, 4) float64."""
+    """log_scale, quat_left and quat_right (N, 4) of the covariances F Fᵀ, from F (N, 4, 4) float64.
+
+    The last axis is the one nearest to the time axis, as where nothing moves: training takes its scale for the temporal
+    one.
+    """
     axes, scale, _ = np.linalg.svd(factor.numpy())
+    order = np.argsort(np.arange(4) == np.abs(axes[:, 3]).argmax(axis=1)[:, None], axis=1, kind="stable")
+    axes, scale = np.take_along_axis(axes, order[:, None], axis=2), np.take_along_axis(scale, order, axis=1)
     axes[:, :, 3] *= np.linalg.det(axes)[:, None]  # a rotation, not a reflection
     left, right = quaternions_of(torch.from_numpy(axes))
     found = {"log_scale": torch.from_numpy(np.log(scale)), "quat_left": left, "quat_right": right}

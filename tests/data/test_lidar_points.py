@@ -178,16 +178,31 @@ def test_velocities_that_disagree_are_not_taken() -> None:
     assert (agreed([fast], 2.5) == fast).all()  # the first and the last sweep have one neighbour
 
 
-def test_gaussians_start_with_the_velocities() -> None:
-    """Velocity and temporal extent of the kernel's reference: Σ_xt / Σ_tt = v and Σ_tt = st²; up to (s/st)², the
-    spatial extent's share."""
+@pytest.mark.parametrize("scale", [1e-3, 0.02, 0.5])
+def test_gaussians_start_with_the_velocities(scale: float) -> None:
+    """By the kernel's reference in float64: velocity, lifetime, and the spatial covariance at any time, which does not
+    change. 1e-5, as the parameters are float32; 1e-6 was found."""
     model = Model(ModelKind("full", 0, 0), {
-        name: torch.zeros(3, *row) for name, row in ModelKind("full", 0, 0).shapes().items()
+        name: torch.zeros(4, *row) for name, row in ModelKind("full", 0, 0).shapes().items()
     })  # fmt: skip
     model.parameters["quat_left"][:, 0] = model.parameters["quat_right"][:, 0] = 1
-    model.parameters["log_scale"][:, :3], model.parameters["log_scale"][:, 3] = np.log(1e-3), np.log(0.25)
-    velocities = np.array([[3.0, -2.0, 0.5], [0.0, 0.0, 0.0], [0.0, 0.0, -7.0]])
+    model.parameters["log_scale"][:, :3], model.parameters["log_scale"][:, 3] = np.log(scale), np.log(0.25)
+    velocities = np.array([[3.0, -2.0, 0.5], [0.0, 0.0, 0.0], [0.0, 0.0, -7.0], [0.01, 0.0, 0.0]])
     set_velocities(model, velocities)
-    sliced = slice_in_time(model.gaussians(), 0.0)
-    np.testing.assert_allclose(sliced.velocity.numpy(), velocities, atol=1e-3)
-    np.testing.assert_allclose(sliced.variance_t.numpy(), 0.25**2, rtol=1e-3)
+    sliced = slice_in_time(model.gaussians().to(torch.float64), 0.0)
+    assert sliced.variance_t is not None
+    np.testing.assert_allclose(sliced.velocity.numpy(), velocities, rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(sliced.variance_t.numpy(), 0.25**2, rtol=1e-5)
+    covariance = (sliced.factor @ sliced.factor.mT).numpy() / scale**2
+    np.testing.assert_allclose(covariance, np.broadcast_to(np.eye(3), (4, 3, 3)), atol=1e-5)
+
+
+def test_the_temporal_scale_stays_the_last_one() -> None:
+    """Densification and regularization take the fourth scale for the temporal one, the others for spatial."""
+    model = Model(ModelKind("full", 0, 0), {
+        name: torch.zeros(1, *row) for name, row in ModelKind("full", 0, 0).shapes().items()
+    })  # fmt: skip
+    model.parameters["quat_left"][:, 0] = model.parameters["quat_right"][:, 0] = 1
+    model.parameters["log_scale"][:] = torch.tensor([0.02, 0.02, 0.02, 0.5]).log()
+    set_velocities(model, np.array([[0.3, -0.2, 0.5]]))
+    assert model.parameters["log_scale"][0, :3].exp().max() < 0.03 and model.parameters["log_scale"][0, 3].exp() > 0.5
