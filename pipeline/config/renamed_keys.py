@@ -36,6 +36,7 @@ ADDED: dict[str, Any] = {
     "train.regularization.rigid": 0.0,
     "train.regularization.rigid_every": 1,
     "train.regularization.rigid_neighbours": 20,
+    "train.regularization.rigid_released": False,
     "train.regularization.still_lifetime": 0.0,
     "train.mse_weight": 0.0,
     "train.marginal_jitter": 0.0,

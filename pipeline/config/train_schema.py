@@ -123,15 +123,17 @@ class RegularizationConfig:
     opacity: float = 0.0  # towards transparency: × mean opacity
     reference_views: float = 0.0  # `motion` and `opacity` are × this / number of training views; 0: they are as given
     opacity_views: float = 0.0  # one camera: `opacity` is weaker where more views than this share a lifetime; 0: never
-    rigid: float = 0.0  # towards neighbours that move alike: × the release's rigid loss (rigid_loss.py)
+    rigid: float = 0.0  # towards neighbours that move alike (rigid_loss.py)
     rigid_every: int = 1  # training views; the rigid loss is that of every such view, × this
     rigid_neighbours: int = 20  # nearest Gaussians that a Gaussian is compared with
+    rigid_released: bool = False  # the rigid loss in the form of the released program, the same for all views
     still_lifetime: float = 0.0  # Gaussians of a larger st do not move (still_gaussians.py); × duration; 0: all may
     flow: float = 0.0  # towards the optical flow measured in videos: × mean error, image widths (flow_loss.py)
 
     def __post_init__(self) -> None:
         counts = dict.fromkeys(("rigid_every", "rigid_neighbours"), positive_count())
-        weights = {f.name: at_least(0).but("0: none") for f in fields(self) if f.name not in counts}
+        others = (*counts, "rigid_released")
+        weights = {f.name: at_least(0).but("0: none") for f in fields(self) if f.name not in others}
         check("train.regularization", self, weights | counts)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from datasets.scene import Scene, View
 from pipeline.config.schema import Config
-from pipeline.data.training_views import evenly_spaced, target_of
+from pipeline.data.training_views import Target, evenly_spaced, target_of
 from pipeline.evaluation.metrics import mean, psnr
 from pipeline.evaluation.motion.motion_metrics import masked_psnr, mean_of_known
 from pipeline.evaluation.motion.moving_pixels import MovingPixels
@@ -22,7 +22,7 @@ def quick_evaluate(
     model: Model, scene: Scene, cfg: Config, rasterizer: Rasterizer, moving: MovingPixels | None = None
 ) -> dict[str, float | None]:
     """{psnr, ssim, test_loss, psnr_moving} over `train.eval_views` evenly spread test views, and train_psnr over as
-    many training views.
+    many training views. PSNR is that of the pixels that count, as in `held_out_psnr`.
 
     Renders have the final resolution, also while training is at a coarser one, so that the numbers of a run can be
     compared. SSIM is the loss's (zero padding at the border, as 3DGS), which differs from metrics.ssim in the third
@@ -39,9 +39,9 @@ def quick_evaluate(
             loss, _, ssim, _ = photometric_loss(
                 image, target.image, cfg.train.ssim_weight, cfg.train.mse_weight, rasterizer.threads
             )
-            rows.append({"psnr": psnr(image.numpy(), target.image.numpy()), "ssim": ssim, "test_loss": loss})
+            render, truth = (pixels.numpy().transpose(1, 2, 0) for pixels in (image, target.image))
+            rows.append({"psnr": _counted_psnr(render, truth, target), "ssim": ssim, "test_loss": loss})
             if views is scene.test and (mask := moving.of(index)) is not None:
-                render, truth = (pixels.numpy().transpose(1, 2, 0) for pixels in (image, target.image))
                 of_moving.append(masked_psnr(render, truth, mask))
         found = {name: mean(rows, name) for name in ("psnr", "ssim", "test_loss")}
         return {**found, "psnr_moving": mean_of_known(of_moving)}
@@ -56,6 +56,11 @@ def held_out_psnr(model: Model, scene: Scene, cfg: Config, threads: int) -> np.n
     for view in scene.test:
         target = target_of(view, cfg.train.resolution_scale)
         image, truth = renderer.image(target.camera, target.time), target.image.numpy().transpose(1, 2, 0)
-        counted = None if target.mask is None else masked_psnr(image, truth, target.mask.numpy())
-        found.append(psnr(image, truth) if counted is None else counted)
+        found.append(_counted_psnr(image, truth, target))
     return np.array(found)
+
+
+def _counted_psnr(image: np.ndarray, truth: np.ndarray, target: Target) -> float:
+    """PSNR in dB of (H, W, 3) images over the pixels that the view's mask counts; over all if it counts none."""
+    counted = None if target.mask is None else masked_psnr(image, truth, target.mask.numpy())
+    return psnr(image, truth) if counted is None else counted

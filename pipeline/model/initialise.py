@@ -86,8 +86,14 @@ def visible_in_any(points: np.ndarray, cameras: Sequence[Camera]) -> np.ndarray:
 def _random_points(scene: Scene, cfg: Config, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Positions (N, 3), world units, and SH coefficients of degree 0 (N, 3)."""
     count = cfg.scene.init_points if cfg.train.init_points is None else cfg.train.init_points
-    low, high = scene.init_box if cfg.train.init_box is None else cfg.train.init_box
+    low, high = initial_box(scene, cfg)
     return rng.uniform(low, high, size=(count, 3)), _grey(count, rng)
+
+
+def initial_box(scene: Scene, cfg: Config) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest corner (3,) of the box of random initial points, world units."""
+    low, high = scene.init_box if cfg.train.init_box is None else cfg.train.init_box
+    return np.broadcast_to(np.asarray(low, np.float64), 3), np.broadcast_to(np.asarray(high, np.float64), 3)
 
 
 def _grey(count: int, rng: np.random.Generator) -> np.ndarray:

@@ -88,7 +88,7 @@ def train(
     if state.iteration == start_iteration:
         weights = {"motion": regularization.motion, "opacity": regularization.opacity}
         run.log({"event": "regularization", "iteration": start_iteration, **weights})
-    views, refinement_views = TrainingViews(scene.train, flows, depths), RefinementViews.of(scene)
+    views, refinement_views = TrainingViews(scene.train, flows, depths), RefinementViews.of(scene, cfg)
 
     with TrainingProgress(state.iteration, cfg.train.iterations, cfg.train.time_budget_s) as progress:
         finished = state.is_finished(cfg.train)

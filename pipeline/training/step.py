@@ -40,7 +40,7 @@ class DrawnView:
     target: Target
     background: Color  # that its image is composed over
     dropped: Tensor | None = None  # (N,) bool, Gaussians that are left out of it; None: none
-    rigid: bool = False  # whether the rigid loss takes this view's time
+    rigid: bool = False  # whether the rigid loss is added with this view, at its time
     marginal_offset: float = 0.0  # its temporal marginals are those of its time + this
 
 
@@ -155,9 +155,12 @@ class Batch:
 
     def _add_rigid_gradient(self, time: float, gradients: Gradients) -> float:
         cfg, threads = self._cfg.train.regularization, self._kernels.threads
-        weight = cfg.rigid * cfg.rigid_every / self._size  # as much as in every view
+        if cfg.rigid_released:  # one view has it for all
+            weight, moment = cfg.rigid, None
+        else:
+            weight, moment = cfg.rigid * cfg.rigid_every / self._size, time  # as much as in every view
         return self._size * add_rigid_gradient(
-            gradients, self._model, time, self._scene.duration, cfg.rigid_neighbours, weight, threads
+            gradients, self._model, moment, self._scene.duration, cfg.rigid_neighbours, weight, threads
         )
 
 
@@ -177,6 +180,8 @@ def draw_batch(state: TrainState, views: TrainingViews, phase: Phase, scene: Sce
         drawn = [replace(view, marginal_offset=offset) for view, offset in zip(drawn, offsets, strict=True)]
     rules = cfg.train.regularization
     if rules.rigid > 0 and state.model.kind.moves:
+        if rules.rigid_released:  # it is the same for all views
+            return [replace(drawn[0], rigid=True), *drawn[1:]]
         before = (state.iteration - 1) * len(drawn)  # training views
         drawn = [replace(view, rigid=(before + i) % rules.rigid_every == 0) for i, view in enumerate(drawn, 1)]
     return drawn

@@ -55,4 +55,7 @@ def test_pixels_outside_a_mask_do_not_count_in_decisions(model: Model) -> None:
 
     counted = evaluate(model, replace(scene, test=(replace(view, mask=left),)), cfg, 1).metrics["psnr_masked"]
     assert of(left) == counted != of(None)
+    masked = replace(scene, test=(replace(white, mask=left),))
+    curve = quick_evaluate(model, masked, cfg, Rasterizer(threads=1))["psnr"]
+    assert curve == pytest.approx(counted), "the best model is chosen by it"
     assert of(np.zeros_like(left)) == of(None)

@@ -115,12 +115,15 @@ def halved_opacity(logit: Tensor) -> Tensor:
 
 
 def to_prune(
-    model: Model, radius: Tensor, iteration: int, cfg: DensifyConfig, extent: float, train_sphere: bool = True
+    model: Model, radius: Tensor, clock: float, cfg: DensifyConfig, extent: float, train_sphere: bool = True
 ) -> Tensor:
-    """(N,) bool: too transparent, or, after `prune_big_after`, too large in pixels (`radius` (N,)) or in space."""
+    """(N,) bool: too transparent, or, after `prune_big_after`, too large in pixels (`radius` (N,)) or in space.
+
+    clock: position in the schedule (schedule.py).
+    """
     transparent = _transparent(model, cfg)
     prune = transparent
-    if iteration > cfg.prune_big_after:
+    if clock > cfg.prune_big_after:
         prune = prune | (radius > cfg.prune_radius_px) | (_spatial_scale(model) > cfg.prune_scale * extent)
     if model.sphere is not None:
         prune = torch.where(model.sphere, transparent & train_sphere, prune)
@@ -130,7 +133,7 @@ def to_prune(
 def densify(
     optimiser: Adam,
     statistics: Statistics,
-    iteration: int,
+    clock: float,
     cfg: DensifyConfig,
     extent: float,
     time_split: bool,
@@ -162,7 +165,7 @@ def densify(
     radius = torch.zeros(len(model))
     unsplit = statistics.radius[~growth.split]
     radius[: len(unsplit)] = unsplit
-    prune = to_prune(model, radius, iteration, cfg, extent, train_sphere)
+    prune = to_prune(model, radius, clock, cfg, extent, train_sphere)
     pruned = int(prune.sum())
     if pruned and leaves_some(model, prune):
         optimiser.keep(~prune)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from datasets.scene import Scene, View
 from pipeline.config.random_streams import Stream, stream
 from pipeline.config.schema import Config
+from pipeline.model.initialise import initial_box
 from pipeline.training.density import densification, error_sampling, sensitivity_pruning, visibility_pruning
 from pipeline.training.density.error_sampling import ErrorSampler
 from pipeline.training.schedule import Phase
@@ -22,8 +23,8 @@ class RefinementViews:
     errors: ErrorSampler
 
     @classmethod
-    def of(cls, scene: Scene) -> RefinementViews:
-        return cls(sensitivity_pruning.scoring_views(scene), ErrorSampler(scene))
+    def of(cls, scene: Scene, cfg: Config) -> RefinementViews:
+        return cls(sensitivity_pruning.scoring_views(scene), ErrorSampler(scene, initial_box(scene, cfg)))
 
 
 def refine(state: TrainState, phase: Phase, views: RefinementViews, scene: Scene, cfg: Config) -> list[dict]:
@@ -35,7 +36,7 @@ def refine(state: TrainState, phase: Phase, views: RefinementViews, scene: Scene
     rules = cfg.train.densify
     if densification.due(state.iteration, phase.clock, rules):
         done = densification.densify(
-            state.optimiser, state.statistics, state.iteration, rules, scene.extent,
+            state.optimiser, state.statistics, phase.clock, rules, scene.extent,
             cfg.ablation.time_split, state.split_rng, phase.sphere,
         )  # fmt: skip
         state.reset_statistics()

@@ -93,12 +93,12 @@ def due(iteration: int, clock: float, cfg: TrainConfig) -> bool:
 
 def scheduled(iteration: int, clock: float, cfg: TrainConfig) -> bool:
     """Every `prune_sensitivity_every` iterations, also after the last densification, except for the last period, in
-    which the remaining Gaussians could not adapt. clock: position in the schedule, in iterations."""
+    which the remaining Gaussians could not adapt. clock: position in the schedule, in iterations, of which a time
+    budget makes an iteration more than one."""
     rules = cfg.densify
+    period = rules.prune_sensitivity_every * clock / max(1, iteration)
     return (
-        iteration > rules.start
-        and iteration % rules.prune_sensitivity_every == 0
-        and clock + rules.prune_sensitivity_every <= cfg.iterations
+        iteration > rules.start and iteration % rules.prune_sensitivity_every == 0 and clock + period <= cfg.iterations
     )
 
 

@@ -226,7 +226,9 @@ def test_when_pruning_is_due():
     cfg = TrainConfig(iterations=580, densify=rules)
     # Also after the last densification; not at 500, less than a period before the end.
     assert [i for i in range(581) if due(i, i, cfg)] == [200, 300, 400]
-    # With a time budget that ends at half of the iterations, by the clock: 200 is at 400 of 580, 300 at 600.
-    assert [i for i in range(291) if due(i, 2 * i, cfg)] == [200]
+    # A time budget that ends at half of the iterations: the clock goes by two. 200 is at 400 of 620, and a hundred
+    # iterations are left; of 580 there are 90.
+    assert [i for i in range(291) if due(i, 2 * i, dataclasses.replace(cfg, iterations=620))] == [200]
+    assert not any(due(i, 2 * i, cfg) for i in range(291))
     off = TrainConfig(densify=DensifyConfig(prune_sensitivity_every=1))
     assert not any(due(i, i, off) for i in range(1000))  # by default

@@ -22,10 +22,11 @@ from pipeline.training.objective.rigid_loss import (
     MIN_MARGINAL,
     VELOCITY_STEP,
     add_rigid_gradient,
+    released_rigid_loss,
     rigid_loss,
 )
 from pipeline.training.state import start
-from pipeline.training.step import draw_batch
+from pipeline.training.step import draw_batch, render_batch
 from rasterizer import Gradients
 from rasterizer.covariance import rotation_4d
 
@@ -68,6 +69,59 @@ def test_the_gradient_equals_that_of_the_definition(tensors):
     naive(**truth).backward()
     for name in ("log_scale", "quat_left", "quat_right"):  # the mean enters only through detached positions and p(t)
         torch.testing.assert_close(ours[name].grad, truth[name].grad, rtol=1e-7, atol=1e-12)
+
+
+@pytest.mark.parametrize("neighbours", [20, 5, 1, 100])
+def test_the_release_compares_all_gaussians_at_their_means(tensors, neighbours):
+    """Its formula: sum of exp(-100 d) |u_i - u_j| / (k N) over the k nearest of each, itself included."""
+    truth = {name: t.clone().requires_grad_() for name, t in tensors.items()}
+    rotation = rotation_4d(truth["quat_left"], truth["quat_right"])
+    covariance = rotation @ torch.diag_embed((2 * truth["log_scale"]).exp()) @ rotation.transpose(1, 2)
+    step = covariance[:, :3, 3] / covariance[:, 3, 3:] * 0.1 * DURATION
+    distance = torch.cdist(tensors["mean"][:, :3], tensors["mean"][:, :3])
+    expected = torch.zeros((), dtype=torch.float64)
+    for i, row in enumerate(distance):
+        for j in row.argsort()[:neighbours].tolist():
+            if j != i:  # its own difference is zero, of which the norm has no gradient
+                expected = expected + math.exp(-100 * float(row[j])) * (step[j] - step[i]).norm()
+    expected = expected / (neighbours * len(step))
+
+    ours = {name: t.clone().requires_grad_() for name, t in tensors.items()}
+    found = released_rigid_loss(ours, DURATION, neighbours)
+    assert found.item() == pytest.approx(expected.item(), rel=1e-9)
+    if neighbours > 1:
+        found.backward()
+        expected.backward()
+        for name in ("log_scale", "quat_left", "quat_right"):
+            torch.testing.assert_close(ours[name].grad, truth[name].grad, rtol=1e-7, atol=1e-12)
+        assert ours["mean"].grad is None
+
+
+def test_the_release_has_it_once_in_a_batch_and_as_its_mean(tmp_path):
+    """The gradient of an iteration: that of the images, and that of the term itself, whatever the size of the batch."""
+    found = {}
+    for weight in (0.0, 1e5):  # the means of the tiny scene are far apart
+        rules = RegularizationConfig(rigid=weight, rigid_released=True, rigid_neighbours=5)
+        cfg = tiny_config(batch=3, regularization=rules)
+        scene = tiny_scene()
+        state = start(initialise(scene, cfg, np.random.default_rng(0)), scene, cfg, TinyRun(tmp_path), 0, 0.0)
+        state.model.parameters["quat_left"] += 0.3 * torch.randn(
+            state.model.parameters["quat_left"].shape, generator=torch.Generator().manual_seed(1)
+        )
+        phase = state.begin_iteration(scene, cfg)
+        drawn = draw_batch(state, TrainingViews(scene.train), phase, scene, cfg)
+        assert [view.rigid for view in drawn] == ([True, False, False] if weight else [False] * 3)
+        batch = render_batch(state, drawn, phase, scene, cfg)
+        found[weight] = batch.loss, state.gradients.quat_left.double().clone()
+    fields = {n: p.double().requires_grad_() for n, p in state.model.parameters.items() if n in FIELDS}
+    loss = 1e5 * released_rigid_loss(fields, scene.duration, 5)
+    loss.backward()
+    gradient = fields["quat_left"].grad
+    # Differences of float32 sums
+    assert found[1e5][0] - found[0.0][0] == pytest.approx(loss.item(), rel=1e-4)
+    torch.testing.assert_close(
+        found[1e5][1] - found[0.0][1], gradient, rtol=1e-3, atol=1e-5 * float(gradient.abs().max())
+    )
 
 
 @pytest.mark.parametrize("neighbours", [NEIGHBOURS, 8])
