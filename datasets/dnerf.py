@@ -23,7 +23,16 @@ import numpy as np
 from datasets.cameras.intrinsics import read_distortion, read_pinhole
 from datasets.cameras.transforms import TransformsEntry, read_transforms
 from datasets.canonical import canonical_space
-from datasets.composition import BLACK, Color, as_color, chosen_background, compose, coverage, reduced_camera
+from datasets.composition import (
+    BLACK,
+    Color,
+    as_color,
+    chosen_background,
+    chosen_downscale,
+    compose,
+    coverage,
+    reduced_camera,
+)
 from datasets.files.errors import SceneError, read_json
 from datasets.files.image_files import common_size, read_rgba
 from datasets.ground_truth import truth_beside
@@ -57,7 +66,7 @@ def read_dnerf(
 
     test_split: the held-out split, "test" or "val" (the paper evaluates lego on val). None: `Scene.test` is empty, and
     the caller holds out training views (validation.py).
-    downscale: images are reduced to 1/downscale of their size by area average (see compose).
+    downscale: images are reduced to 1/downscale of their size by area average (see compose); 0: see chosen_downscale.
     background: RGB in [0, 1], composed under transparent pixels. None: the border colour of opaque training images if
     there is one, else black.
     init_box: [low, high] of the cube of random initial points, canonical units (canonical.py).
@@ -72,6 +81,7 @@ def read_dnerf(
     entries = [entry for split in splits.values() for entry in split]
     time_start, duration = _time_range(root, entries)
     size = common_size([entry.image_path for entry in entries])
+    downscale = downscale or chosen_downscale(size)
     if min(size) < downscale:
         raise SceneError(
             entries[0].image_path, f"at least {downscale} pixels a side (downscale)", "{} x {}".format(*size)
@@ -116,9 +126,9 @@ def _read_split(root: Path, split: str) -> list[TransformsEntry]:
     path = root / f"transforms_{split}.json"
     if split == "train" and not path.exists() and (root / "transforms.json").is_file():
         path = root / "transforms.json"
-        _refuse_nerfstudio(path)
     elif not path.exists():
         raise SceneError(path, "a file (D-NeRF layout)", _missing_split(root, split))
+    _refuse_nerfstudio(path)
     return read_transforms(path, root)
 
 
@@ -129,7 +139,7 @@ def _refuse_nerfstudio(path: Path) -> None:
     found = [key for key in FILE_LISTS if key in content]
     found += ["mask_path"] if any(isinstance(frame, dict) and "mask_path" in frame for frame in frames) else []
     if found:
-        raise SceneError(path, f"no {found[0]} (scene=auto reads files of nerfstudio)", found[0])
+        raise SceneError(path, f"no {found[0]} (scene.reader=nerfstudio obeys it, in one transforms.json)", found[0])
 
 
 def _missing_split(root: Path, split: str) -> str:

@@ -19,7 +19,7 @@ from datasets.files.errors import SceneError
 from datasets.settings import SceneConfig
 
 SceneKind = Literal["photographs", "posed_videos", "videos", "clip", "clips", "drive"]
-CHOSEN_DOWNSCALE = {"dnerf": 2, "plenoptic": 2}  # readers without a choice by size: their default
+CHOSEN_DOWNSCALE = {"plenoptic": 2}  # readers without a choice by size: their default
 
 
 def scene_kind(cfg: SceneConfig) -> SceneKind:
@@ -46,7 +46,23 @@ def with_reader(cfg: SceneConfig, log: Callable[[str], None] | None = None) -> S
     downscale = cfg.downscale or CHOSEN_DOWNSCALE.get(found.reader, 0)
     # What is known to need it: other layouts are read as their files are.
     color = False if cfg.color_correction == "auto" and found.reader != "video" else cfg.color_correction
-    return replace(cfg, reader=found.reader, downscale=downscale, color_correction=color)
+    cfg = replace(cfg, reader=found.reader, downscale=downscale, color_correction=color)
+    return _with_split(cfg, log or (lambda line: None)) if found.reader == "dnerf" else cfg
+
+
+def _with_split(cfg: SceneConfig, log: Callable[[str], None]) -> SceneConfig:
+    """For a folder in D-NeRF's layout without the test split: transforms_val.json, else every eighth training view."""
+    from datasets.dnerf import VALIDATION_EVERY, has_split
+
+    path = data_path(cfg)
+    if cfg.validation_every or has_split(path, cfg.test_split):
+        return cfg
+    missing = f"{path}: there is no transforms_{cfg.test_split}.json"
+    if has_split(path, "val"):
+        log(f"{missing}; held out: transforms_val.json")
+        return replace(cfg, test_split="val")
+    log(f"{missing}; held out: every {VALIDATION_EVERY}th training view")
+    return replace(cfg, validation_every=VALIDATION_EVERY)
 
 
 def synthetic_name(cfg: SceneConfig) -> str:

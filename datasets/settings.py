@@ -123,7 +123,7 @@ class SceneConfig:
             self.validation_every,
         )
         require(
-            1 <= self.downscale <= 16 or (self.downscale == 0 and self.reader in ("video", "auto", *LAYOUTS)),
+            1 <= self.downscale <= 16 or (self.downscale == 0 and self.reader in ("video", "auto", "dnerf", *LAYOUTS)),
             "scene.downscale",
             "1 to 16",
             self.downscale,

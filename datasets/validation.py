@@ -47,7 +47,7 @@ def hold_out_outermost(scene: Scene, every: int) -> Scene:
 
 def _hold_out(scene: Scene, chosen: Set[int], every: int, rule: str | None = None) -> Scene:
     """rule: what was held out, for tables; None: every `every`-th view."""
-    from datasets.layouts.cameras_and_times import ordinal  # imports OpenCV, which few scenes need
+    from datasets.layouts.selection import ordinal  # imports OpenCV, which few scenes need
 
     held_out = tuple(view for index, view in enumerate(scene.train) if index in chosen)
     kept = tuple(view for index, view in enumerate(scene.train) if index not in chosen)

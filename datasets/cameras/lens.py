@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Protocol
 
@@ -33,6 +33,10 @@ class Undistortion:
         matrix = np.array([[self.fx, 0, self.cx - 0.5], [0, self.fy, self.cy - 0.5], [0, 0, 1]])
         return cv2.initUndistortRectifyMap(matrix, np.array(self.coefficients), None, matrix, size, cv2.CV_16SC2)
 
+    def scaled_to(self, camera: Camera) -> Undistortion:
+        """The lens in front of an image of another resolution."""
+        return replace(self, fx=camera.fx, fy=camera.fy, cx=camera.cx, cy=camera.cy)
+
 
 @dataclass(frozen=True)
 class FisheyeLens:
@@ -51,11 +55,17 @@ class FisheyeLens:
         coefficients = np.array(self.coefficients)
         return cv2.fisheye.initUndistortRectifyMap(matrix, coefficients, np.eye(3), matrix, size, cv2.CV_16SC2)
 
+    def scaled_to(self, camera: Camera) -> FisheyeLens:
+        """As Undistortion.scaled_to."""
+        return replace(self, fx=camera.fx, fy=camera.fy, cx=camera.cx, cy=camera.cy)
+
 
 class Lens(Protocol):
     """Undistortion or FisheyeLens."""
 
     def maps(self, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]: ...
+
+    def scaled_to(self, camera: Camera) -> Lens: ...
 
     def __hash__(self) -> int: ...
 

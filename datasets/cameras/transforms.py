@@ -48,6 +48,8 @@ def _load(file: Path) -> tuple[dict, list]:
         raise SceneError(file, "a transforms file", "none") from None
     if not isinstance(content, dict):
         raise SceneError(file, "an object with camera_angle_x and frames", type(content).__name__)
+    if content.get("from_na"):
+        raise SceneError(f"{file}: from_na", "poses with OpenGL's camera axes, as without this key", "true (NeuS2)")
     entries = get_key(content, "frames", file)
     if not isinstance(entries, list) or not entries:
         found = "an empty list" if entries == [] else type(entries).__name__

@@ -22,18 +22,20 @@ def is_file(path: Path) -> bool:
 
 def common_size(paths: Sequence[Path]) -> tuple[int, int]:
     """(width, height) of all images, from their headers. SceneError if they differ or a file is no image."""
-    sizes = []
-    for path in paths:
-        try:
-            with Image.open(path) as image:
-                sizes.append(image.size)
-        except Exception as error:  # PIL raises many types for broken files
-            raise SceneError(path, "a readable image", str(error)) from None
-        if sizes[-1] != sizes[0]:
-            raise SceneError(
-                path, "{} x {} pixels as {}".format(*sizes[0], paths[0].name), "{} x {}".format(*sizes[-1])
-            )
-    return sizes[0]
+    first = image_size(paths[0])
+    for path in paths[1:]:
+        if (size := image_size(path)) != first:
+            raise SceneError(path, "{} x {} pixels as {}".format(*first, paths[0].name), "{} x {}".format(*size))
+    return first
+
+
+def image_size(path: Path) -> tuple[int, int]:
+    """(width, height) of an image, from its header. SceneError if the file is none."""
+    try:
+        with Image.open(path) as image:
+            return image.size
+    except Exception as error:  # PIL raises many types for broken files
+        raise SceneError(path, "a readable image", str(error)) from None
 
 
 def has_alpha(path: Path) -> bool:

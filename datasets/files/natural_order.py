@@ -1,8 +1,13 @@
-"""The order in which a reader expects names with numbers, and the number that counts frames."""
+"""The order in which a reader expects names with numbers, and the numbers that count frames."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
+
+import numpy as np
+
+GAPS = 20.0  # × the span of evenly spaced frames: numbers that span more are no times, but serial numbers, say
 
 
 def natural_order(name: str) -> tuple[list[tuple[int, int | str]], str]:
@@ -12,8 +17,20 @@ def natural_order(name: str) -> tuple[list[tuple[int, int | str]], str]:
 
 
 def last_number(stem: str) -> float | None:
-    """12 of "frame_012"; the whole of a name that is seconds, as 1305031102.175304; None without digits."""
-    if re.fullmatch(r"\d+\.\d+", stem):
-        return float(stem)
+    """12 of "frame_012"; None without digits. Of a name that ends in seconds these: 0.25 of "t_0.25",
+    1305031102.175304, and 1678901234.133 of "1678901234_133000000", which counts nanoseconds."""
+    if seconds := re.search(r"(?:^|[_-])(\d{9,10})_(\d{9})$", stem):
+        return float(f"{seconds[1]}.{seconds[2]}")
+    if decimal := re.search(r"(?:^|[_-])(\d+\.\d+)$", stem):
+        return float(decimal[1])
     found = re.findall(r"\d+", stem)
     return float(found[-1]) if found else None
+
+
+def about_even(numbers: Sequence[float | None]) -> bool:
+    """Whether the numbers of names may count frames: all are there, two differ, and gaps are not most of the span."""
+    different = np.unique(np.array(numbers, dtype=np.float64))  # None becomes NaN
+    if len(different) < 2 or not np.isfinite(different).all():
+        return False
+    steps = np.diff(different)
+    return bool(steps.sum() <= GAPS * len(steps) * np.median(steps))

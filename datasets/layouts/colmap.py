@@ -17,58 +17,68 @@ import numpy as np
 
 from datasets.cameras.intrinsics import LARGEST_COEFFICIENT
 from datasets.cameras.lens import FisheyeLens, Lens, Undistortion
+from datasets.cameras.transforms import named_path
 from datasets.files.errors import SceneError
 from datasets.files.image_files import is_file
-from datasets.layouts.cameras_and_times import by_folder
 from datasets.layouts.colmap_files import ImageRecord, LensRecord, read_cameras, read_images, read_points
+from datasets.layouts.file_names import by_name
 from datasets.layouts.photograph import LayoutOptions, Photograph
 from datasets.layouts.photographs import scene_points, to_scene
 from datasets.scene import Scene, make_camera
 from rasterizer.camera import Camera
 
 LARGEST_TRACK_ERROR = 2.0  # pixels: points of a larger reprojection error are left out
-FOLDERS = ("sparse/0", "sparse", "colmap/sparse/0", "colmap/sparse", "dense/sparse")
+FOLDERS = ("sparse", "colmap/sparse", "dense/sparse")  # of a model, or of several in folders 0, 1, …
 UNDISTORTED = (
     "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV", "OPENCV_FISHEYE",
     "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE",
 )  # fmt: skip
 
 
-def sparse_folder(root: Path) -> Path | None:
-    """The folder of the model, None without one."""
+def sparse_folders(root: Path) -> list[Path]:
+    """The folders of the models of one reconstruction: the mapper writes one for each part that it could not join."""
     for name in FOLDERS:
-        if any((root / name / f"images.{suffix}").is_file() for suffix in ("bin", "txt")):
-            return root / name
-    return None
+        numbered = sorted((p for p in root.glob(f"{name}/*") if p.name.isdecimal()), key=lambda p: int(p.name))
+        if found := [folder for folder in (*numbered, root / name) if _images_file(folder) is not None]:
+            return found
+    return []
+
+
+def _images_file(folder: Path) -> Path | None:
+    return next((file for suffix in ("bin", "txt") if (file := folder / f"images.{suffix}").is_file()), None)
 
 
 def read_colmap(root: Path, options: LayoutOptions) -> Scene:
     """The scene; images without a pose are left out. SceneError for invalid files and lens models that are unknown."""
-    folder = sparse_folder(root)
-    if folder is None:
+    folders = sparse_folders(root)
+    if not folders:
         raise SceneError(root, "sparse/0 with images.bin or images.txt", "neither")
-    suffix = "bin" if (folder / "images.bin").is_file() else "txt"
-    file = folder / f"images.{suffix}"
+    models = {path: read_images(path) for folder in folders if (path := _images_file(folder)) is not None}
+    file = max(models, key=lambda path: len(models[path]))  # the first of equals
+    folder, suffix = file.parent, file.suffix[1:]
+    if len(models) > 1:
+        sizes = ", ".join(f"{path.parent.name} has {len(images)}" for path, images in models.items())
+        options.log(f"COLMAP: {len(models)} models ({sizes} images); the largest is used, {folder}")
     lenses = read_cameras(folder / f"cameras.{suffix}")
     photographs: list[Photograph] = []
     pictures = _image_folder(root, folder)
-    for image in read_images(file):
+    for image in models[file]:
         where = f"{file}: {image.name}"
         if image.camera not in lenses:
             raise SceneError(where, f"a camera among {', '.join(map(str, sorted(lenses)))}", f"{image.camera}")
-        path = pictures / image.name
+        path = named_path(pictures, image.name)
         if not is_file(path):
             raise SceneError(path, f"the image that {file} names", "no such file")
         camera, lens = _camera(lenses[image.camera], image, where)
-        name = Path(image.name).with_suffix("").as_posix().replace("/", "_")
+        name = path.relative_to(pictures).with_suffix("").as_posix().replace("/", "_")
         photographs.append(Photograph(name, path, camera, lens))
     rows = read_points(folder)
     rows = rows[rows[:, 6] <= LARGEST_TRACK_ERROR]
     points = scene_points(rows[:, :3], rows[:, 3:6])
-    models = ", ".join(sorted({lens.model for lens in lenses.values()}))
+    kinds = ", ".join(sorted({lens.model for lens in lenses.values()}))
     count = len(points.positions) if points else 0
-    options.log(f"COLMAP: {len(photographs)} images, {len(lenses)} lenses ({models}), {count} points")
-    return to_scene(root, by_folder(photographs), options, points)
+    options.log(f"COLMAP: {len(photographs)} images, {len(lenses)} lenses ({kinds}), {count} points")
+    return to_scene(root, by_name(photographs), options, points)
 
 
 def _image_folder(root: Path, folder: Path) -> Path:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from datasets.files.errors import SceneError, read_json
-from datasets.layouts.colmap import sparse_folder
+from datasets.layouts.colmap import sparse_folders
 from datasets.layouts.llff import image_folder
 from datasets.plenoptic.images import FRAME_NAME, SPLITS
 from datasets.plenoptic.videos import FOOTAGE_SUFFIXES, PLENOPTIC_NAME
@@ -26,6 +26,8 @@ class Detected:
 
 def detect(path: Path) -> Detected:
     """SceneError, with the reason for each layout, for a folder that has none."""
+    if path.suffix.lower() == ".json" and path.is_file():
+        raise SceneError(path, f"the folder of the data, {path.parent}", "a file in it")
     if path.is_file():
         return Detected("video", f"{path.name}: taken for one clip (scene=video): it is a file")
     if not path.is_dir():
@@ -86,7 +88,7 @@ def _nerfstudio(path: Path) -> str | None:
 
 
 def _colmap(path: Path) -> str | None:
-    return None if sparse_folder(path) is not None else "no sparse/0 with images.bin or images.txt"
+    return None if sparse_folders(path) else "no sparse/0 with images.bin or images.txt"
 
 
 def _llff(path: Path) -> str | None:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from datasets.cameras.transforms import read_pose
+from datasets.cameras.transforms import named_path, read_pose
 from datasets.files.errors import SceneError, read_json
 from datasets.files.image_files import is_file
 from datasets.files.json_values import get_key, read_number
@@ -35,8 +35,11 @@ def read_dynamic_gaussians(root: Path, options: LayoutOptions) -> Scene:
         )
     else:
         photographs = _read_meta(root, "train_meta.json", None, options)
+    mirrored = _is_mirrored(_object(root / "train_meta.json")["w2c"])
+    if mirrored:
+        options.log("train_meta.json: all poses are reflections; the world is mirrored back")
     points = _read_points(root / "init_pt_cld.npz")
-    if points is not None and _is_mirrored(_object(root / "train_meta.json")["w2c"]):
+    if points is not None and mirrored:
         points = replace(points, positions=points.positions @ MIRROR[:3, :3])
     cameras = sorted({photograph.group for photograph in photographs})
     options.log(
@@ -66,7 +69,7 @@ def _read_meta(root: Path, name: str, test: bool | None, options: LayoutOptions)
             raise SceneError(f"{file}: frame {t}", "as many cameras in k, w2c, fn and cam_id", f"{lengths}")
         for c in range(lengths["fn"]):
             where = f"{file}: frame {t}, camera {c}"
-            path = root / "ims" / str(row["fn"][c])
+            path = named_path(root / "ims", str(row["fn"][c]))
             if not is_file(path):
                 missing.append(path)
                 continue

@@ -7,7 +7,7 @@
                          "image_size"}
     rgb/1x, 2x, …       <id>.png
     points.npy          (N, 3), optional
-    covisible/2x/val    DyCheck: <id>.png, white where a training frame sees the pixel too
+    covisible/2x/val    DyCheck, scaled to the images in use: <id>.png, white where a training frame sees the pixel too
 
 Camera axes are OpenCV's. Evaluated over covisible pixels where there are masks (DyCheck's mPSNR).
 """
@@ -101,9 +101,11 @@ def _photograph(
     where = f"{root / 'metadata.json'}: {name}"
     time = next((read_number(record[key], f"{where}: {key}", LATEST) for key in TIME_KEYS if key in record), None)
     group = int(read_number(record.get("camera_id", 0), f"{where}: camera_id", 1e6))
-    mask = root / "covisible" / f"{factor}x" / "val" / f"{name}.png"
+    factors = [factor, *(other for other in (1, 2, 4, 8) if other != factor)]  # DyCheck has 2 alone
+    masks = [root / "covisible" / f"{other}x" / "val" / f"{name}.png" for other in factors]
+    mask = next((path for path in masks if path.is_file()), None)
     path = root / "rgb" / f"{factor}x" / f"{name}.png"
-    return Photograph(name, path, camera, lens, time, group, test, mask if mask.is_file() else None)
+    return Photograph(name, path, camera, lens, time, group, test, mask)
 
 
 def _camera(file: Path, size: tuple[int, int]) -> tuple[Camera, Undistortion | None]:

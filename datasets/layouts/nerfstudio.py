@@ -3,7 +3,7 @@
     {"camera_model": "OPENCV", "fl_x", "fl_y", "cx", "cy", "w", "h", "k1", "k2", "p1", "p2": shared or of each frame,
      "ply_file_path": "sparse_pc.ply", "applied_transform": 3×4, of the points and the poses alike,
      "train_filenames", "val_filenames", "test_filenames": optional, each a list of file_path,
-     "frames": [{"file_path", "transform_matrix": 4×4 camera-to-world, "mask_path", "time": optional}, …]}
+     "frames": [{"file_path", "transform_matrix": 4×4 camera-to-world, "mask_path", "time" or "timestamp"}, …]}
 
 Poses have OpenGL's camera axes. Masks are 0 where pixels do not count.
 """
@@ -21,9 +21,9 @@ from datasets.cameras.intrinsics import read_distortion, read_pinhole
 from datasets.cameras.lens import FisheyeLens, Lens, Undistortion
 from datasets.cameras.transforms import TransformsEntry, named_path, read_transforms
 from datasets.files.errors import SceneError, read_json
-from datasets.files.image_files import common_size, is_file
+from datasets.files.image_files import image_size, is_file
 from datasets.files.json_values import read_number
-from datasets.layouts.cameras_and_times import by_folder
+from datasets.layouts.file_names import by_name
 from datasets.layouts.photograph import LayoutOptions, Photograph
 from datasets.layouts.photographs import scene_points, to_scene
 from datasets.scene import Scene, ScenePoints
@@ -42,14 +42,13 @@ def read_nerfstudio(root: Path, options: LayoutOptions) -> Scene:
     (path, count), *_ = Counter(entry.image_path.resolve() for entry, _ in used).most_common(1) or [(root, 0)]
     if count > 1:  # it would be trained on and held out
         raise SceneError(file, "each image once", f"{path} {count} times")
-    size = common_size([entry.image_path for entry, _ in used])
-    photographs = [_photograph(root, entry, size, test) for entry, test in used]
+    photographs = [_photograph(root, entry, image_size(entry.image_path), test) for entry, test in used]
     repeated = {p.name for p in photographs}
     if len(repeated) < len(photographs):  # images/left/1.png and images/right/1.png
         photographs = [replace(p, name=f"{index:05d}_{p.name}") for index, p in enumerate(photographs)]
     points = _points(root, content)
     options.log(f"nerfstudio: {len(photographs)} images, {len(points.positions) if points else 0} points")
-    return to_scene(root, by_folder(photographs), options, points)
+    return to_scene(root, by_name(photographs), options, points)
 
 
 def _in_use(
@@ -86,13 +85,15 @@ def _listed(root: Path, content: dict[str, Any], key: str, file: Path, known: se
 
 def _photograph(root: Path, entry: TransformsEntry, size: tuple[int, int], test: bool | None) -> Photograph:
     camera, lens = _camera(entry, size)
-    mask = entry.intrinsics.get("mask_path")
+    mask, stamp, time = entry.intrinsics.get("mask_path"), entry.intrinsics.get("timestamp"), entry.time
+    if time is None and stamp is not None:
+        time = read_number(stamp, f"{entry.where}: timestamp")
     return Photograph(
         entry.image_path.stem,
         entry.image_path,
         camera,
         lens,
-        entry.time,
+        time,
         test=test,
         mask=named_path(root, str(mask)) if mask else None,
     )

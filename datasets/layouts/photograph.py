@@ -41,3 +41,5 @@ class Photograph:
     test: bool | None = None  # held out by the layout; None: the layout does not say
     mask: Path | None = None  # an image, 0 where pixels do not count; None: all count
     folder: str = ""  # of the physical camera's images, where it has one of its own, or the beginning of their names
+    size: tuple[int, int] | None = None  # (width, height) of the file, which is cut to the camera's; None: the camera's
+    moment: str | None = None  # the part of the name that says when; None: the file name

@@ -11,23 +11,19 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from datasets.cameras.lens import both, imaged, undistort, undistort_rgba
 from datasets.canonical import canonical_space
 from datasets.composition import BLACK, Color, chosen_background, chosen_downscale, compose, coverage, reduced_camera
 from datasets.files.errors import SceneError
-from datasets.files.image_files import common_size, has_alpha, is_file, read_rgba
+from datasets.files.image_files import has_alpha, is_file, read_rgba
 from datasets.files.natural_order import natural_order
-from datasets.layouts.cameras_and_times import (
-    FEWEST,
-    held_out_names,
-    stand_still,
-    with_times,
-    within_limits,
-    without_cameras,
-)
+from datasets.layouts.file_names import stand_still, with_times
+from datasets.layouts.image_size import of_one_size
 from datasets.layouts.photograph import LayoutOptions, Photograph
+from datasets.layouts.selection import FEWEST, held_out_names, within_limits, without_cameras
 from datasets.scene import PLAYBACK_RATE, Scene, ScenePoints, View, camera_extent, make_camera, validate_scene
 from rasterizer.camera import MAX_DISTANCE, Camera
 
@@ -69,14 +65,7 @@ def to_scene(
     (name, count), *_ = Counter(photograph.name for photograph in photographs).most_common(1)
     if count > 1:
         raise SceneError(root, "each photograph once", f"{name} {count} times")
-    size = common_size([photograph.path for photograph in photographs])
-    for photograph in photographs:
-        if (photograph.camera.width, photograph.camera.height) != size:
-            raise SceneError(
-                photograph.path,
-                f"{photograph.camera.width} x {photograph.camera.height} pixels, as its camera",
-                "{} x {}".format(*size),
-            )
+    photographs, size = of_one_size(photographs)
     downscale = options.downscale or chosen_downscale(size)
     if min(size) < downscale:
         raise SceneError(root, f"at least {downscale} pixels a side (scene.downscale)", "{} x {}".format(*size))
@@ -141,12 +130,15 @@ def scene_points(positions: np.ndarray, colors: np.ndarray | None = None) -> Sce
 
 
 def _undistorted(photograph: Photograph) -> np.ndarray:
-    """(H, W, 4) uint8 of the file at full size, with straight alpha."""
-    rgba = read_rgba(photograph.path)
-    width, height = photograph.camera.width, photograph.camera.height
+    """(H, W, 4) uint8 of the file, cut to the size of its camera, with straight alpha."""
+    rgba, camera = read_rgba(photograph.path), photograph.camera
+    width, height = photograph.size or (camera.width, camera.height)
     if rgba.shape[:2] != (height, width):
-        raise SceneError(photograph.path, f"{width} x {height} pixels, as its camera", "{1} x {0}".format(*rgba.shape))
-    return undistort_rgba(rgba, photograph.lens.maps((width, height))) if photograph.lens else rgba
+        raise SceneError(
+            photograph.path, f"{width} x {height} pixels, as its header says", "{1} x {0}".format(*rgba.shape)
+        )
+    whole = undistort_rgba(rgba, photograph.lens.maps((width, height))) if photograph.lens else rgba
+    return whole[: camera.height, : camera.width]
 
 
 def _background(views: Sequence[View], options: LayoutOptions) -> Color:
@@ -165,11 +157,18 @@ def _mask(photograph: Photograph, downscale: int) -> np.ndarray | None:
     if not is_file(photograph.mask):
         raise SceneError(photograph.mask, f"the mask of {photograph.name}", "no such file")
     rgba = read_rgba(photograph.mask)
-    width, height = photograph.camera.width, photograph.camera.height
-    if rgba.shape[:2] != (height, width):
-        raise SceneError(photograph.mask, f"{width} x {height} pixels, as its image", "{1} x {0}".format(*rgba.shape))
+    camera = photograph.camera
+    width, height = photograph.size or (camera.width, camera.height)
+    if abs(rgba.shape[1] * height - rgba.shape[0] * width) > max(width, height, *rgba.shape):  # a side is rounded
+        raise SceneError(
+            photograph.mask,
+            f"{width} x {height} pixels, as its image, or of that shape",
+            "{1} x {0}".format(*rgba.shape),
+        )
     counts = np.where(rgba[..., :3].any(axis=2), 255, 0).astype(np.uint8)  # tools write 0 and 1, or 0 and 255
+    counts = np.asarray(cv2.resize(counts, (width, height), interpolation=cv2.INTER_NEAREST), np.uint8)
     if photograph.lens:
         counts = undistort(counts, photograph.lens.maps((width, height)))
+    counts = counts[: camera.height, : camera.width]
     small = compose(np.dstack([counts] * 3 + [np.full_like(counts, 255)]), BLACK, downscale)[..., 0]
     return small == 255

@@ -23,7 +23,7 @@ from datasets.video_files.decode import frame_times, video_frames
 from datasets.video_files.probe import Header, open_container
 from datasets.video_files.probe import probe as read_header
 
-FOOTAGE_SUFFIXES = (".mp4", ".mov", ".mkv", ".avi")
+FOOTAGE_SUFFIXES = (".mp4", ".mov", ".mkv", ".avi", ".m4v", ".webm")
 PLENOPTIC_NAME = re.compile(r"cam_?(\d+)\.mp4", re.IGNORECASE)
 
 # Errors are reported in one SceneError; FFmpeg's own output on stderr is turned off.

@@ -14,7 +14,7 @@ import numpy as np
 from datasets.composition import BLACK, Color, compose
 from datasets.files.errors import SceneError
 from datasets.files.image_files import read_rgba
-from datasets.files.natural_order import last_number, natural_order
+from datasets.files.natural_order import about_even, last_number, natural_order
 from datasets.video_files.hdr import tone_mapped
 from datasets.video_files.probe import Header, open_container
 
@@ -91,11 +91,11 @@ def image_times(paths: list[Path]) -> np.ndarray:
 
     The median step is a frame at IMAGE_RATE. Evenly spaced without such numbers.
     """
-    numbers = np.array([last_number(path.stem) for path in paths], dtype=np.float64)  # None becomes NaN
-    steps = np.diff(numbers)
-    if not (len(steps) and np.isfinite(numbers).all() and (steps > 0).all()):
+    found = [last_number(path.stem) for path in paths]
+    numbers = np.array(found, dtype=np.float64)  # None becomes NaN
+    if not (about_even(found) and (np.diff(numbers) > 0).all()):
         return np.arange(len(paths)) / IMAGE_RATE
-    return (numbers - numbers[0]) / np.median(steps) / IMAGE_RATE
+    return (numbers - numbers[0]) / np.median(np.diff(numbers)) / IMAGE_RATE
 
 
 def image_frames(

@@ -43,6 +43,30 @@ def test_colmap_lenses_are_undistorted(tmp_path: Path, model: str, bent: tuple[f
     check_ramp(read(root)[0], fisheye(bent) if model == "OPENCV_FISHEYE" else source)
 
 
+def test_of_several_models_the_largest_is_read(tmp_path: Path) -> None:
+    """The mapper writes one for each part of the images that it could not join."""
+    root = write_colmap(tmp_path, False)
+    small = root / "sparse/small"
+    shutil.copytree(root / "sparse/0", small)
+    lines = [line for line in (small / "images.txt").read_text().split("\n") if not line.startswith("#")]
+    (small / "images.txt").write_text("\n".join(lines[:8]) + "\n")
+    (root / "sparse/0").rename(root / "sparse/1")
+    small.rename(root / "sparse/0")
+    scene, said = read(root)
+    check(scene)
+    assert any("2 models (0 has 4, 1 has 12 images); the largest is used" in line for line in said)
+
+
+def test_backslashes_in_the_names_of_images(tmp_path: Path) -> None:
+    root = write_colmap(tmp_path, False)
+    (root / "images/left").mkdir()
+    for path in list((root / "images").glob("*.png")):
+        path.rename(root / "images/left" / path.name)
+    text = (root / "sparse/0/images.txt").read_text()
+    (root / "sparse/0/images.txt").write_text(text.replace("frame_", "left\\frame_"))
+    check(read(root)[0])
+
+
 @pytest.mark.parametrize(
     "lens",
     [

@@ -66,6 +66,7 @@ def test_background_of_opaque_folders_is_their_border_colour(tmp_path: Path) -> 
 def test_dynamic_gaussians(tmp_path: Path, mirrored: bool) -> None:
     """Some calibrations are of a mirrored world, which is mirrored back with its points."""
     scene, lines = read(write_dynamic_gaussians(tmp_path, mirrored))
+    assert any("all poses are reflections" in line for line in lines) == mirrored
     assert "taken for Dynamic 3D Gaussians" in lines[0] and scene.test_split == "camera 1"
     assert len(scene.test) == 4 and len(scene.train) == 8 and scene.duration == 3
     for view in scene.train + scene.test:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -154,3 +155,48 @@ def test_colours_of_points(tmp_path: Path, kind: str, written: str, expected: li
     (tmp_path / "points.ply").write_text("\n".join([*header, f"1 2 3 {written}", ""]))
     points = read_ply_points(tmp_path / "points.ply")
     assert points is not None and points.colors.tolist() == [expected]
+
+
+def changed(root: Path, change) -> Path:
+    """The folder of write_nerfstudio after change(content) of its transforms.json."""
+    content = json.loads((write_nerfstudio(root) / "transforms.json").read_text())
+    change(content)
+    (root / "transforms.json").write_text(json.dumps(content))
+    return root
+
+
+def test_timestamps_are_times(tmp_path: Path) -> None:
+    def stamp(content: dict) -> None:
+        for i, frame in enumerate(content["frames"]):
+            frame["timestamp"] = 100 + 0.1 * i * i
+
+    scene, _ = read(changed(tmp_path, stamp))
+    views = sorted((*scene.train, *scene.test), key=lambda view: view.time)
+    np.testing.assert_allclose([view.time for view in views], [100 + 0.1 * i * i for i in range(len(views))])
+
+
+def test_poses_with_other_axes_are_refused(tmp_path: Path) -> None:
+    """NeuS2's key for OpenCV's axes."""
+    with pytest.raises(SceneError, match=r"from_na: expected poses with OpenGL's camera axes"):
+        read(changed(tmp_path, lambda content: content.update(from_na=True)))
+
+
+def test_the_path_of_the_file_itself_is_answered_with_its_folder(tmp_path: Path) -> None:
+    root = write_nerfstudio(tmp_path)
+    with pytest.raises(SceneError, match=re.escape(f"expected the folder of the data, {root}, found a file in it")):
+        read(root / "transforms.json")
+
+
+def test_cameras_that_are_asked_for_are_held_out_instead_of_the_lists(tmp_path: Path) -> None:
+    def two_cameras(content: dict) -> None:
+        for i, frame in enumerate(content["frames"]):
+            name = f"images/{'ab'[i % 2]}/{i // 2:02d}.png"
+            (tmp_path / name).parent.mkdir(exist_ok=True)
+            (tmp_path / frame["file_path"]).rename(tmp_path / name)
+            frame["file_path"] = name
+        content["val_filenames"] = [content["frames"][0]["file_path"]]
+
+    changed(tmp_path, two_cameras)
+    assert read(tmp_path)[0].test_split == "the layout's test frames"
+    scene, _ = read(tmp_path, test_cameras=[1])
+    assert scene.test_split == "camera 1 (b)" and len(scene.test) == 6

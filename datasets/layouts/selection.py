@@ -1,42 +1,17 @@
-"""Which camera took each photograph, when, and which of them are used, trained on and held out."""
+"""Which photographs are used, trained on and held out, by their cameras and times."""
 
 from __future__ import annotations
 
-import os
-import re
-from collections import Counter, defaultdict
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from datasets.files.errors import SceneError
-from datasets.files.natural_order import last_number, natural_order
+from datasets.layouts.file_names import stand_still
 from datasets.layouts.photograph import LayoutOptions, Photograph
 
 FEWEST = 3  # photographs
-
-
-def by_folder(photographs: Sequence[Photograph]) -> list[Photograph]:
-    """images/left/1.png, images/right/1.png: a camera for each folder, numbered in the order of the folders' names.
-
-    In one folder, left_1.png and right_1.png: a camera for each beginning of the names, if each stands still.
-    """
-    parents = [os.path.abspath(photograph.path.parent) for photograph in photographs]
-    folders = sorted(set(parents), key=natural_order)
-    if len(folders) < 2:
-        return _by_beginning(photographs)
-    names = [os.path.relpath(folder, os.path.commonpath(folders)) for folder in folders]
-    groups = {folder: group for group, folder in enumerate(folders)}
-    return [replace(p, group=groups[own], folder=names[groups[own]]) for p, own in zip(photographs, parents)]
-
-
-def _by_beginning(photographs: Sequence[Photograph]) -> list[Photograph]:
-    beginnings = [re.sub(r"[\W_]*\d+$", "", photograph.path.stem) for photograph in photographs]
-    numbers = {name: number for number, name in enumerate(sorted(set(beginnings), key=natural_order))}
-    found = [replace(p, group=numbers[own], folder=own) for p, own in zip(photographs, beginnings)]
-    return found if stand_still(found) else list(photographs)
 
 
 def without_cameras(root: Path, photographs: Sequence[Photograph], options: LayoutOptions) -> list[Photograph]:
@@ -52,27 +27,6 @@ def _camera_names(photographs: Sequence[Photograph]) -> dict[int, str]:
     """Camera number -> how messages call it, ascending."""
     folders = {photograph.group: photograph.folder for photograph in photographs}
     return {group: f"{group} ({folder})" if folder else f"{group}" for group, folder in sorted(folders.items())}
-
-
-def with_times(photographs: Sequence[Photograph], options: LayoutOptions) -> list[Photograph]:
-    """All with a time, ascending: the layout's, else the numbers in the names, else evenly spaced.
-
-    Numbers are times if no camera has one twice; cameras in folders of their own count alike.
-    """
-    known = [photograph.time for photograph in photographs if photograph.time is not None]
-    if known and len(known) < len(photographs):
-        missing = next(photograph for photograph in photographs if photograph.time is None)
-        raise SceneError(missing.path, "a time in every frame or in none", f"none here and {len(known)} elsewhere")
-    if known:
-        return sorted(photographs, key=lambda p: (p.time, p.name))
-    numbers = [last_number(photograph.path.stem) for photograph in photographs]
-    of_cameras = {(photograph.group, number) for photograph, number in zip(photographs, numbers)}
-    if None not in numbers and len(of_cameras) == len(numbers) and len(set(numbers)) > 1:
-        times, how = [number for number in numbers if number is not None], "the numbers in the file names"
-    else:
-        times, how = [float(index) for index in range(len(photographs))], "evenly spaced, in the order of the names"
-    options.log(f"times: {how}; if nothing moves, ablation.static=true leaves time out")
-    return sorted((replace(p, time=t) for p, t in zip(photographs, times)), key=lambda p: p.time or 0.0)
 
 
 def within_limits(root: Path, photographs: Sequence[Photograph], options: LayoutOptions) -> list[Photograph]:
@@ -123,24 +77,16 @@ def _spread(photographs: Sequence[Photograph], count: int, group: int | None = N
     return [photograph for photograph in own if photograph.time in kept]
 
 
-def stand_still(photographs: Sequence[Photograph]) -> bool:
-    """Whether they are by two cameras or more, each of which took several from one place."""
-    poses: dict[int, set[bytes]] = defaultdict(set)
-    for photograph in photographs:
-        poses[photograph.group].add(photograph.camera.world_to_cam.tobytes())
-    fewest = min(Counter(photograph.group for photograph in photographs).values(), default=0)
-    return len(poses) > 1 and fewest > 1 and all(len(found) == 1 for found in poses.values())
-
-
 def held_out_names(root: Path, photographs: Sequence[Photograph], options: LayoutOptions) -> tuple[set[str], str]:
     """(names held out, how the split is called in tables)."""
-    stated = {photograph.name for photograph in photographs if photograph.test}
-    if stated and len(stated) < len(photographs):
-        return stated, "the layout's test frames"
     cameras = _camera_names(photographs)
+    stated = {photograph.name for photograph in photographs if photograph.test}
+    chosen_cameras = len(cameras) > 1 and list(options.test_cameras) != [0]
+    if stated and len(stated) < len(photographs) and not chosen_cameras:
+        return stated, "the layout's test frames"
     times = len({photograph.time for photograph in photographs})
     rig = times < len(photographs) or stand_still(photographs)
-    if (len(cameras) > 2 and rig) or (len(cameras) > 1 and list(options.test_cameras) != [0]):
+    if (len(cameras) > 2 and rig) or chosen_cameras:
         # 0, the default, is the first camera also where a folder counts from 1.
         chosen = sorted({min(cameras) if number == 0 else number for number in options.test_cameras})
         if not set(chosen) < set(cameras):
