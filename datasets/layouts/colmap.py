@@ -75,6 +75,8 @@ def read_colmap(root: Path, options: LayoutOptions) -> Scene:
     rows = read_points(folder)
     rows = rows[rows[:, 6] <= LARGEST_TRACK_ERROR]
     points = scene_points(rows[:, :3], rows[:, 3:6])
+    if (pictures.parent / "masks").is_dir():
+        options.log(f"{pictures.parent / 'masks'} is not used: masks for structure from motion leave out what moves")
     kinds = ", ".join(sorted({lens.model for lens in lenses.values()}))
     count = len(points.positions) if points else 0
     options.log(f"COLMAP: {len(photographs)} images, {len(lenses)} lenses ({kinds}), {count} points")

@@ -64,10 +64,12 @@ def _plenoptic(path: Path) -> str | None:
 
 
 def _plenoptic_images(path: Path) -> bool:
-    """Whether the transforms files name several frames of cameras that stand still, as plenoptic/images.py reads them.
-    Files without that, or that cannot be read, are left to other readers."""
+    """Whether the transforms files name several frames of cameras that stand still, as plenoptic/images.py reads them,
+    each in one of the files. Files without that, or that cannot be read, are left to other readers."""
     poses: dict[str, list] = {}
+    named: list[set[str]] = []
     for split in SPLITS:
+        before = {name: len(of_one) for name, of_one in poses.items()}
         try:
             for frame in read_json(path / f"transforms_{split}.json", SceneError)["frames"]:
                 name = FRAME_NAME.fullmatch(IMAGE_SUFFIX.sub("", Path(frame["file_path"]).name))
@@ -76,6 +78,9 @@ def _plenoptic_images(path: Path) -> bool:
                 poses.setdefault(name["camera"], []).append(frame["transform_matrix"])
         except (OSError, SceneError, TypeError, KeyError):
             return False
+        named.append({name for name, of_one in poses.items() if len(of_one) > before.get(name, 0)})
+    if set.intersection(*named):  # held out are times, not cameras
+        return False
     return len(poses) > 1 and all(len(of_one) > 1 and all(p == of_one[0] for p in of_one) for of_one in poses.values())
 
 

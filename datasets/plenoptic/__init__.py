@@ -23,7 +23,7 @@ from datasets.composition import chosen_downscale
 from datasets.files.errors import SceneError
 from datasets.plenoptic.decode import fingerprint
 from datasets.plenoptic.footage import Footage, FootageOptions
-from datasets.plenoptic.images import camera_number, image_sequences, read_camera, read_cameras
+from datasets.plenoptic.images import camera_number, held_out_cameras, image_sequences, read_camera, read_cameras
 from datasets.plenoptic.poses import read_poses
 from datasets.plenoptic.sync import common_frames, select_cameras
 from datasets.plenoptic.unsynchronised import align, is_synchronised, offsets_of
@@ -152,6 +152,10 @@ def _content(files: Sequence[VideoFile], videos: Sequence[Video]) -> str:
 
 def _open_images(root: Path, options: FootageOptions) -> PosedFootage:
     entries = read_cameras(root)
+    stated = held_out_cameras(entries)
+    if tuple(options.test_cameras) == (0,) and stated not in ((), (0,)):
+        options = replace(options, test_cameras=stated)
+        options.log(f"held out: {', '.join(map(str, stated))}, the cameras of transforms_test.json")
     keep = select_cameras([camera_number(name) for name in entries], root, options.test_cameras, options.drop_cameras)
     sequences = image_sequences(entries, keep, options.background)
     count = common_frames(sequences, options.first_frame, options.frames, options.drop_cameras)

@@ -5,8 +5,8 @@
         {"w", "h", "fl_x", "fl_y", "cx", "cy": pixels, or "camera_angle_x": radians (see cameras/intrinsics.py),
          "frames": [{"file_path": "images/cam00_0000", "time": …, "transform_matrix": 4×4 camera-to-world}, …]}
 
-Poses have Blender's camera axes. Times may be in any unit and from any origin. scene.test_cameras says which cameras
-are held out, as for videos; the split into two files is ignored.
+Poses have Blender's camera axes. Times may be in any unit and from any origin. Held out are the cameras of
+transforms_test.json, or those of scene.test_cameras.
 """
 
 from __future__ import annotations
@@ -76,6 +76,12 @@ def read_cameras(root: Path) -> dict[str, list[CameraFrame]]:
             frame = CameraFrame(int(parts["frame"]), entry.time, entry)
             cameras.setdefault(parts["camera"], []).append(frame)
     return {name: sorted(cameras[name], key=lambda frame: frame.number) for name in sorted(cameras)}
+
+
+def held_out_cameras(cameras: dict[str, list[CameraFrame]]) -> tuple[int, ...]:
+    """The numbers of the cameras that transforms_test.json alone names."""
+    files = {name: {frame.entry.file.name for frame in frames} for name, frames in cameras.items()}
+    return tuple(camera_number(name) for name, of_one in files.items() if of_one == {"transforms_test.json"})
 
 
 def camera_number(name: str) -> int:

@@ -93,6 +93,23 @@ def test_test_cameras_setting(folder: Path) -> None:
     assert {view.name[:10] for view in read(folder, test_cameras=[2]).test} == {"test/cam02"}
 
 
+def written_anew(folder: Path, train: list[dict], test: list[dict]) -> None:
+    for split, frames in (("train", train), ("test", test)):
+        (folder / f"transforms_{split}.json").write_text(json.dumps({**INTRINSICS, "frames": frames}))
+
+
+def test_the_cameras_of_the_test_file_are_held_out(folder: Path) -> None:
+    written_anew(folder, entries(0) + entries(1), entries(2))
+    assert {view.name[:10] for view in read(folder).test} == {"test/cam02"}
+    assert {view.name[:10] for view in read(folder, test_cameras=[1]).test} == {"test/cam01"}
+
+
+def test_times_that_the_test_file_holds_out_are_left_to_the_reader_of_d_nerf(folder: Path) -> None:
+    frames = [entry for camera in range(3) for entry in entries(camera)]
+    written_anew(folder, [f for i, f in enumerate(frames) if i % 3 != 1], frames[1::3])
+    assert detect(folder).reader == "dnerf"
+
+
 def test_intrinsics_at_another_scale_and_of_single_entries(folder: Path) -> None:
     edit(folder, lambda c: c.update(w=128, h=96))
     edit(folder, lambda c: [e.update(fl_x=90.0) for e in c["frames"] if "cam02" in e["file_path"]])
