@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from datasets.files.errors import SceneError
+from datasets.ordinal import ordinal
 from datasets.scene import Scene, camera_extent
 
 
@@ -47,8 +48,6 @@ def hold_out_outermost(scene: Scene, every: int) -> Scene:
 
 def _hold_out(scene: Scene, chosen: Set[int], every: int, rule: str | None = None) -> Scene:
     """rule: what was held out, for tables; None: every `every`-th view."""
-    from datasets.layouts.selection import ordinal  # imports OpenCV, which few scenes need
-
     held_out = tuple(view for index, view in enumerate(scene.train) if index in chosen)
     kept = tuple(view for index, view in enumerate(scene.train) if index not in chosen)
     if not held_out or not kept:

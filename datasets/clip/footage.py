@@ -17,7 +17,7 @@ from datasets.clip.survey import MOST_SURVEYED, survey
 from datasets.composition import BLACK, Color, chosen_downscale, reduced_camera
 from datasets.files.errors import SceneError
 from datasets.files.image_files import read_rgba
-from datasets.layouts.selection import ordinal
+from datasets.ordinal import ordinal
 from datasets.plenoptic.decode import reduce_image
 from datasets.plenoptic.unsynchronised import covering
 from datasets.plenoptic.videos import FOOTAGE_SUFFIXES

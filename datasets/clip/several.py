@@ -12,7 +12,7 @@ from datasets.clip.footage import FEWEST_FRAMES, Clip, ClipFrame, ClipOptions, s
 from datasets.clip.scene import playback_rate, scene_of_views
 from datasets.clip.still import stands_still
 from datasets.files.errors import SceneError
-from datasets.layouts.selection import ordinal
+from datasets.ordinal import ordinal
 from datasets.plenoptic.sync import select_cameras
 from datasets.plenoptic.unsynchronised import offsets_of
 from datasets.plenoptic.videos import VideoFile, find_footage, probe

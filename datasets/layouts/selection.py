@@ -10,6 +10,7 @@ import numpy as np
 from datasets.files.errors import SceneError
 from datasets.layouts.file_names import stand_still
 from datasets.layouts.photograph import LayoutOptions, Photograph
+from datasets.ordinal import ordinal
 
 FEWEST = 3  # photographs
 
@@ -106,9 +107,3 @@ def held_out_names(root: Path, photographs: Sequence[Photograph], options: Layou
     if not held_out:
         held_out = {photographs[len(photographs) // 2].name}
     return held_out, f"every {ordinal(every)} frame"
-
-
-def ordinal(number: int) -> str:
-    """ "2nd", "3rd", "8th"."""
-    ending = {1: "st", 2: "nd", 3: "rd"}.get(number % 10, "th") if number % 100 not in (11, 12, 13) else "th"
-    return f"{number}{ending}"

@@ -12,7 +12,7 @@ from datasets.composition import BLACK, compose, reduced_camera
 from datasets.files.errors import SceneError
 from datasets.files.image_files import read_rgba
 from datasets.ground_truth import StoredTruth, any_moving
-from datasets.layouts.selection import ordinal
+from datasets.ordinal import ordinal
 from datasets.scene import Scene, Sweep, View, bounding_cube, camera_extent, make_camera, validate_scene
 from datasets.settings import SceneConfig
 from datasets.urban.log import DrivingLog, LogImage, LogSweep, SweepPoints
