@@ -105,7 +105,11 @@ def _llff(path: Path) -> str | None:
 def _video(path: Path) -> str | None:
     from datasets.video_files.decode import image_paths
 
-    return None if _has_videos(path) or image_paths(path) else "no videos and no images"
+    if _has_videos(path) or image_paths(path):
+        return None
+    inner = path / "images"
+    hint = f"; scene.path={inner} takes its images for one clip" if inner.is_dir() and image_paths(inner) else ""
+    return f"no videos and no images{hint}"
 
 
 def _has_videos(path: Path) -> bool:

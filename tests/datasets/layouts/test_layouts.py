@@ -155,3 +155,10 @@ def test_what_is_no_layout_is_refused_with_every_reason(tmp_path: Path) -> None:
         "no videos and no images",
     ):
         assert reason in str(error.value)
+
+
+def test_images_without_poses_one_folder_down_are_named(tmp_path: Path) -> None:
+    (tmp_path / "images").mkdir()
+    Image.fromarray(picture(0)).save(tmp_path / "images/0.png")
+    with pytest.raises(SceneError, match=f"scene.path={tmp_path}/images takes its images for one clip"):
+        read(tmp_path)
