@@ -135,7 +135,10 @@ def _read_split(root: Path, split: str) -> list[TransformsEntry]:
 def _refuse_nerfstudio(path: Path) -> None:
     """SceneError if the file says which pixels and frames to train on, which only the reader of nerfstudio obeys."""
     content = read_json(path, SceneError)
-    frames = content.get("frames", []) if isinstance(content, dict) else []
+    if not isinstance(content, dict):
+        return  # read_transforms says what it is instead
+    listed = content.get("frames")
+    frames = listed if isinstance(listed, list) else []
     found = [key for key in FILE_LISTS if key in content]
     found += ["mask_path"] if any(isinstance(frame, dict) and "mask_path" in frame for frame in frames) else []
     if found:
