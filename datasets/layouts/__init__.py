@@ -5,7 +5,9 @@ nerfstudio.py         nerfstudio: transforms.json
 dynamic_gaussians.py  Dynamic 3D Gaussians: train_meta.json, ims/
 nerfies.py            Nerfies, HyperNeRF, DyCheck: dataset.json, camera/*.json, rgb/2x
 llff.py               NVIDIA Dynamic Scenes: images/, poses_bounds.npy of one moving camera
-photographs.py        what they share: Photograph, and photographs → Scene
+photograph.py         what they share: an image file with its camera
+file_names.py         which camera took it, and when, by names; selection.py: which are trained on and held out
+image_size.py         all of one size; photographs.py: photographs → Scene
 """
 
 from __future__ import annotations

@@ -40,6 +40,6 @@ class Photograph:
     group: int = 0  # number of the physical camera
     test: bool | None = None  # held out by the layout; None: the layout does not say
     mask: Path | None = None  # an image, 0 where pixels do not count; None: all count
-    folder: str = ""  # of the physical camera's images, where it has one of its own, or the beginning of their names
+    folder: str = ""  # what names the physical camera: a folder, or a part of the file names
     size: tuple[int, int] | None = None  # (width, height) of the file, which is cut to the camera's; None: the camera's
     moment: str | None = None  # the part of the name that says when; None: the file name
