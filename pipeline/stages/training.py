@@ -26,6 +26,15 @@ from pipeline.view.viewer import live_page
 from rasterizer import Rasterizer
 from rasterizer.cores import thread_count
 
+FEW_LEFT = 0.01  # of the initial Gaussians. The scenes that were measured keep 0.03 at least
+
+
+def few_left(left: int, initial: int) -> str | None:
+    """A warning where training removed nearly all Gaussians: no image then agrees with another."""
+    if left >= FEW_LEFT * initial:
+        return None
+    return f"{left} of {initial} initial Gaussians are left: the poses or the times may not be those of the images"
+
 
 def train_model(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dict:
     """init.ply → checkpoint.safetensors, error_vs_time.csv; goes on from the checkpoint if there is one.
@@ -53,12 +62,14 @@ def train_model(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> dic
 
     reset_peak_memory()
     decisions = [decision.seconds for decision in (motion_of(folder), time_colour_of(folder)) if decision]
+    initial = load_ply(folder.init_ply)
+    count = len(initial)
     with _live_view(cfg, scene, log) as watcher:
-        result = train(
-            load_ply(folder.init_ply), scene, cfg, folder, evaluate_fn, start_seconds=sum(decisions), watcher=watcher
-        )
+        result = train(initial, scene, cfg, folder, evaluate_fn, start_seconds=sum(decisions), watcher=watcher)
         if watcher is not None:
             watcher.see_last(result.model, result.iteration)
+    if warning := few_left(len(result.model), count):
+        log(warning)
     return {
         "iterations": result.iteration,
         "train_seconds": result.train_seconds,
