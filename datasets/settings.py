@@ -32,8 +32,9 @@ class SceneConfig:
     # Cameras that move, folders without a test split: every so many-th frame is held out. 0: several cameras that move,
     # scene.test_cameras instead
     test_every: int = 8
-    test_cameras: list[int] = field(default_factory=lambda: [0])  # all but D-NeRF's layout: numbers of held-out cameras
-    drop_cameras: list[int] = field(default_factory=list)  # likewise: numbers of cameras to ignore
+    # Several cameras, but for D-NeRF's layout and driving logs: numbers of held-out cameras
+    test_cameras: list[int] = field(default_factory=lambda: [0])
+    drop_cameras: list[int] = field(default_factory=list)  # several cameras, not D-NeRF's layout: numbers to ignore
     # Videos of several cameras: none: synchronised | auto: starts found by sound, else by the picture | given: offsets
     sync: str = "none"
     offsets: list[float] = field(default_factory=list)  # seconds at which each camera started, in the order of names

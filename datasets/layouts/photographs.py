@@ -66,6 +66,8 @@ def to_scene(
     if count > 1:
         raise SceneError(root, "each photograph once", f"{name} {count} times")
     photographs, size = of_one_size(photographs)
+    if any(photograph.size for photograph in photographs):
+        options.log("images of different sizes are cut at the right and below, to {} x {}".format(*size))
     downscale = options.downscale or chosen_downscale(size)
     if min(size) < downscale:
         raise SceneError(root, f"at least {downscale} pixels a side (scene.downscale)", "{} x {}".format(*size))

@@ -26,7 +26,7 @@ from pipeline.view.viewer import live_page
 from rasterizer import Rasterizer
 from rasterizer.cores import thread_count
 
-FEW_LEFT = 0.01  # of the initial Gaussians. The scenes that were measured keep 0.03 at least
+FEW_LEFT = 0.01  # of the initial Gaussians; 48 of 20,000 were left where all poses were wrong
 
 
 def few_left(left: int, initial: int) -> str | None:

@@ -36,7 +36,9 @@ def test_images_of_nearly_one_size_lose_their_right_and_lower_border(tmp_path: P
     lens_of_each(root, ["PINHOLE 40 30 50 50 20 15", "PINHOLE 38 29 48 48 19.5 14"])
     for i in range(1, 12, 2):
         Image.fromarray(picture(i)[:29, :38]).save(root / f"images/frame_{i + 1:03d}.png")
-    for i, view in enumerate(by_name(read(root)[0])[f"frame_{i + 1:03d}"] for i in range(12)):
+    scene, lines = read(root)
+    assert "images of different sizes are cut at the right and below, to 38 x 29" in lines
+    for i, view in enumerate(by_name(scene)[f"frame_{i + 1:03d}"] for i in range(12)):
         assert (view.camera.width, view.camera.height) == (38, 29)
         found = (view.camera.fx, view.camera.cx, view.camera.cy)
         assert found == ((48, 19.5, 14) if i % 2 else (50, 20, 15))
