@@ -52,7 +52,14 @@ def tiny_scene(views: int = 8, static: bool = False) -> Scene:
 def tiny_config(iterations: int = 60, background_model: str = "auto", **train_keys) -> Config:
     """60 iterations include every event of a schedule; a background model is frozen after 20."""
     densify = DensifyConfig(
-        start=5, stop=50, every=10, space_gradient=1e-5, opacity_reset_every=25, prune_big_after=30, max_gaussians=400
+        start=5,
+        stop=50,
+        every=10,
+        space_gradient=1e-5,
+        opacity_reset_every=25,
+        prune_big_after=30,
+        prune_radius_px=20,
+        max_gaussians=400,
     )
     keys = dict(
         iterations=iterations,

@@ -117,14 +117,17 @@ def halved_opacity(logit: Tensor) -> Tensor:
 def to_prune(
     model: Model, radius: Tensor, clock: float, cfg: DensifyConfig, extent: float, train_sphere: bool = True
 ) -> Tensor:
-    """(N,) bool: too transparent, or, after `prune_big_after`, too large in pixels (`radius` (N,)) or in space.
+    """(N,) bool: too transparent, or, after `prune_big_after`, too large in space or, with `prune_radius_px`, on the
+    screen (`radius` (N,), pixels).
 
     clock: position in the schedule (schedule.py).
     """
     transparent = _transparent(model, cfg)
     prune = transparent
     if clock > cfg.prune_big_after:
-        prune = prune | (radius > cfg.prune_radius_px) | (_spatial_scale(model) > cfg.prune_scale * extent)
+        prune = prune | (_spatial_scale(model) > cfg.prune_scale * extent)
+        if cfg.prune_radius_px > 0:
+            prune = prune | (radius > cfg.prune_radius_px)
     if model.sphere is not None:
         prune = torch.where(model.sphere, transparent & train_sphere, prune)
     return prune

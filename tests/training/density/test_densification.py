@@ -164,8 +164,10 @@ def test_transparent_gaussians_are_always_pruned_and_large_ones_only_later() -> 
     model = model_of([0.01, 0.6, 0.01, 0.01])
     model.parameters["opacity_logit"][3] = -6.0  # 0.0025
     radius = torch.tensor([1.0, 1.0, 21.0, 1.0])
-    assert to_prune(model, radius, 3000, DensifyConfig(), EXTENT).tolist() == [False, False, False, True]
-    assert to_prune(model, radius, 3001, DensifyConfig(), EXTENT).tolist() == [False, True, True, True]
+    rules = DensifyConfig(prune_radius_px=20)
+    assert to_prune(model, radius, 3000, rules, EXTENT).tolist() == [False, False, False, True]
+    assert to_prune(model, radius, 3001, rules, EXTENT).tolist() == [False, True, True, True]
+    assert to_prune(model, radius, 3001, DensifyConfig(), EXTENT).tolist() == [False, True, False, True]
 
 
 def test_densify_clones_splits_prunes_and_updates_moments() -> None:
@@ -240,9 +242,10 @@ def test_the_sphere_is_pruned_only_for_transparency_and_until_it_is_frozen() -> 
     model = sphere_model([0.6, 0.6, 0.01, 0.01, 0.01], [True, False, True, False, True])
     model.parameters["opacity_logit"][2:4] = -6.0  # 0.0025
     radius = torch.tensor([99.0, 1.0, 1.0, 1.0, 99.0])
-    late = to_prune(model, radius, 3001, DensifyConfig(), EXTENT)
+    rules = DensifyConfig(prune_radius_px=20)
+    late = to_prune(model, radius, 3001, rules, EXTENT)
     assert late.tolist() == [False, True, True, True, False]
-    frozen = to_prune(model, radius, 3001, DensifyConfig(), EXTENT, train_sphere=False)
+    frozen = to_prune(model, radius, 3001, rules, EXTENT, train_sphere=False)
     assert frozen.tolist() == [False, True, False, True, False]
 
 
