@@ -62,8 +62,8 @@ class DensifyConfig:
     max_gaussians: int = 200_000
     prune_opacity: float = 0.005  # Gaussians of lower opacity are pruned
     prune_big_after: int = 3000  # after this iteration large Gaussians are pruned too, by the next two keys
-    # Largest radius on the screen, pixels; 0: any. 3DGS's paper prunes by it, its program never does: it clears the radii
-    # before it compares them with 20 pixels (https://github.com/graphdeco-inria/gaussian-splatting/issues/123).
+    # Largest radius on the screen, pixels; 0: any. 3DGS's paper prunes by it. Its program never does: it clears the
+    # radii before it compares them with 20 pixels (https://github.com/graphdeco-inria/gaussian-splatting/issues/123).
     prune_radius_px: float = 0.0
     prune_scale: float = 0.1  # largest spatial scale; × extent
     # Gaussians of the lowest image sensitivity are pruned, together this share of the total sensitivity; 0: none
