@@ -7,7 +7,7 @@ PYTHON ?= $(or $(shell command -v python3.11 || command -v python3),python3)
 RUN := .venv/bin/python -m
 RUNS ?= results/runs
 FUZZ_SECONDS ?= 20
-MARKDOWN := README.md CONTRIBUTING.md CHANGELOG.md docs results/measured/motion/motion.md results/measured/motion/choices.md
+MARKDOWN := README.md CONTRIBUTING.md CHANGELOG.md docs results/measured/motion results/measured/dnerf
 
 # How long a target took since make began, what it set up on the way included.
 STARTED := $(shell date +%s)
