@@ -27,6 +27,7 @@ class Phase:
     sphere: bool  # whether the sphere around the scene is trained (pipeline/model/sphere.py)
     environment_map: bool  # whether the environment map or cube map is trained (pipeline/model/environment_map.py)
     depth_decay: float = 0.0  # factor of the weights of the depth loss
+    dropout: float = 0.0  # share of the Gaussians left out of each view
 
 
 def clock_at(iteration: int, train_seconds: float, cfg: TrainConfig) -> float:
@@ -75,6 +76,7 @@ def phase(clock: float, cfg: TrainConfig, extent: float, max_sh_degree: int, max
         sphere=clock <= cfg.sphere_freeze_after,
         environment_map=clock <= cfg.envmap_until,
         depth_decay=depth_decay(fraction, cfg.depth),
+        dropout=cfg.dropout if fraction <= cfg.dropout_until else 0.0,
     )
 
 

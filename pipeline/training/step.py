@@ -170,10 +170,10 @@ def draw_batch(state: TrainState, views: TrainingViews, phase: Phase, scene: Sce
     if cfg.train.random_background and state.model.environment_map is None:  # else the background is the map
         rng = stream(cfg.seed, Stream.BACKGROUND, state.iteration)
         targets = [over_random_background(*target, rng) for target in targets]
-    drawn, share = [DrawnView(*target) for target in targets], cfg.train.dropout
-    if share > 0:
+    drawn = [DrawnView(*target) for target in targets]
+    if phase.dropout > 0:
         rng = stream(cfg.seed, Stream.DROPOUT, state.iteration)
-        drawn = [replace(view, dropped=draw_dropped(len(state.model), share, rng)) for view in drawn]
+        drawn = [replace(view, dropped=draw_dropped(len(state.model), phase.dropout, rng)) for view in drawn]
     if (jitter := cfg.train.marginal_jitter) > 0 and state.model.kind.moves:
         rng = stream(cfg.seed, Stream.MARGINAL, state.iteration)
         offsets = draw_offsets(len(drawn), jitter, state.model, scene, rng)

@@ -83,6 +83,13 @@ def test_background_models_are_trained_until_and_including_the_given_iteration()
     assert [found.sphere for found in trained.values()] == [True, True, True, False]
 
 
+def test_dropout_ends_after_its_share_of_the_schedule() -> None:
+    cfg = TrainConfig(iterations=5000, dropout=0.1, dropout_until=0.7)
+    assert [phase(now, cfg, EXTENT, 3, 2).dropout for now in (1.0, 3500.0, 3501.0, 5000.0)] == [0.1, 0.1, 0.0, 0.0]
+    assert phase(5000.0, replace(cfg, dropout_until=1.0), EXTENT, 3, 2).dropout == 0.1
+    assert phase(1.0, replace(cfg, dropout_until=0.0), EXTENT, 3, 2).dropout == 0.0
+
+
 def test_the_clock_is_the_iteration_unless_the_time_budget_ends_first() -> None:
     assert clock_at(123, 1e9, TrainConfig()) == 123.0
     cfg = TrainConfig(iterations=1000, time_budget_s=60)

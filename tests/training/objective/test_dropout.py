@@ -53,3 +53,14 @@ def test_training_with_dropout_is_a_function_of_the_seed(tmp_path):
     first, second = (run.parameters["mean"] for run in runs)
     assert torch.equal(first, second)
     assert not torch.equal(first, plain.parameters["mean"]) and not torch.equal(first, other.parameters["mean"])
+
+
+def test_training_is_that_without_dropout_where_it_never_begins_and_another_where_it_ends(tmp_path):
+    def trained(name: str, **changes: float) -> torch.Tensor:
+        return train_tiny(tmp_path / name, tiny_config(**changes)).model.parameters["mean"]
+
+    plain, whole = trained("plain"), trained("whole", dropout=0.3)
+    assert torch.equal(trained("never", dropout=0.3, dropout_until=0.0), plain)
+    half = trained("half", dropout=0.3, dropout_until=0.5)
+    assert half.shape != whole.shape or not torch.equal(half, whole)
+    assert half.shape != plain.shape or not torch.equal(half, plain)
