@@ -51,6 +51,7 @@ ADDED: dict[str, Any] = {
     "train.densify.error_points_every": 500,
     "train.dropout": 0.0,
     "train.dropout_until": 1.0,
+    "train.dropout_lifetime": 0.0,
     # Without effect but on driving logs, which no earlier version read.
     "train.depth.sfm": 0.0,
     "train.depth.lidar": 1.0,

@@ -170,7 +170,8 @@ class TrainConfig:
     regularization: RegularizationConfig = field(default_factory=RegularizationConfig)
     depth: DepthConfig = field(default_factory=DepthConfig)
     dropout: float = 0.0  # share of the Gaussians left out of each training view, at random; 0: none
-    dropout_until: float = 1.0  # share of the schedule with dropout
+    dropout_until: float = 1.0  # share of the schedule in which this is any Gaussian
+    dropout_lifetime: float = 0.0  # after it, those of a smaller st alone; × duration; 0: none
     # Each view takes its temporal marginals at a time off by up to this; × spacing of the training times; 0: none
     marginal_jitter: float = 0.0
     random_background: bool = False  # compose transparent images over a new colour each time
@@ -237,6 +238,7 @@ class TrainConfig:
             "cubemap_resolution": positive_count(),
             "dropout": between("[0, 1)", 0, 1).but("0: none"),
             "dropout_until": between("[0, 1]", 0, 1),
+            "dropout_lifetime": at_least(0).but("0: none"),
             "marginal_jitter": at_least(0).but("0: none"),
             "sh_degree_every": at_least(0).but("0: all at once"),
             "fourier_at": Range("at most two iterations in ascending order",

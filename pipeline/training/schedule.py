@@ -28,6 +28,7 @@ class Phase:
     environment_map: bool  # whether the environment map or cube map is trained (pipeline/model/environment_map.py)
     depth_decay: float = 0.0  # factor of the weights of the depth loss
     dropout: float = 0.0  # share of the Gaussians left out of each view
+    dropout_lifetime: float | None = None  # those with a smaller st alone; × duration; None: any
 
 
 def clock_at(iteration: int, train_seconds: float, cfg: TrainConfig) -> float:
@@ -66,6 +67,7 @@ def shortened(cfg: TrainConfig, share: float) -> TrainConfig:
 def phase(clock: float, cfg: TrainConfig, extent: float, max_sh_degree: int, max_fourier_order: int) -> Phase:
     """The phase at `clock`. extent: as `learning_rates`."""
     fraction = min(1.0, clock / cfg.iterations)
+    any_dropped = fraction <= cfg.dropout_until
     return Phase(
         clock,
         learning_rates(clock, fraction, cfg.lr, extent),
@@ -76,7 +78,8 @@ def phase(clock: float, cfg: TrainConfig, extent: float, max_sh_degree: int, max
         sphere=clock <= cfg.sphere_freeze_after,
         environment_map=clock <= cfg.envmap_until,
         depth_decay=depth_decay(fraction, cfg.depth),
-        dropout=cfg.dropout if fraction <= cfg.dropout_until else 0.0,
+        dropout=cfg.dropout if any_dropped or cfg.dropout_lifetime > 0 else 0.0,
+        dropout_lifetime=None if any_dropped else cfg.dropout_lifetime,
     )
 
 

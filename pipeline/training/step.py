@@ -20,7 +20,7 @@ from pipeline.model.sphere import trainable_rows
 from pipeline.training import finite_checks
 from pipeline.training.kernels import Kernels
 from pipeline.training.objective.depth_loss import DepthGradient, sky_loss, sparse_depth_loss
-from pipeline.training.objective.dropout import draw_dropped, without
+from pipeline.training.objective.dropout import draw_dropped, short_lived, without
 from pipeline.training.objective.flow_loss import flow_loss
 from pipeline.training.objective.losses import view_loss
 from pipeline.training.objective.marginal_jitter import draw_offsets
@@ -173,7 +173,10 @@ def draw_batch(state: TrainState, views: TrainingViews, phase: Phase, scene: Sce
     drawn = [DrawnView(*target) for target in targets]
     if phase.dropout > 0:
         rng = stream(cfg.seed, Stream.DROPOUT, state.iteration)
-        drawn = [replace(view, dropped=draw_dropped(len(state.model), phase.dropout, rng)) for view in drawn]
+        may_drop = torch.tensor(True)
+        if phase.dropout_lifetime is not None:
+            may_drop = short_lived(state.model, phase.dropout_lifetime * scene.duration)
+        drawn = [replace(view, dropped=draw_dropped(len(state.model), phase.dropout, rng) & may_drop) for view in drawn]
     if (jitter := cfg.train.marginal_jitter) > 0 and state.model.kind.moves:
         rng = stream(cfg.seed, Stream.MARGINAL, state.iteration)
         offsets = draw_offsets(len(drawn), jitter, state.model, scene, rng)

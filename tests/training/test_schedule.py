@@ -90,6 +90,12 @@ def test_dropout_ends_after_its_share_of_the_schedule() -> None:
     assert phase(1.0, replace(cfg, dropout_until=0.0), EXTENT, 3, 2).dropout == 0.0
 
 
+def test_after_it_short_lived_gaussians_alone_are_dropped_if_a_lifetime_is_set() -> None:
+    cfg = TrainConfig(iterations=5000, dropout=0.1, dropout_until=0.7, dropout_lifetime=0.2)
+    phases = [phase(now, cfg, EXTENT, 3, 2) for now in (1.0, 3500.0, 3501.0, 5000.0)]
+    assert [(found.dropout, found.dropout_lifetime) for found in phases] == [(0.1, None)] * 2 + [(0.1, 0.2)] * 2
+
+
 def test_the_clock_is_the_iteration_unless_the_time_budget_ends_first() -> None:
     assert clock_at(123, 1e9, TrainConfig()) == 123.0
     cfg = TrainConfig(iterations=1000, time_budget_s=60)

@@ -6,12 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from tiny import tiny_config, tiny_scene, train_tiny
+from tiny import TinyRun, random_model, tiny_config, tiny_scene, train_tiny
 
+from pipeline.data.training_views import TrainingViews
 from pipeline.model.initialise import initialise
-from pipeline.model.model import Model
+from pipeline.model.model import Model, ModelKind
 from pipeline.model.render import backward, render
-from pipeline.training.objective.dropout import draw_dropped, without
+from pipeline.training.objective.dropout import draw_dropped, short_lived, without
+from pipeline.training.state import start
+from pipeline.training.step import draw_batch
 from rasterizer import Gradients, Rasterizer, Request
 
 
@@ -44,6 +47,31 @@ def test_each_gaussian_is_dropped_with_the_probability():
     # Standard deviations of a mean: √(0.16 / 500,000) = 6e-4 over all; √(0.16 / 1000) = 0.013 for one of 500.
     assert abs(dropped.mean().item() - 0.2) < 0.003
     assert (dropped.mean(dim=0) - 0.2).abs().max() < 0.06
+
+
+def test_short_lived_gaussians_are_those_with_a_smaller_temporal_scale():
+    model = random_model(ModelKind("full", 0, 0), count=4)
+    model.parameters["log_scale"][:, 3] = torch.tensor([0.1, 0.19, 0.21, 3.0]).log()
+    assert short_lived(model, 0.2).tolist() == [True, True, False, False]
+
+
+def test_a_static_model_has_no_short_lived_gaussians():
+    assert not short_lived(random_model(ModelKind("static", 0, 0)), 100.0).any()
+
+
+def test_after_its_share_of_the_schedule_long_lived_gaussians_are_in_every_view(tmp_path):
+    scene, cfg = tiny_scene(), tiny_config(iterations=10, dropout=0.5, dropout_until=0.5, dropout_lifetime=0.2)
+    state = start(initialise(scene, cfg, np.random.default_rng(0)), scene, cfg, TinyRun(tmp_path), 0, 0.0)
+    short = torch.arange(len(state.model)) % 2 == 0
+    state.model.parameters["log_scale"][:, 3] = (torch.where(short, 0.19, 0.21) * scene.duration).log()
+    shares = []
+    for _ in range(10):
+        phase = state.begin_iteration(scene, cfg)
+        drawn = torch.stack([v.dropped for v in draw_batch(state, TrainingViews(scene.train), phase, scene, cfg)])
+        shares.append((drawn[:, short].float().mean().item(), drawn[:, ~short].float().mean().item()))
+    of_short, of_long = zip(*shares, strict=True)
+    assert all(share > 0 for share in of_short)
+    assert [share > 0 for share in of_long] == [True] * 5 + [False] * 5
 
 
 def test_training_with_dropout_is_a_function_of_the_seed(tmp_path):
