@@ -170,8 +170,8 @@ class TrainConfig:
     regularization: RegularizationConfig = field(default_factory=RegularizationConfig)
     depth: DepthConfig = field(default_factory=DepthConfig)
     dropout: float = 0.0  # share of the Gaussians left out of each training view, at random; 0: none
-    dropout_until: float = 1.0  # share of the schedule in which this is any Gaussian
-    dropout_lifetime: float = 0.0  # after it, those of a smaller st alone; × duration; 0: none
+    dropout_until: float = 1.0  # share of the schedule in which any of them may be
+    dropout_lifetime: float = 0.0  # after it only those of a smaller st may; × duration; 0: none
     # Each view takes its temporal marginals at a time off by up to this; × spacing of the training times; 0: none
     marginal_jitter: float = 0.0
     random_background: bool = False  # compose transparent images over a new colour each time
