@@ -9,19 +9,6 @@ from rasterizer.camera import Camera
 from rasterizer.gaussians import Gaussians
 from rasterizer.gradients import Gradients, ViewGradient
 from rasterizer.rasterizer import Rasterizer
-from rasterizer.render_output import RenderOutput
-from rasterizer.request import Request
+from rasterizer.request import RenderOutput, Request
 
-Frame = Rasterizer  # its name up to version 0.1
-
-__all__ = [
-    "Camera",
-    "Frame",
-    "Gaussians",
-    "Gradients",
-    "Rasterizer",
-    "RenderOutput",
-    "Request",
-    "ViewGradient",
-    "rasterize",
-]
+__all__ = ["Camera", "Gaussians", "Gradients", "Rasterizer", "RenderOutput", "Request", "ViewGradient", "rasterize"]

@@ -13,8 +13,7 @@ from rasterizer.gaussians import Gaussians
 from rasterizer.gradients import Gradients
 from rasterizer.kernel_loader import kernel
 from rasterizer.rasterizer import Rasterizer
-from rasterizer.render_output import OUTPUT_NAMES, RenderOutput
-from rasterizer.request import Request
+from rasterizer.request import OUTPUT_NAMES, RenderOutput, Request
 from rasterizer.validation import check_finite, check_layout
 
 _FIELDS = tuple(Gaussians.__dataclass_fields__)
@@ -89,19 +88,8 @@ def rasterize(
     `rasterizer.reference.rasterize` is the same function in plain PyTorch. Raises ValueError for wrong shapes or types,
     for values that are not finite or out of range, and where float32 overflows.
     """
-    request = Request(
-        camera,
-        time,
-        duration,
-        background,
-        outputs,
-        flow_dt,
-        near,
-        sh_degree,
-        fourier_order,
-        marginal_offset,
-        flow_camera,
-    )
+    view = (camera, time, duration, background, outputs, flow_dt, near, sh_degree, fourier_order, marginal_offset)
+    request = Request(*view, flow_camera)
     check_layout(gaussians)
     check_finite(gaussians)
     tensors = [getattr(gaussians, name) for name in _FIELDS]

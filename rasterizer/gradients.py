@@ -89,26 +89,25 @@ class ViewGradient:
 class Gradients:
     """Gradients of the parameters, summed over the views of a batch; SH gradients stay compact, one entry per view."""
 
-    mean: Tensor  # (N, 4), static (N, 3)
-    log_scale: Tensor  # as mean
-    quat_left: Tensor  # (N, 4)
-    quat_right: Tensor | None  # (N, 4)
-    opacity_logit: Tensor  # (N,)
+    mean: Tensor  # of the fields of `Gaussians`, each of its shape
+    log_scale: Tensor
+    quat_left: Tensor
+    opacity_logit: Tensor
     sh_shape: torch.Size
-    velocity: Tensor | None = None  # (N, 3)
+    quat_right: Tensor | None = None
+    velocity: Tensor | None = None
     views: list[ViewColors] = field(default_factory=list)
 
     @classmethod
     def zeros_like(cls, gaussians: Gaussians) -> Gradients:
-        dense: dict[str, Any] = {"quat_right": None}
-        dense |= {name: torch.zeros_like(tensor) for name, tensor in gaussians.tensors().items() if name != "sh"}
+        dense: dict[str, Any] = {
+            name: torch.zeros_like(tensor) for name, tensor in gaussians.tensors().items() if name != "sh"
+        }
         return cls(**dense, sh_shape=gaussians.sh.shape)
 
     def dense(self) -> dict[str, Tensor]:
         """All gradients except SH, by parameter name."""
-        names = ("mean", "log_scale", "quat_left", "quat_right", "velocity", "opacity_logit")
-        named = {name: getattr(self, name) for name in names}
-        return {name: tensor for name, tensor in named.items() if tensor is not None}
+        return {name: tensor for name, tensor in vars(self).items() if isinstance(tensor, Tensor)}
 
     def zero_(self, threads: int = 1, kernel: ModuleType = kernel) -> None:
         """Reset to zero in place. kernel: a build that computes in the gradients' floating-point type."""

@@ -18,8 +18,7 @@ from rasterizer.cores import thread_count
 from rasterizer.gaussians import OPTIONAL, SH_LAYOUTS, Gaussians
 from rasterizer.gradients import Gradients, ViewColors, ViewGradient
 from rasterizer.kernel_loader import kernel
-from rasterizer.render_output import OUTPUT_CHANNELS, RenderOutput
-from rasterizer.request import Request
+from rasterizer.request import OUTPUT_CHANNELS, RenderOutput, Request
 from rasterizer.validation import as_float, check_array, check_layout, plain
 
 # In the order of `enum Stage` in src/view_state.hpp: four of the forward pass, two of the backward pass.

@@ -1,4 +1,4 @@
-"""`Request`: the arguments of one rendered view besides the Gaussians, validated."""
+"""`Request`: the arguments of one rendered view besides the Gaussians, validated. `RenderOutput`: its images."""
 
 from __future__ import annotations
 
@@ -8,12 +8,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from rasterizer.camera import Camera
 from rasterizer.gaussians import Gaussians
-from rasterizer.render_output import OUTPUT_NAMES
 from rasterizer.validation import as_float, is_integer_in, short_repr
 
+OUTPUT_CHANNELS = {"color": 3, "alpha": 1, "depth": 1, "flow": 2, "stats": 2}
+OUTPUT_NAMES = tuple(OUTPUT_CHANNELS)
 MIN_DURATION = 1e-30  # colours change by up to 2π/T per unit of time, which float32 must represent
 MAX_FLOW_DT = 1e30  # float32 must represent the displacement over δ, at any velocity that its scales allow
 MAX_FLOAT32 = torch.finfo(torch.float32).max
@@ -91,6 +93,20 @@ class Request:
             limit, stored = getattr(self, name), getattr(gaussians, name)
             if limit is not None and not is_integer_in(limit, 0, stored):
                 raise ValueError(f"{name} must be in 0..{stored}, as stored, got {short_repr(limit)}")
+
+
+@dataclass(frozen=True)
+class RenderOutput:
+    """Images of one view; outputs that were not requested are None.
+
+    Sums go over the Gaussians at a pixel, with w the blending weight and T the transmittance behind the last one:
+    """
+
+    color: Tensor | None  # (3, H, W) Σ w c + T background
+    alpha: Tensor | None = None  # (1, H, W) 1 - T
+    depth: Tensor | None = None  # (1, H, W) Σ w z, world units along the optical axis
+    flow: Tensor | None = None  # (2, H, W) Σ w (proj(μ(t+δ)) - proj(μ(t))), pixels right and down
+    stats: Tensor | None = None  # (2, H, W) Σ w μt and Σ w Σtt
 
 
 def _as_list(value: Any) -> list:

@@ -12,8 +12,7 @@ from torch import Tensor
 
 from rasterizer.camera import Camera
 from rasterizer.gaussians import Gaussians, Motion
-from rasterizer.render_output import OUTPUT_CHANNELS, OUTPUT_NAMES, RenderOutput
-from rasterizer.request import Request
+from rasterizer.request import OUTPUT_CHANNELS, OUTPUT_NAMES, RenderOutput, Request
 
 MOTIONS = ("full", "velocity", "separable", "static")
 

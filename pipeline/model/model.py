@@ -120,16 +120,7 @@ class Model:
 
     def gaussians(self) -> Gaussians:
         """The rasterizer's input; it shares the tensors."""
-        p = self.parameters
-        return Gaussians(
-            mean=p["mean"],
-            log_scale=p["log_scale"],
-            quat_left=p["quat_left"],
-            quat_right=p.get("quat_right"),
-            velocity=p.get("velocity"),
-            opacity_logit=p["opacity_logit"],
-            sh=p["sh"],
-        )
+        return Gaussians.from_tensors(self.parameters)
 
     def copy(self) -> Model:
         return Model.restored(self.kind, {name: tensor.clone() for name, tensor in self.state().items()})

@@ -8,8 +8,8 @@ Notation: N Gaussians, V of them in view; μ mean, s scale, R rotation, M = R di
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -20,8 +20,7 @@ from rasterizer.covariance import scaled_axes
 from rasterizer.gaussians import Gaussians
 from rasterizer.reference.blend import MIN_MARGINAL, Splats, blend
 from rasterizer.reference.sh import sh_color
-from rasterizer.render_output import OUTPUT_CHANNELS, RenderOutput
-from rasterizer.request import Request
+from rasterizer.request import OUTPUT_CHANNELS, RenderOutput, Request
 from rasterizer.validation import as_float, check_finite
 
 FRUSTUM_MARGIN = 1.3  # the linearised perspective degenerates far outside the image (3DGS)
@@ -198,40 +197,15 @@ def make_splats(gaussians: Gaussians, request: Request, min_marginal: float = MI
     )
 
 
-def rasterize(
-    gaussians: Gaussians,
-    camera: Camera,
-    time: float = 0.0,
-    duration: float = 1.0,
-    background: Sequence[float] = (0.0, 0.0, 0.0),
-    outputs: Sequence[str] = ("color",),
-    flow_dt: float | None = None,
-    near: float = 0.2,
-    sh_degree: int | None = None,
-    fourier_order: int | None = None,
-    marginal_offset: float = 0.0,
-    flow_camera: Camera | None = None,
-) -> RenderOutput:
-    """Render the Gaussians; arguments as `rasterizer.Request`, result as `rasterizer.RenderOutput`.
+def rasterize(gaussians: Gaussians, *view: Any, **named_view: Any) -> RenderOutput:
+    """Render the Gaussians; `view` and `named_view` are the fields of `rasterizer.Request`, the camera first.
 
     Raises ValueError for a parameter or argument that is not finite, out of range or missing.
     """
-    request = Request(
-        camera,
-        time,
-        duration,
-        background,
-        outputs,
-        flow_dt,
-        near,
-        sh_degree,
-        fourier_order,
-        marginal_offset,
-        flow_camera,
-    )
+    request = Request(*view, **named_view)
     request.check_against(gaussians)
     check_finite(gaussians)
-    sums, transmittance = blend(make_splats(gaussians, request), camera)
+    sums, transmittance = blend(make_splats(gaussians, request), request.camera)
     named = [name for name in FEATURES if name in request.outputs]
     images = dict(zip(named, sums.split([OUTPUT_CHANNELS[name] for name in named])))
     if "color" in request.outputs:

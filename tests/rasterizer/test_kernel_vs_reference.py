@@ -34,7 +34,7 @@ from rasterizer import Gaussians, RenderOutput, Request, rasterize
 from rasterizer.kernel_loader import available_isas, kernel
 from rasterizer.reference import render as reference
 from rasterizer.reference.discontinuities import away_from_discontinuities, smooth_pixels
-from rasterizer.render_output import OUTPUT_NAMES
+from rasterizer.request import OUTPUT_NAMES
 
 IMAGE_TOLERANCE = 3e-5
 GRADIENT_TOLERANCE = 1e-4

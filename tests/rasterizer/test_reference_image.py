@@ -33,8 +33,7 @@ from rasterizer.gaussians import Gaussians
 from rasterizer.reference import render as reference
 from rasterizer.reference.discontinuities import away_from_discontinuities, smooth_pixels
 from rasterizer.reference.sh import sh_basis
-from rasterizer.render_output import OUTPUT_NAMES
-from rasterizer.request import Request
+from rasterizer.request import OUTPUT_NAMES, Request
 
 # ---- Whole images ------------------------------------------------------------------------------------------
 
