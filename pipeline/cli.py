@@ -123,7 +123,7 @@ def run_one(composed: DictConfig) -> None:
         keep_freed_memory()
         torch.set_num_threads(1)  # the heavy work is the kernel's, which has threads of its own (cfg.threads)
         if cfg.estimate:
-            from pipeline.training.estimate import estimate
+            from pipeline.stages.estimate import estimate
 
             print("\n  ".join([f"{_title(cfg)} would take", *estimate(cfg).lines(cfg)]), flush=True)
             return

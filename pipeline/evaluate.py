@@ -32,8 +32,8 @@ from pipeline.model.scene_settings import resolved
 from pipeline.model.transformed import in_canonical
 from pipeline.runs.run_folder import now, write_csv
 from pipeline.runs.run_identity import read_config
-from pipeline.studies.model_file import read_model
 from pipeline.terminal.command_line import CommandParser, command, log
+from pipeline.trained.model_file import read_model
 from pipeline.training.checkpoint import FILE_NAME
 from rasterizer.cores import thread_count
 

@@ -24,8 +24,8 @@ from pipeline.evaluation.pictures.films import video
 from pipeline.evaluation.pictures.geometry_pictures import longest_flow, save_picture
 from pipeline.evaluation.pictures.view_pictures import path_of
 from pipeline.evaluation.renderer import Renderer
-from pipeline.studies.open_run import open_run
 from pipeline.terminal.command_line import CommandParser, command, log
+from pipeline.trained.open_run import open_run
 from rasterizer import Rasterizer
 from rasterizer.cores import thread_count
 

@@ -23,7 +23,7 @@ from pipeline.export.frame import frame_at
 from pipeline.export.moving import MovingGaussians, moving_gaussians
 from pipeline.export.source import PLAYED_SECONDS, Timeline
 from pipeline.model.model import Model
-from pipeline.studies.open_run import TrainedRun, open_run
+from pipeline.trained.open_run import TrainedRun, open_run
 from rasterizer import Rasterizer
 
 FRAME_READERS = {"ply": read_ply, "splat": read_splat, "spz": read_spz, "glb": read_glb}

@@ -7,8 +7,6 @@ slices.png      a row of pixels over time
 growth.png      number of Gaussians against the length of the video
 film.png        new views along a path, of bullet_time.mp4
 figures.md      all of them; `python -m pipeline.report` shows them too
-
---lengths RUNS adds video_length.svg, of runs trained on films of several lengths (experiment=video_length).
 """
 
 from __future__ import annotations
@@ -28,14 +26,10 @@ from pipeline.figures.motion import flow_figure
 from pipeline.figures.moving_view import most_moving
 from pipeline.figures.slices import slices_figure
 from pipeline.figures.time_maps import time_maps_figure
-from pipeline.runs.read.collect import collect
-from pipeline.studies.open_run import open_run
-from pipeline.studies.video_length import draw, exponent, lengths_of
 from pipeline.terminal.command_line import CommandParser, command, log
+from pipeline.trained.open_run import open_run
 from rasterizer import Rasterizer
 from rasterizer.cores import thread_count
-
-LENGTHS = "video_length.svg"
 
 
 @command
@@ -44,11 +38,8 @@ def main(arguments: list[str]) -> int:
         prog="python -m pipeline.figures", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("run", type=Path, metavar="RUN", help="folder of a finished run")
-    parser.add_argument("--lengths", type=Path, metavar="RUNS", help="folder of runs of several scene.frames")
     parser.add_argument("--out", type=Path, metavar="DIR", help="default: RUN/figures")
     options = parser.parse_args(arguments)
-    collection = collect(options.lengths) if options.lengths else None
-    lengths = None if collection is None else lengths_of(collection)
     run = open_run(options.run, log)
     renderer = Renderer(run.model, run.scene, run.cfg, Rasterizer(threads=thread_count(run.cfg.threads)))
     out = options.out or options.run / "figures"
@@ -60,11 +51,6 @@ def main(arguments: list[str]) -> int:
             temporary.write_bytes(figure.png)
         figures.append(figure)
     page = markdown(f"{run.cfg.scene.name}, {run.cfg.ablation.name}, {run.cfg.train.name}", figures)
-    if lengths is not None and collection is not None:
-        write_text(out / LENGTHS, draw(lengths, ", ".join(dict.fromkeys(collection.runs["scene"]))))
-        growth = f"N = c · frames^{exponent(lengths, 'gaussians'):.2f} over {len(lengths)} lengths, each trained alone."
-        page += f"\n## Trained on videos of several lengths\n\n{growth}\n\n![{growth}]({LENGTHS})\n"
-        log(f"{LENGTHS}: {growth}")
     write_json(out / FILE, [{"file": f.file, "title": f.title, "seen": f.seen} for f in figures])
     write_text(out / "figures.md", page)
     log(f"written to {out}")

@@ -22,6 +22,7 @@ from pipeline.runs.provenance import provenance
 from pipeline.runs.run_folder import RunFolder
 from pipeline.runs.run_identity import read_stages, refuse_foreign, refuse_other_run
 from pipeline.stages.decisions import MOTION, TIME_COLOUR, decide_motion, decide_time_colour
+from pipeline.stages.estimate import estimate_if_large, training_minutes
 from pipeline.stages.evaluation import evaluate_model
 from pipeline.stages.initial_model import make_initial_model
 from pipeline.stages.inputs import stage_inputs
@@ -30,7 +31,6 @@ from pipeline.stages.stage import Log, Stage
 from pipeline.stages.training import train_model
 from pipeline.stages.viewing import write_page
 from pipeline.training import checkpoint as checkpoints
-from pipeline.training.estimate import estimate_if_large, training_minutes
 from pipeline.training.sampling import refuse_large_batch
 
 # In this order. stage_inputs says which of them a run has.

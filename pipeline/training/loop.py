@@ -69,7 +69,6 @@ def train(
     cfg: Config,
     run: RunLog,
     evaluate_fn: EvaluateFn,
-    start_iteration: int = 0,
     start_seconds: float = 0.0,
     watcher: Watcher | None = None,
 ) -> TrainResult:
@@ -78,16 +77,16 @@ def train(
     `model` is changed in place, unless a checkpoint replaces it or with `train.explicit_velocity`.
 
     evaluate_fn: called every `train.eval_every` iterations and at the end; its time is not training time.
-    start_iteration, start_seconds: iterations and training seconds before a new run, for an already trained model.
+    start_seconds: of training, before a new run.
     Raises finite_checks.NonFiniteError, with the last checkpoint kept, and ValueError for a checkpoint of another run.
     """
-    state = start(model, scene, cfg, run, start_iteration, start_seconds)
+    state = start(model, scene, cfg, run, start_seconds)
     flows = FlowTargets(scene) if cfg.train.regularization.flow > 0 and state.model.kind.moves else None
     depths = _depths(scene, cfg)
     regularization = relative_to_data(cfg.train.regularization, scene)
-    if state.iteration == start_iteration:
+    if state.iteration == 0:
         weights = {"motion": regularization.motion, "opacity": regularization.opacity}
-        run.log({"event": "regularization", "iteration": start_iteration, **weights})
+        run.log({"event": "regularization", "iteration": 0, **weights})
     views, refinement_views = TrainingViews(scene.train, flows, depths), RefinementViews.of(scene, cfg)
 
     with TrainingProgress(state.iteration, cfg.train.iterations, cfg.train.time_budget_s) as progress:

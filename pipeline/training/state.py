@@ -70,10 +70,8 @@ class TrainState:
         self.statistics = Statistics(len(self.model))
 
 
-def start(
-    model: Model, scene: Scene, cfg: Config, run: RunLog, start_iteration: int, start_seconds: float
-) -> TrainState:
-    """A new state with `model`, or the one saved in the run folder. start_iteration, start_seconds: as `loop.train`.
+def start(model: Model, scene: Scene, cfg: Config, run: RunLog, start_seconds: float = 0.0) -> TrainState:
+    """A new state with `model`, or the one saved in the run folder. start_seconds: as `loop.train`.
 
     Raises ValueError for a checkpoint of another seed or kind of model, or one without the moments needed to continue.
     """
@@ -107,7 +105,6 @@ def start(
         Kernels(cfg.train.ssim_weight, cfg.train.mse_weight, threads),
         Gradients.zeros_like(model.gaussians()),
         Stopwatch(start_seconds),
-        iteration=start_iteration,
     )
     if saved is not None:
         _restore(state, saved)

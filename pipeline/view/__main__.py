@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import NoReturn
 
 from datasets.files.errors import read_json
-from pipeline.studies.command_line import log
-from pipeline.studies.open_run import TrainedRun, open_run
 from pipeline.terminal.closed_pipe import quiet_on_closed_pipe
+from pipeline.terminal.command_line import log
+from pipeline.trained.open_run import TrainedRun, open_run
 from pipeline.view.cameras import cameras_of
 from pipeline.view.live.address import DEFAULT_ADDRESS, address_of
 from pipeline.view.live.followed_run import serve_run

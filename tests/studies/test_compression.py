@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from tiny import TinyRun, fake_evaluate, tiny_config, tiny_scene, train_tiny
+from tiny import tiny_config, tiny_scene, train_tiny
 
 from pipeline.evaluation.quick_evaluate import held_out_psnr
 from pipeline.model.initialise import initialise
@@ -18,7 +18,6 @@ from pipeline.studies.compression.pruning import prune_by_sensitivity
 from pipeline.studies.compression.retrain import retrain
 from pipeline.studies.compression.storage import LEVELS, PRECISIONS, load_compressed, save_compressed
 from pipeline.training.density.sensitivity_pruning import image_sensitivity
-from pipeline.training.loop import train
 
 
 @pytest.fixture
@@ -122,14 +121,17 @@ def test_retraining_for_zero_share_changes_nothing(trained):
         assert torch.equal(after.parameters[name], tensor)
 
 
-def test_training_begins_at_the_given_iteration(tmp_path):
-    """From iteration 30 of 40: ten iterations, with the SH degree and Fourier order that the schedule has there."""
+def test_retraining_begins_late_in_the_schedule():
+    """From iteration 30 of 40: ten iterations, with the SH degree that the schedule has there."""
     scene, cfg = tiny_scene(), tiny_config(40)
-    model = initialise(scene, cfg, np.random.default_rng(0))
-    run = TinyRun(tmp_path / "late")
-    done = train(model, scene, cfg, run, fake_evaluate, start_iteration=30)
-    assert done.iteration == 40 and [row["iteration"] for row in run.rows("error_vs_time.jsonl")] == [40]
-    assert done.model.parameters["sh"][:, 4:16].any()  # degree 2, from iteration 30 on
+    model, evaluated = initialise(scene, cfg, np.random.default_rng(0)), []
+
+    def evaluate_fn(model, progress):
+        evaluated.append(progress.iteration)
+        return {"psnr": 0.0}
+
+    after = retrain(model, scene, cfg, 0.25, evaluate_fn)
+    assert evaluated == [40] and after.parameters["sh"][:, 4:16].any()  # degree 2, from iteration 30 on
 
 
 def test_pruning_to_fraction_zero_keeps_one_gaussian(trained):

@@ -270,7 +270,7 @@ def test_pixels_outside_a_mask_have_no_gradient(tmp_path) -> None:
     mask[:, 16:] = True
     scene = replace(scene, train=tuple(replace(view, mask=mask) for view in scene.train))
     model = initialise(scene, cfg, np.random.default_rng(0))
-    state = start(model, scene, cfg, TinyRun(tmp_path), 0, 0.0)
+    state = start(model, scene, cfg, TinyRun(tmp_path))
     phase = state.begin_iteration(scene, cfg)
     found = []
     original = step.backward

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 from test_loop import assert_same_state, batch_losses
-from tiny import TinyRun, fake_evaluate, tiny_config, tiny_scene, train_tiny
+from tiny import TinyRun, tiny_config, tiny_scene, train_tiny
 
 from datasets.scene import Scene
 from pipeline.config.train_schema import DensifyConfig, LearningRates
@@ -18,7 +18,6 @@ from pipeline.model.environment_map import EnvironmentMap
 from pipeline.model.initialise import initialise
 from pipeline.training import checkpoint, finite_checks
 from pipeline.training.kernels import Kernels
-from pipeline.training.loop import train
 from pipeline.training.schedule import phase
 from pipeline.training.state import start
 from pipeline.training.step import Batch, DrawnView, draw_batch
@@ -156,13 +155,11 @@ def test_the_near_plane_is_in_the_scenes_unit(unit: float, visible: bool) -> Non
 
 
 def test_a_trained_models_map_is_kept(tmp_path) -> None:
-    """After iteration 20, from which on the map does not change."""
     cfg, scene = tiny_config(24, "envmap"), tiny_scene()
     model = initialise(scene, cfg, np.random.default_rng(0))
     model.environment_map = EnvironmentMap.grey(cfg.train.envmap_height)
     model.environment_map.image.fill_(0.9)
-    done = train(model, scene, cfg, TinyRun(tmp_path), fake_evaluate, start_iteration=21)
-    assert (done.model.environment_map.image == 0.9).all()
+    assert (start(model, scene, cfg, TinyRun(tmp_path)).model.environment_map.image == 0.9).all()
 
 
 def test_a_random_background_is_none_behind_a_map(tmp_path) -> None:
@@ -173,6 +170,6 @@ def test_a_random_background_is_none_behind_a_map(tmp_path) -> None:
     transparent = replace(view, coverage=np.zeros(view.image.shape[:2], np.uint8))
     scene = replace(scene, train=(transparent,) * 2)
     model = initialise(scene, cfg, np.random.default_rng(0))
-    state = start(model, scene, cfg, TinyRun(tmp_path), 0, 0.0)
+    state = start(model, scene, cfg, TinyRun(tmp_path))
     drawn = draw_batch(state, TrainingViews(scene.train), state.begin_iteration(scene, cfg), scene, cfg)
     assert all(torch.equal(view.target.image, target_of(transparent, 1.0).image) for view in drawn)

@@ -18,8 +18,8 @@ from pipeline.studies.compression.measure import measure, pruned_models, smalles
 from pipeline.studies.compression.plot import draw
 from pipeline.studies.compression.storage import save_compressed
 from pipeline.studies.compression.table import markdown
-from pipeline.studies.open_run import open_run
 from pipeline.studies.output import write_results
+from pipeline.trained.open_run import open_run
 
 NAME = "compression"
 FRACTIONS = (0.8, 0.7, 0.6, 0.5, 0.4)

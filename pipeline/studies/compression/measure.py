@@ -18,7 +18,7 @@ from pipeline.model.model import Model
 from pipeline.studies.compression.pruning import prune_by_sensitivity
 from pipeline.studies.compression.retrain import retrain
 from pipeline.studies.compression.storage import PRECISIONS, Precision, load_compressed, save_compressed
-from pipeline.studies.open_run import TrainedRun
+from pipeline.trained.open_run import TrainedRun
 from pipeline.training.density.sensitivity_pruning import image_sensitivity
 from pipeline.training.loop import Progress
 from rasterizer import Rasterizer

@@ -13,11 +13,11 @@ from pipeline.config.schema import Config
 from pipeline.model.model import Model
 from pipeline.training.loop import EvaluateFn, train
 from pipeline.training.run_log import temporary_run
+from pipeline.training.state import save, start
 
 
 def retrain(model: Model, scene: Scene, cfg: Config, share: float, evaluate_fn: EvaluateFn) -> Model:
-    """`model`, trained for the last `share` (0 to 1) of the schedule `cfg.train` with the same number of Gaussians; in
-    place, unless with `train.explicit_velocity`.
+    """`model`, trained for the last `share` (0 to 1) of the schedule `cfg.train` with the same number of Gaussians.
 
     evaluate_fn: called once, at the end. Adam starts with zero moments.
     """
@@ -32,7 +32,9 @@ def retrain(model: Model, scene: Scene, cfg: Config, share: float, evaluate_fn: 
     first = round(cfg.train.iterations * (1 - share))
     if first == cfg.train.iterations:
         return model
-    with temporary_run() as run:
-        return train(
-            model, scene, replace(cfg, train=schedule, resume=False), run, evaluate_fn, start_iteration=first
-        ).model
+    cfg = replace(cfg, train=schedule, resume=True)
+    with temporary_run() as run:  # goes on from a checkpoint, as after an interruption
+        state = start(model, scene, cfg, run)
+        state.iteration = first
+        save(state, run, keep_moments=True)
+        return train(model, scene, cfg, run, evaluate_fn).model

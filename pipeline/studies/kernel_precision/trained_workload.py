@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
-from pipeline.studies.open_run import open_run
+from pipeline.trained.open_run import open_run
 from rasterizer import Request
 from rasterizer.timing.workloads import Workload
 

@@ -15,13 +15,13 @@ import numpy as np
 from pipeline.data.training_views import target_of
 from pipeline.evaluation.renderer import Renderer
 from pipeline.studies.command_line import StudyParser, log, study_command
-from pipeline.studies.open_run import TrainedRun, open_run
 from pipeline.studies.output import write_results
 from pipeline.studies.overfitting.effective_view_count import effective_view_count
 from pipeline.studies.overfitting.error_by_motion import error_by_motion
 from pipeline.studies.overfitting.history import History, read_history
 from pipeline.studies.overfitting.plot import draw, image_grid
 from pipeline.studies.overfitting.table import motion_summary, summary
+from pipeline.trained.open_run import TrainedRun, open_run
 from rasterizer import Rasterizer
 from rasterizer.cores import thread_count
 

@@ -9,7 +9,7 @@ import numpy as np
 from pipeline.data.training_views import target_of
 from pipeline.evaluation.motion.moving_pixels import MovingPixels
 from pipeline.evaluation.renderer import Renderer
-from pipeline.studies.open_run import TrainedRun
+from pipeline.trained.open_run import TrainedRun
 from rasterizer import Rasterizer
 
 

@@ -10,7 +10,7 @@ from pipeline.data.prepare import prepare
 from pipeline.model.model import Model
 from pipeline.model.ply import load_ply
 from pipeline.model.scene_settings import resolved
-from pipeline.studies.open_run import stored_config
+from pipeline.trained.open_run import stored_config
 from pipeline.training import checkpoint as checkpoints
 from pipeline.view.live.address import Address
 from pipeline.view.live.feed import Feed

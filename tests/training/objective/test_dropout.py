@@ -61,7 +61,7 @@ def test_a_static_model_has_no_short_lived_gaussians():
 
 def test_after_its_share_of_the_schedule_long_lived_gaussians_are_in_every_view(tmp_path):
     scene, cfg = tiny_scene(), tiny_config(iterations=10, dropout=0.5, dropout_until=0.5, dropout_lifetime=0.2)
-    state = start(initialise(scene, cfg, np.random.default_rng(0)), scene, cfg, TinyRun(tmp_path), 0, 0.0)
+    state = start(initialise(scene, cfg, np.random.default_rng(0)), scene, cfg, TinyRun(tmp_path))
     short = torch.arange(len(state.model)) % 2 == 0
     state.model.parameters["log_scale"][:, 3] = (torch.where(short, 0.19, 0.21) * scene.duration).log()
     shares = []

@@ -104,7 +104,7 @@ def test_the_release_has_it_once_in_a_batch_and_as_its_mean(tmp_path):
         rules = RegularizationConfig(rigid=weight, rigid_released=True, rigid_neighbours=5)
         cfg = tiny_config(batch=3, regularization=rules)
         scene = tiny_scene()
-        state = start(initialise(scene, cfg, np.random.default_rng(0)), scene, cfg, TinyRun(tmp_path), 0, 0.0)
+        state = start(initialise(scene, cfg, np.random.default_rng(0)), scene, cfg, TinyRun(tmp_path))
         state.model.parameters["quat_left"] += 0.3 * torch.randn(
             state.model.parameters["quat_left"].shape, generator=torch.Generator().manual_seed(1)
         )
@@ -169,7 +169,7 @@ def rigid_views(path: Path, every: int, iterations: int, **train_keys) -> list[b
     cfg = tiny_config(regularization=RegularizationConfig(rigid=1.0, rigid_every=every), **train_keys)
     scene = tiny_scene()
     views = TrainingViews(scene.train)
-    state = start(initialise(scene, cfg, np.random.default_rng(0)), scene, cfg, TinyRun(path), 0, 0.0)
+    state = start(initialise(scene, cfg, np.random.default_rng(0)), scene, cfg, TinyRun(path))
     found = []
     for _ in range(iterations):
         phase = state.begin_iteration(scene, cfg)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from tiny import tiny_config
 
-from pipeline.training.estimate import Size, _estimate
+from pipeline.stages.estimate import Size, _estimate
 
 
 def test_images_in_memory_have_the_size_that_is_trained() -> None:
