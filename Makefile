@@ -7,6 +7,7 @@ PYTHON ?= $(or $(shell command -v python3.11 || command -v python3),python3)
 RUN := .venv/bin/python -m
 RUNS ?= results/runs
 FUZZ_SECONDS ?= 20
+CPP := $(wildcard rasterizer/src/*.?pp rasterizer/src/*/*.hpp)
 MARKDOWN := README.md CONTRIBUTING.md CHANGELOG.md docs results/measured/motion results/measured/dnerf
 
 # How long a target took since make began, what it set up on the way included.
@@ -31,7 +32,7 @@ TOOLS := .venv/.tools
 INSTALLED := .venv/.installed
 BUILT := build/.built
 ALL_KERNELS := build/.all_kernels
-KERNEL_SOURCES := CMakeLists.txt $(wildcard rasterizer/src/*.?pp rasterizer/src/*/*.hpp)
+KERNEL_SOURCES := CMakeLists.txt $(CPP)
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -43,16 +44,18 @@ build: $(BUILT) ## rebuild the kernel if its sources changed
 lock: ## renew requirements.lock after a change of pyproject.toml; UPGRADE=--upgrade takes the newest versions
 	@"$(PYTHON)" tools/lock.py $(UPGRADE)
 
-lint: $(INSTALLED) ## check style, imports, types, Markdown and, where npm is installed, JavaScript; changes nothing
+lint: $(INSTALLED) ## check style, imports, types, C++, Markdown and, where npm is installed, JavaScript; changes nothing
 	.venv/bin/ruff check .
 	.venv/bin/ruff format --check .
 	.venv/bin/mypy
+	.venv/bin/clang-format --dry-run -Werror $(CPP)
 	.venv/bin/mdformat --check $(MARKDOWN)
 	@$(call biome,ci)
 
-format: $(INSTALLED) ## format code, imports, Markdown and JavaScript
+format: $(INSTALLED) ## format Python, imports, C++, Markdown and JavaScript
 	.venv/bin/ruff check --fix --select I .
 	.venv/bin/ruff format .
+	.venv/bin/clang-format -i $(CPP)
 	.venv/bin/mdformat $(MARKDOWN)
 	@$(call biome,check --write)
 
