@@ -1,4 +1,4 @@
-// The kernels that this processor can run, best first: the x86-64 levels v4 (AVX-512), v3 (AVX2), v2 (SSE4.2), or plain.
+// The kernels that this processor can run, best first: the x86-64 levels v4, v3, v2, or plain.
 #pragma once
 
 #include <string>

@@ -1,8 +1,8 @@
 // The kernel's Python bindings. Start reading in render.hpp.
 //
-// Arguments are checked in Python (validation.py), with their error messages. Arrays that are written are views of
-// the caller's memory: .noconvert() refuses others, of which nanobind would pass a copy. Arrays that are only read
-// may be copied.
+// Arguments are checked in Python (validation.py), with their error messages. Arrays that are written are
+// views of the caller's memory: .noconvert() refuses others, of which nanobind would pass a copy. Arrays that
+// are only read may be copied.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/array.h>
@@ -152,11 +152,11 @@ public:
                                    pointer(stats)};
         const splat::InputPlanes rendered{pointer(rendered_[0]), pointer(rendered_[1]), pointer(rendered_[2]),
                                           pointer(rendered_[3]), pointer(rendered_[4])};
-        const splat::ParameterGradients out{mean.data(), log_scale.data(), quat_left.data(),
+        const splat::ParameterGradients out{mean.data(),         log_scale.data(),  quat_left.data(),
                                             pointer(quat_right), pointer(velocity), opacity_logit.data()};
-        const splat::ViewGradient view{id.data(), mean2d.data(), mean_t.data(), radius.data(),
-                                       unoccluded.data(),
-                                       reinterpret_cast<splat::ColorGradient*>(color_gradient.data())};
+        const splat::ViewGradient view{
+            id.data(),     mean2d.data(),     mean_t.data(),
+            radius.data(), unoccluded.data(), reinterpret_cast<splat::ColorGradient*>(color_gradient.data())};
         nb::gil_scoped_release release;
         splat::render_backward(state_, model.motion(), model.parameters(), rendered, d, out, view);
     }
@@ -254,12 +254,14 @@ NB_MODULE(KERNEL_MODULE_NAME, m) {
         .def(
             "__init__",
             [](Model* self, In mean, In log_scale, In quat_left, std::optional<In> quat_right,
-               std::optional<In> velocity, In opacity_logit, Array<const splat::ShStored> sh, int coefficients, int stored_order) {
+               std::optional<In> velocity, In opacity_logit, Array<const splat::ShStored> sh,
+               int coefficients, int stored_order) {
                 new (self) Model{mean,          log_scale, quat_left,    quat_right,  velocity,
                                  opacity_logit, sh,        coefficients, stored_order};
             },
             nb::arg("mean"), nb::arg("log_scale"), nb::arg("quat_left"), nb::arg("quat_right").none(),
-            nb::arg("velocity").none(), nb::arg("opacity_logit"), nb::arg("sh"), nb::arg("coefficients"), nb::arg("stored_order"));
+            nb::arg("velocity").none(), nb::arg("opacity_logit"), nb::arg("sh"), nb::arg("coefficients"),
+            nb::arg("stored_order"));
     nb::class_<CameraDouble>(m, "Camera").def_static("make", &camera_from);
     nb::class_<FrameBinding>(m, "Frame")
         .def(nb::init<>())

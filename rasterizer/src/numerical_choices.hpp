@@ -1,7 +1,7 @@
 // Numerical choices: each trades accuracy for time, and none is part of the model.
 //
-// The macros are for `python -m pipeline.studies.kernel_precision`, which builds the kernel with other values and
-// measures what each costs and saves.
+// The macros are for `python -m pipeline.studies.kernel_precision`, which builds the kernel with other values
+// and measures what each costs and saves.
 #pragma once
 
 #include <cstdint>

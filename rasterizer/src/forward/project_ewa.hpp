@@ -29,8 +29,8 @@ struct EwaProjection {
     Real pixel[2];
 };
 
-// Bounds of the clamp of x/z and y/z, on each side of the principal point. A side on which there is no image, as
-// of a crop, has the width 0.
+// Bounds of the clamp of x/z and y/z, on each side of the principal point. A side on which there is no image,
+// as of a crop, has the width 0.
 template <class Real>
 struct FrustumLimits {
     ScalarOf<Real> low[2], high[2];

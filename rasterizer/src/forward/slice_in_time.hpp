@@ -4,7 +4,8 @@
 //     Σtt = |m_t|²,   h = Σ_xyz,t / Σtt,   μ(t) = μ_xyz + h (t - μt),   Σ(t) = A Aᵀ,   A = M_xyz - h m_tᵀ.
 // Equivalently A = M_xyz (I - v vᵀ) with v = m_t/|m_t|. The textbook form Σ_xyz - Σ_xyz,t Σ_t,xyz / Σtt
 // suffers from cancellation in float32. p may be that of a later time, t + marginal_offset: training moves
-// Gaussians along their paths with it. Without 4D rotation, A = R diag(s) of space, Σtt = st², and h is stored.
+// Gaussians along their paths with it. Without 4D rotation, A = R diag(s) of space, Σtt = st², and h is
+// stored.
 #pragma once
 
 #include "forward/quaternion.hpp"

@@ -82,39 +82,42 @@ inline void intersect_tiles(ViewState& view) {
     // Each thread lists (tile, mask) of its share of the splats. The result does not depend on the shares.
     std::exception_ptr failed;  // for lack of memory: no exception may leave the region
 #pragma omp parallel for schedule(static, 1) num_threads(threads)
-    for (int t = 0; t < threads; ++t) try {
-        ViewState::ThreadIntersections& list = view.thread_intersections[t];
-        list.tile_count.assign(tiles, 0);
-        size_t n_intersections = 0;
-        for (size_t i = thread_begin(t); i < thread_begin(t + 1); ++i) {
-            const uint32_t splat_index = view.front_to_back[i].splat_index;
-            if (i + kPrefetchDistance < n)
-                __builtin_prefetch(&view.splats[view.front_to_back[i + kPrefetchDistance].splat_index]);
-            const Splat& splat = view.splats[splat_index];
-            const TileRect range = tiles_of_box(view, splat);
-            const size_t needed =
-                n_intersections + static_cast<size_t>(range.x1 - range.x0 + 1) * (range.y1 - range.y0 + 1);
-            if (needed > list.tile.size()) {
-                list.tile.resize(needed + needed / 2 + 1024);
-                list.mask.resize(list.tile.size());
-            }
-            const size_t before = n_intersections;
-            for (int y = range.y0; y <= range.y1; ++y)
-                for (int x = range.x0; x <= range.x1; ++x) {
-                    const unsigned mask =
-                        touched_blocks(splat, static_cast<scalar>(x * kTile), static_cast<scalar>(y * kTile));
-                    const uint32_t tile = static_cast<uint32_t>(y * view.tiles_x + x), touched = mask != 0;
-                    // Overwritten by the next unless touched: a branch would be mispredicted often.
-                    list.tile[n_intersections] = tile;
-                    list.mask[n_intersections] = static_cast<uint16_t>(mask);
-                    list.tile_count[tile] += touched;
-                    n_intersections += touched;
+    for (int t = 0; t < threads; ++t) {
+        try {
+            ViewState::ThreadIntersections& list = view.thread_intersections[t];
+            list.tile_count.assign(tiles, 0);
+            size_t n_intersections = 0;
+            for (size_t i = thread_begin(t); i < thread_begin(t + 1); ++i) {
+                const uint32_t splat_index = view.front_to_back[i].splat_index;
+                if (i + kPrefetchDistance < n)
+                    __builtin_prefetch(&view.splats[view.front_to_back[i + kPrefetchDistance].splat_index]);
+                const Splat& splat = view.splats[splat_index];
+                const TileRect range = tiles_of_box(view, splat);
+                const size_t needed = n_intersections + static_cast<size_t>(range.x1 - range.x0 + 1) *
+                                                            (range.y1 - range.y0 + 1);
+                if (needed > list.tile.size()) {
+                    list.tile.resize(needed + needed / 2 + 1024);
+                    list.mask.resize(list.tile.size());
                 }
-            view.gradient_range[splat_index].count = static_cast<uint32_t>(n_intersections - before);
-        }
-    } catch (...) {
+                const size_t before = n_intersections;
+                for (int y = range.y0; y <= range.y1; ++y)
+                    for (int x = range.x0; x <= range.x1; ++x) {
+                        const unsigned mask = touched_blocks(splat, static_cast<scalar>(x * kTile),
+                                                             static_cast<scalar>(y * kTile));
+                        const uint32_t tile = static_cast<uint32_t>(y * view.tiles_x + x),
+                                       touched = mask != 0;
+                        // Overwritten by the next unless touched: a branch would be mispredicted often.
+                        list.tile[n_intersections] = tile;
+                        list.mask[n_intersections] = static_cast<uint16_t>(mask);
+                        list.tile_count[tile] += touched;
+                        n_intersections += touched;
+                    }
+                view.gradient_range[splat_index].count = static_cast<uint32_t>(n_intersections - before);
+            }
+        } catch (...) {
 #pragma omp critical
-        failed = std::current_exception();
+            failed = std::current_exception();
+        }
     }
 
     if (failed) std::rethrow_exception(failed);

@@ -1,7 +1,7 @@
 // Operations on one native register of doubles that the compiler's own vectors lack (vec.hpp).
 //
-// The float64 kernel serves for comparison with the float32 one (`python -m pipeline.studies.kernel_precision`): the
-// same loops over the same lanes, with twice as many registers.
+// The float64 kernel serves for comparison with the float32 one (`python -m
+// pipeline.studies.kernel_precision`): the same loops over the same lanes, with twice as many registers.
 #pragma once
 
 namespace splat {

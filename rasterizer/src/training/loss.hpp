@@ -235,28 +235,30 @@ inline LossValue photometric_loss(const scalar* image, const scalar* target, int
     std::vector<std::optional<LossRows>> thread_rows(threads);
     std::exception_ptr failed;  // for lack of memory: no exception may leave the region
 #pragma omp parallel for schedule(dynamic, 1) num_threads(threads)
-    for (int task = 0; task < 3 * bands; ++task) try {
-        std::optional<LossRows>& rows = thread_rows[omp_get_thread_num()];
-        if (!rows) rows.emplace(width);
-        const int c = task / bands, band = task % bands;
-        const LossBand p{image + c * plane,
-                         target + c * plane,
-                         gradient + c * plane,
-                         &row_l1[c * height],
-                         &row_ssim[c * height],
-                         &row_square[c * height],
-                         width,
-                         height,
-                         first_row(band),
-                         first_row(band + 1),
-                         (1 - ssim_weight) * scale,
-                         ssim_weight * scale,
-                         mse_weight * scale,
-                         copy_background};
-        loss_band(p, w.data(), *rows);
-    } catch (...) {
+    for (int task = 0; task < 3 * bands; ++task) {
+        try {
+            std::optional<LossRows>& rows = thread_rows[omp_get_thread_num()];
+            if (!rows) rows.emplace(width);
+            const int c = task / bands, band = task % bands;
+            const LossBand p{image + c * plane,
+                             target + c * plane,
+                             gradient + c * plane,
+                             &row_l1[c * height],
+                             &row_ssim[c * height],
+                             &row_square[c * height],
+                             width,
+                             height,
+                             first_row(band),
+                             first_row(band + 1),
+                             (1 - ssim_weight) * scale,
+                             ssim_weight * scale,
+                             mse_weight * scale,
+                             copy_background};
+            loss_band(p, w.data(), *rows);
+        } catch (...) {
 #pragma omp critical
-        failed = std::current_exception();
+            failed = std::current_exception();
+        }
     }
     if (failed) std::rethrow_exception(failed);
     LossValue value{0, 0, 0};  // summed row by row: the same bits for any number of threads
