@@ -8,9 +8,7 @@ tensor's largest; random scenes show at most 5e-6 and 1.5e-5. Gaussians and pixe
 from __future__ import annotations
 
 import math
-import os
-import subprocess
-import sys
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -30,6 +28,7 @@ from builders import (
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
+from pipeline.studies.kernel_stability.instruction_sets import images_and_gradients
 from rasterizer import Gaussians, RenderOutput, Request, rasterize
 from rasterizer.kernel_loader import available_isas, kernel
 from rasterizer.reference import render as reference
@@ -61,13 +60,39 @@ def assert_gradients_agree(found: dict[str, Tensor], expected: dict[str, Tensor]
             )
 
 
-def check_against_reference(gaussians: Gaussians, request: Request) -> None:
+Program = Callable[[Gaussians, Request, dict[str, Tensor]], tuple[RenderOutput, dict[str, Tensor]]]
+
+
+def with_autograd(gaussians: Gaussians, request: Request, weights: dict[str, Tensor]):
+    """(images, gradients) of `rasterize`, which has the kernel of RASTERIZER_ISA or the best one."""
+    return render_and_gradients(rasterize, gaussians, request, weights)
+
+
+def by_instruction_set(isa: str) -> Program:
+    """The same by the kernel of this instruction set, without autograd."""
+
+    def program(gaussians: Gaussians, request: Request, weights: dict[str, Tensor]):
+        images, gradients = images_and_gradients(isa, 1, gaussians, request, weights)
+        return RenderOutput(**dict.fromkeys(OUTPUT_NAMES) | images), gradients
+
+    return program
+
+
+OTHER_ISAS = [isa for isa in available_isas() if not kernel.__name__.endswith(f"_{isa}")]
+EVERY_INSTRUCTION_SET = pytest.mark.parametrize(
+    "program",
+    [with_autograd, *map(by_instruction_set, OTHER_ISAS)],
+    ids=["rasterize", *(f"instruction_set_{isa}" for isa in OTHER_ISAS)],
+)
+
+
+def check_against_reference(gaussians: Gaussians, request: Request, program: Program = with_autograd) -> None:
     """Compare images and all gradients of float64 `gaussians`, which the kernel renders in float32."""
     gaussians = away_from_discontinuities(gaussians, request)
     smooth = smooth_pixels(gaussians, request)
     weights = output_weights(request, smooth, generator(99))
     expected, truth = render_and_gradients(reference.rasterize, gaussians, request, weights)
-    found, gradients = render_and_gradients(rasterize, gaussians.to(torch.float32), request, weights)
+    found, gradients = program(gaussians.to(torch.float32), request, weights)
     assert_images_agree(found, expected, smooth)
     assert_gradients_agree(gradients, truth)
 
@@ -80,10 +105,11 @@ def test_each_output_alone(motion: str, output: str):
     check_against_reference(random_gaussians(70, motion, generator(1)), make_request(outputs=(output,), flow_dt=0.2))
 
 
+@EVERY_INSTRUCTION_SET
 @pytest.mark.parametrize("motion", MOTIONS)
-def test_core_all_outputs_together(motion: str):
+def test_all_outputs_together(motion: str, program: Program):
     request = make_request(outputs=outputs_of(motion), flow_dt=0.2)
-    check_against_reference(random_gaussians(70, motion, generator(2)), request)
+    check_against_reference(random_gaussians(70, motion, generator(2)), request, program)
 
 
 @pytest.mark.parametrize("forward", [-0.15, 2.5], ids=["back", "past_some"])
@@ -146,7 +172,8 @@ def test_sizes_around_the_tile(size: tuple[int, int]):
     assert_gradients_agree(gradients, truth)
 
 
-def test_core_opaque_gaussians_end_pixels_early():
+@EVERY_INSTRUCTION_SET
+def test_opaque_gaussians_end_pixels_early(program: Program):
     """Most pixels end before their last Gaussian; Gaussians behind must get no gradient."""
     gaussians = random_gaussians(
         600, "full", generator(8), log_scale=(-2.5, -1.0), opacity_logit=(3.0, 8.0), sh_degree=1
@@ -156,7 +183,7 @@ def test_core_opaque_gaussians_end_pixels_early():
     smooth = smooth_pixels(gaussians, request)
     weights = output_weights(request, smooth, generator(9))
     expected, truth = render_and_gradients(reference.rasterize, gaussians, request, weights)
-    found, gradients = render_and_gradients(rasterize, gaussians.to(torch.float32), request, weights)
+    found, gradients = program(gaussians.to(torch.float32), request, weights)
     assert (expected.alpha > 1 - 1e-3).float().mean() > 0.3
     assert smooth.float().mean() > 0.5  # many pixels are near a discontinuity
     for name in ("color", "alpha"):
@@ -191,38 +218,13 @@ def test_long_fast_streaks(ratio: float):
     assert ((found.color - expected.color).abs() * smooth).max() < max(2e-4, 1e-6 * ratio)
 
 
+@EVERY_INSTRUCTION_SET
 @pytest.mark.parametrize("motion", MOTIONS)
-def test_core_an_empty_scene_renders_the_background(motion: str):
+def test_an_empty_scene_renders_the_background(motion: str, program: Program):
     weights = {"color": torch.ones(3, 37, 45)}
-    out, gradients = render_and_gradients(
-        rasterize, random_gaussians(0, motion, generator(12)).to(torch.float32), make_request(), weights
-    )
+    out, gradients = program(random_gaussians(0, motion, generator(12)).to(torch.float32), make_request(), weights)
     assert torch.equal(out.color, torch.tensor([0.3, 0.6, 0.1])[:, None, None].expand(3, 37, 45))
     assert all(gradient.numel() == 0 for gradient in gradients.values())
-
-
-# ---- Instruction sets --------------------------------------------------------------------------------------
-
-
-OTHER_ISAS = [isa for isa in available_isas() if not kernel.__name__.endswith(f"_{isa}")]
-
-
-@pytest.mark.parametrize("isa", OTHER_ISAS or available_isas())
-def test_every_other_instruction_set_passes_them_too(isa: str):
-    """The tests named core, in a process that loads the kernel of another instruction set."""
-    command = [
-        sys.executable,
-        "-m",
-        "pytest",
-        "-q",
-        "-p",
-        "no:cacheprovider",
-        "-k",
-        "core and not instruction_set",
-        __file__,
-    ]
-    done = subprocess.run(command, env={**os.environ, "RASTERIZER_ISA": isa}, capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-1000:]
 
 
 @pytest.mark.parametrize("speed", [1.0, 1e3, 1e5])
