@@ -1,14 +1,14 @@
 # Everything starts here: `make` lists the targets, and each of them first sets up what it needs.
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help setup build lock lint format test test-data reproduce ablations bench work-precision scaling stability report sanitize fuzz clean
+.PHONY: help setup build lock lint format test test-data reproduce ablations bench work-precision stability report sanitize fuzz clean
 
 PYTHON ?= $(or $(shell command -v python3.11 || command -v python3),python3)
 RUN := .venv/bin/python -m
 RUNS ?= results/runs
 FUZZ_SECONDS ?= 20
 CPP := $(wildcard rasterizer/src/*.?pp rasterizer/src/*/*.hpp)
-MARKDOWN := README.md CONTRIBUTING.md CHANGELOG.md docs results/measured/motion results/measured/dnerf
+MARKDOWN := README.md CONTRIBUTING.md CHANGELOG.md docs results/measured/motion results/measured/dnerf results/measured/training_curves
 
 # How long a target took since make began, what it set up on the way included.
 STARTED := $(shell date +%s)
@@ -84,11 +84,6 @@ bench: $(ALL_KERNELS) ## time kernel, loss, optimiser and reference implementati
 
 work-precision: $(BUILT) ## error against time of the kernel's numerical choices: results/kernel_precision
 	$(RUN) pipeline.studies.kernel_precision
-
-scaling: $(BUILT) ## cost and number of Gaussians against scene size and video length: results/cost_scaling, video_length
-	$(RUN) pipeline.studies.cost_scaling
-	$(RUN) pipeline experiment=video_length
-	$(RUN) pipeline.studies.video_length
 
 stability: $(ALL_KERNELS) ## float32 kernel against float64 in ill-conditioned scenes: results/kernel_stability; fails above a bound
 	$(RUN) pipeline.studies.kernel_stability

@@ -242,15 +242,6 @@ def test_compression_of_a_finished_run(shell: Shell, run_argument: str) -> None:
     }
 
 
-def test_overfitting_of_a_finished_run(shell: Shell, run_argument: str) -> None:
-    out, err = shell(run_argument, module="pipeline.studies.overfitting")
-    assert err == "" and "held-out dB" in out
-    assert {path.name for path in (shell.folder / "results/overfitting").iterdir()} == {
-        "overfitting.svg",
-        "moment.webp",
-    }
-
-
 def test_viewer_of_finished_runs(shell: Shell, run_argument: str) -> None:
     out, err = shell(run_argument, run_argument, "--out", "two.html", module="pipeline.view")
     assert err == "" and out.endswith("MB; open it in a browser\n")
@@ -290,7 +281,7 @@ def test_live_view_of_another_process(shell: Shell, finished: Path, monkeypatch:
     assert json.loads(message[4 : 4 + int.from_bytes(message[:4], "little")])["iteration"] == 60
 
 
-@pytest.mark.parametrize("module", ["pipeline.studies.compression", "pipeline.studies.overfitting", "pipeline.view"])
+@pytest.mark.parametrize("module", ["pipeline.studies.compression", "pipeline.view"])
 def test_a_folder_without_a_run_is_refused_in_one_line(shell: Shell, module: str) -> None:
     out, err = shell("nowhere", module=module, status=1)
     assert out == "" and err.startswith("error: nowhere: expected a ") and err.count("\n") == 1

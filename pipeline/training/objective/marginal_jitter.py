@@ -20,7 +20,7 @@ from rasterizer import Gaussians
 from rasterizer.covariance import temporal_deviation
 
 # With the jitter a quarter to a third of the Gaussians live so short on synthetic/burst, which it harms, 0.09 on wheel
-# and at most 0.08 on D-NeRF's scenes, while they are densified (results/measured/motion/choices.md).
+# and at most 0.08 on D-NeRF's scenes, while they are densified (results/measured/motion/motion.md).
 MAX_SHORT_LIVED = 0.2
 SAMPLE = 2000  # Gaussians that this share is estimated from: its standard deviation is 0.007
 

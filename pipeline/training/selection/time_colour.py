@@ -23,7 +23,7 @@ from pipeline.training.selection.short_training import VALIDATION_EVERY, mean_an
 # dB, and of the gain. To leave out colours that do change costs more than to keep coefficients that have no use.
 MIN_GAIN, MIN_STANDARD_ERRORS = 0.1, 1.0
 # Of the coefficients of time: in so few iterations they would hardly leave zero. 1 decides wrongly on one of two scenes
-# with changing colours, 10 makes the model worse than one without (results/measured/motion/choices.md).
+# with changing colours, 10 makes the model worse than one without (results/measured/motion/motion.md).
 LEARNING_RATE_FACTOR = 3.0
 
 

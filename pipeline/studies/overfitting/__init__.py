@@ -1,1 +1,0 @@
-"""Overfitting: training against held-out views, effective view counts, lifetimes, error in moving and static pixels."""
