@@ -35,27 +35,6 @@ from rasterizer.allocator import keep_freed_memory
 EXPECTED = (ValueError, OSError, ArithmeticError, MemoryError, HydraException, OmegaConfBaseException)
 
 _FULL_ERROR = "HYDRA_FULL_ERROR"
-_HEADINGS = {
-    "psnr": "PSNR",
-    "ssim": "SSIM",
-    "ms_ssim": "MS-SSIM",
-    "dssim1": "DSSIM1",
-    "dssim2": "DSSIM2",
-    "lpips_alex": "LPIPS-Alex",
-    "lpips_vgg": "LPIPS-VGG",
-    "psnr_moving": "PSNR moving",
-    "psnr_still": "PSNR still",
-    "psnr_foreground": "PSNR foreground",
-    "psnr_masked": "PSNR masked",
-    "flow_error": "flow error",
-    "flow_error_px": "flow error, px",
-    "depth_error_median": "depth error",
-    "lidar_error_median": "LiDAR error",
-    "lidar_error_mean": "LiDAR AbsRel",
-    "lidar_rmse": "LiDAR RMSE, m",
-    "fps_render": "FPS",
-    "fps_raster": "FPS (raster)",
-}
 
 
 class RunFailed(Exception):
@@ -199,15 +178,11 @@ def _report(cfg: Config, metrics: dict) -> None:
     console = Console(highlight=False, soft_wrap=True)
     final, best = metrics["final"], metrics["best_on_test"] or {}
     console.print(_title(cfg, metrics), style="bold")
-    from pipeline.evaluation.motion.motion_metrics import MOTION_METRICS  # late, as it imports torch
+    from pipeline.evaluation.metrics import quality_table  # late, as it imports the metrics' libraries
 
     table = Table("", "final", "best on test")
-    for name, heading in _HEADINGS.items():
-        if name in MOTION_METRICS and final.get(name) is None:
-            continue  # the scene has no ground truth for it
-        table.add_row(heading, _cell(final.get(name)), _cell(best.get(name)))
-    if final.get("flicker") is not None:  # only where a held-out camera filmed
-        table.add_row("flicker, of 255", *(_cell(255 * model["flicker"]) if model else "–" for model in (final, best)))
+    for row in quality_table(final, best):
+        table.add_row(*row)
     table.add_row("iteration", str(metrics["iterations"]), str(best.get("iteration", "–")))
     console.print(table)
     if metrics.get("test_split"):

@@ -16,7 +16,7 @@ import numpy as np
 from export_readers import read_fourdgs, read_ftgs, read_glb, read_ply, read_splat, read_splatv, read_spz
 
 from pipeline.data.training_views import evenly_spaced
-from pipeline.evaluation.metrics import psnr
+from pipeline.evaluation.image_metrics import psnr
 from pipeline.evaluation.renderer import Renderer
 from pipeline.export.formats import FORMATS, FilmFormat, FrameFormat
 from pipeline.export.frame import frame_at

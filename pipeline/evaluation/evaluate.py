@@ -9,7 +9,9 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,9 +20,9 @@ from datasets.urban.projection import depth_image
 from pipeline.config.schema import Config
 from pipeline.data.frame_order import film_order
 from pipeline.data.training_views import Target, camera_at, evenly_spaced, target_of
-from pipeline.evaluation.flicker import FlickerMeter, mean_flicker
-from pipeline.evaluation.metrics import METRICS, MS_SSIM_NOTE, SSIM_SMALLEST_SIDE, mean, measure
-from pipeline.evaluation.motion.motion_metrics import measure_motion, motion_means
+from pipeline.evaluation.flicker import FlickerMeter
+from pipeline.evaluation.image_metrics import MS_SSIM_SMALLEST_SIDE, SSIM_SMALLEST_SIDE
+from pipeline.evaluation.metrics import MeasuredView, means, measure
 from pipeline.evaluation.motion.moving_pixels import MovingPixels
 from pipeline.evaluation.perceptual import Perceptual
 from pipeline.evaluation.pictures.films import HeldOutFilms
@@ -45,9 +47,9 @@ MEASURE_BYTES = 4 * 1024**3  # memory limit for the views that are measured in p
 class Evaluation:
     """Means over the test views, and the rows that they are means of."""
 
-    # METRICS, MOTION_METRICS, lpips_*, flicker, fps_*; *_note where a number is missing; moving_by: how known
+    # metrics.METRICS but for costs; *_note where a number is missing; moving_by: how the dynamic region is known
     metrics: dict[str, float | str | None]
-    per_image: list[dict]  # view, time, METRICS, lpips_*, MOTION_METRICS, moving_share, flicker, n_alive
+    per_image: list[dict]  # view, time, the metrics of a view, moving_share (of its pixels), n_alive
     n_alive_mean: float  # Gaussians with temporal marginal p(t) >= 0.05, mean over the views
 
     def note(self) -> str | None:
@@ -93,41 +95,46 @@ def evaluate(
     saved = set(evenly_spaced(len(scene.test), cfg.evaluate.renders))
     rows: dict[int, dict] = {}  # by index of the view
 
-    def measured(index: int, image: np.ndarray, truth: np.ndarray) -> dict[str, float | None]:
-        return {**measure(image, truth), **perceptual.measure(index, image, truth)}
-
     # Rendering takes milliseconds on all threads, measuring a quarter of a second on one: several views in parallel.
     order = film_order(scene.test, scene.frame_rate)
     parallel = _parallel_views(scene.test[0].camera, threads, perceptual.bytes_per_pixel)
     with ThreadPoolExecutor(parallel) as pool:
         for first in range(0, len(order), parallel):
             indices = order[first : first + parallel]
-            images, truths, n_alive, motion = [], [], [], []
+            measured, n_alive = [], []
             for index in indices:
-                target = target_of(scene.test[index], cfg.train.resolution_scale)
-                images.append(renderer.image(target.camera, target.time))
-                truths.append(target.image.numpy().transpose(1, 2, 0))
-                n_alive.append(renderer.rasterizer.alive)
-                sweep = sweeps.get(-1 if (frame := scene.test[index].frame) is None else frame)
-                motion.append(_motion(renderer, moving, index, target, images[-1], has_alpha, sweep))
-            found_rows = pool.map(measured, indices, images, truths)
-            for index, image, truth, alive, of_motion, row in zip(indices, images, truths, n_alive, motion, found_rows):
                 view = scene.test[index]
-                change = flicker.next(view, image, truth)
-                seen = {"flicker": change, "n_alive": alive}
-                rows[index] = {"view": view.name, "time": view.time, **row, **of_motion, **seen}
+                target = target_of(view, cfg.train.resolution_scale)
+                image, truth = renderer.image(target.camera, target.time), target.image.numpy().transpose(1, 2, 0)
+                n_alive.append(renderer.rasterizer.alive)
+                sweep = sweeps.get(-1 if view.frame is None else view.frame)
+                geometry = _geometry_of(renderer, moving, index, target, sweep)
+                measured.append(
+                    MeasuredView(
+                        image,
+                        truth,
+                        foreground=_foreground(target, image) if has_alpha else None,
+                        valid=None if target.mask is None else target.mask.numpy(),
+                        metre=scene.metre or 1.0,
+                        flicker=flicker.next(view, image, truth),
+                        lpips=partial(perceptual.measure, index, image, truth),
+                        **geometry,
+                    )
+                )
+            for index, seen, alive, row in zip(indices, measured, n_alive, pool.map(measure, measured)):
+                view = scene.test[index]
+                share = None if seen.dynamic is None else float(seen.dynamic.mean())
+                rows[index] = {"view": view.name, "time": view.time, **row, "moving_share": share, "n_alive": alive}
                 if save is not None and index in saved:
-                    save(view.name, image, truth)
+                    save(view.name, seen.image, seen.truth)
                 if film is not None:
-                    film(view.name, image, truth)
+                    film(view.name, seen.image, seen.truth)
 
     per_image = [rows[index] for index in range(len(scene.test))]
-    metrics = {**{name: mean(per_image, name) for name in METRICS}, **perceptual.means(per_image)}
+    metrics: dict[str, float | str | None] = {**means(per_image), "lpips_note": perceptual.note}
     if metrics["ms_ssim"] is None:
-        metrics["ms_ssim_note"] = MS_SSIM_NOTE
-    metrics.update(motion_means(per_image))
+        metrics["ms_ssim_note"] = f"MS-SSIM needs images of at least {MS_SSIM_SMALLEST_SIDE} px a side"
     metrics["moving_by"] = next(filter(None, map(moving.source, range(len(scene.test)))), None)
-    metrics["flicker"] = mean_flicker([row["flicker"] for row in per_image])
     metrics.update(frames_per_second(model, scene, cfg, threads))
     return Evaluation(metrics, per_image, float(np.mean([row["n_alive"] for row in per_image])))
 
@@ -151,30 +158,24 @@ def evaluate_with_images(model: Model, scene: Scene, cfg: Config, threads: int, 
     return found
 
 
-def _motion(
-    renderer: Renderer,
-    moving: MovingPixels,
-    index: int,
-    target: Target,
-    image: np.ndarray,
-    has_alpha: bool,
-    sweep: Sweep | None,
-) -> dict[str, float | None]:
-    """measure_motion of one test view. has_alpha: of any test view, so that an opaque one is all foreground. sweep: of
-    the view's frame."""
-    truth, known = target.image.numpy().transpose(1, 2, 0), moving.truth_of(index)
+def _geometry_of(
+    renderer: Renderer, moving: MovingPixels, index: int, target: Target, sweep: Sweep | None
+) -> dict[str, Any]:
+    """Dynamic region, ground truth, LiDAR depths and rendered geometry of one test view, as MeasuredView takes them.
+
+    sweep: of the view's frame. Geometry is rendered only where there is something to compare it with.
+    """
+    known = moving.truth_of(index)
     lidar = None if sweep is None else depth_image(sweep.points, target.camera)
     geometry = None
-    if lidar is not None and known is None:
-        geometry = renderer.geometry(target.camera, target.time, None)
-    if known is not None and (known.depth is not None or known.flow is not None or lidar is not None):
-        geometry = renderer.geometry(target.camera, target.time, known.flow_dt)
-    counted = None if target.mask is None else target.mask.numpy()
-    foreground = None
-    if has_alpha:
-        foreground = np.ones(image.shape[:2], bool) if target.alpha is None else target.alpha.numpy()[0] > 0
-    mask, metre = moving.of(index, known), renderer.scene.metre or 1.0
-    return measure_motion(image, truth, mask, foreground, geometry, known, counted, lidar, metre)
+    if lidar is not None or (known is not None and (known.depth is not None or known.flow is not None)):
+        geometry = renderer.geometry(target.camera, target.time, None if known is None else known.flow_dt)
+    return {"dynamic": moving.of(index, known), "geometry": geometry, "known": known, "lidar": lidar}
+
+
+def _foreground(target: Target, image: np.ndarray) -> np.ndarray:
+    """(H, W) bool; of a scene whose images have alpha, an opaque view is all foreground."""
+    return np.ones(image.shape[:2], bool) if target.alpha is None else target.alpha.numpy()[0] > 0
 
 
 def _parallel_views(camera: Camera, threads: int, lpips_bytes: int) -> int:

@@ -41,9 +41,3 @@ class FlickerMeter:
             return None
         change = np.subtract(now, before[1], out=before[1])  # reuses its memory
         return float(np.mean(np.abs(change, out=change), dtype=np.float64))
-
-
-def mean_flicker(changes: list[float | None]) -> float | None:
-    """Mean over the frames with a previous frame; None if there are none."""
-    known = [change for change in changes if change is not None]
-    return float(np.mean(known)) if known else None

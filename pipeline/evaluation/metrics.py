@@ -1,90 +1,248 @@
-"""Image metrics by name (docs/method.md 4): functions of two images, (H, W, 3) float32 in [0, 1], to a number or None.
+"""The list of metrics: what a run measures and writes to metrics.json, prints at its end, and shows in the report.
 
-To add one, write the function and enter it in METRICS; evaluate.py, metrics.json and per_image.csv follow. LPIPS, which
-needs downloaded weights, is in lpips.py.
+To add a metric, append a `Metric` to METRICS. The evaluation then measures it on every test view, and metrics.json,
+per_image.csv, the table on the terminal and the columns of the report have it.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-import torch
-from pytorch_msssim import ms_ssim as _ms_ssim
-from skimage.metrics import structural_similarity
 
-SSIM_SMALLEST_SIDE = 11  # its window
-# MS-SSIM halves the image four times; its 11-pixel window must fit into the smallest: 10 · 2⁴ < side.
-MS_SSIM_SMALLEST_SIDE = 161
-MS_SSIM_NOTE = f"MS-SSIM needs images of at least {MS_SSIM_SMALLEST_SIDE} px a side"
+from datasets.ground_truth import GroundTruth
+from pipeline.evaluation.image_metrics import (
+    Geometry,
+    depth_errors,
+    flow_errors,
+    lidar_errors,
+    masked_psnr,
+    ms_ssim,
+    psnr,
+    ssim,
+)
 
-# Lower bound of the MSE, 100 dB: equal images would have infinite PSNR, and so would any mean with one of them.
-SMALLEST_MSE = 1e-10
-
-Metric = Callable[[np.ndarray, np.ndarray], "float | None"]
-
-
-def psnr(image: np.ndarray, truth: np.ndarray) -> float:
-    """Peak signal-to-noise ratio in dB, data range 1: -10 log10(MSE), at most 100."""
-    error = float(np.mean(np.square(image.astype(np.float64) - truth)))
-    return -10.0 * math.log10(max(error, SMALLEST_MSE))
+Row = Mapping[str, float | None]
 
 
-def ssim(image: np.ndarray, truth: np.ndarray, data_range: float = 1.0) -> float:
-    """Structural similarity (Wang et al. 2004): 11×11 Gaussian window, σ = 1.5, mean over channels and over the pixels
-    whose window is inside the image. ValueError for images smaller than the window."""
-    return float(
-        structural_similarity(
-            image,
-            truth,
-            channel_axis=-1,
-            gaussian_weights=True,
-            sigma=1.5,
-            use_sample_covariance=False,
-            data_range=data_range,
-        )
+@dataclass(frozen=True)
+class MeasuredView:
+    """One test view: its render, and all that is known of the truth. ValueError for images that cannot be compared."""
+
+    image: np.ndarray  # (H, W, 3) float32 in [0, 1]
+    truth: np.ndarray  # (H, W, 3) in [0, 1]
+    dynamic: np.ndarray | None = None  # (H, W) bool: the dynamic region
+    foreground: np.ndarray | None = None  # (H, W) bool
+    valid: np.ndarray | None = None  # (H, W) bool: the data set's mask of valid pixels
+    geometry: Geometry | None = None  # of the render
+    known: GroundTruth | None = None
+    lidar: np.ndarray | None = None  # (H, W) depths of held-out LiDAR points; 0: none
+    metre: float = 1.0  # units of the scene
+    flicker: float | None = None  # flicker.FlickerMeter; None: no previous frame
+    lpips: Callable[[str], float | None] = lambda net: None  # by a network, `alex` or `vgg`
+
+    def __post_init__(self) -> None:
+        image, truth = self.image, self.truth
+        if image.shape != truth.shape or image.ndim != 3 or image.shape[2] != 3:
+            raise ValueError(
+                f"metrics: expected two images (H, W, 3) of one size, found {image.shape} and {truth.shape}"
+            )
+        if not np.isfinite(image).all():
+            raise ValueError("metrics: expected finite pixels, found NaN or Inf in the render")
+
+    def psnr(self, mask: np.ndarray | None) -> float | None:
+        return masked_psnr(self.image, self.truth, mask)
+
+    @cached_property
+    def ssim(self) -> float:
+        return ssim(self.image, self.truth)
+
+    @cached_property
+    def ms_ssim(self) -> float | None:
+        return ms_ssim(self.image, self.truth)
+
+    @cached_property
+    def flow(self) -> Row:
+        """image_metrics.flow_errors over the dynamic region."""
+        found, known = self.geometry, self.known
+        if found is None or known is None or found.flow is None or known.flow is None or self.dynamic is None:
+            return {}
+        assert known.flow_valid is not None
+        return flow_errors(found.flow, known.flow, known.flow_valid & self.dynamic)
+
+    @cached_property
+    def depth(self) -> Row:
+        """image_metrics.depth_errors."""
+        if self.geometry is None or self.known is None or self.known.depth is None:
+            return {}
+        return depth_errors(self.geometry.depth, self.known.depth)
+
+    @cached_property
+    def lidar_errors(self) -> Row:
+        """image_metrics.lidar_errors."""
+        if self.geometry is None or self.lidar is None:
+            return {}
+        return lidar_errors(self.geometry.depth, self.lidar, self.metre)
+
+
+@dataclass(frozen=True)
+class Metric:
+    """One number of metrics.json, and how it is shown.
+
+    A mean over the test views is None unless every view has the number; with `partial` it is over the views that do.
+    """
+
+    key: str  # in metrics.json
+    title: str
+    unit: str = ""
+    decimals: int = 2
+    better: str = "higher"  # higher | lower | "": neither
+    group: str = "quality"  # quality | similarity | region | flow | depth | lidar | flicker | speed | cost
+    measure: Callable[[MeasuredView], float | None] | None = None  # of a test view; None: measured for the whole run
+    partial: bool = False
+    ratio_of: tuple[str, str] | None = None  # the mean is the ratio of the means of these two
+    scale: float = 1.0  # shown is this times the number of metrics.json
+    note: str = ""  # its definition, under every table with the metric
+
+    @property
+    def name(self) -> str:
+        """Title and unit: `PSNR, dynamic region, dB`."""
+        return f"{self.title}, {self.unit}" if self.unit else self.title
+
+    @property
+    def header(self) -> str:
+        """The name and an arrow that points to better numbers."""
+        return f"{self.name} {'↑' if self.better == 'higher' else '↓'}" if self.better else self.name
+
+    def text(self, value: float | None) -> str:
+        """A number of metrics.json as it is shown."""
+        return "–" if value is None else f"{self.scale * value:,.{self.decimals}f}"
+
+
+_REGION = (
+    "Dynamic region: pixels of moving bodies, where these are known; elsewhere pixels whose true colour changes by "
+    "more than 0.1 in the views of a camera at rest. Static region: all others. Foreground: alpha > 0. Valid pixels: "
+    "those of the data set's masks (mPSNR)."
+)
+_FLOW = "Flow error: mean end-point error in the dynamic region, as a share of the mean true flow there."
+_DEPTH = "Depth error: |z − truth| / truth."
+_LIDAR = "LiDAR: rendered depth against held-out LiDAR points that the view sees; AbsRel is the mean relative error."
+_DSSIM = (
+    "DSSIM = (1 − MS-SSIM)/2, as in the paper. DSSIM1 and DSSIM2 = (1 − SSIM)/2 with data range 1 and 2. The "
+    "literature uses all three under one name."
+)
+_FPS = "FPS: whole renderer, from 4D Gaussians to the image, on a CPU. FPS, blending: that stage alone."
+
+METRICS: dict[str, Metric] = {
+    metric.key: metric
+    for metric in (
+        Metric("psnr", "PSNR", "dB", measure=lambda view: psnr(view.image, view.truth)),
+        Metric("ssim", "SSIM", decimals=4, measure=lambda view: view.ssim),
+        Metric("lpips_alex", "LPIPS-Alex", "", 3, "lower", measure=lambda view: view.lpips("alex"), partial=True),
+        Metric("lpips_vgg", "LPIPS-VGG", "", 3, "lower", measure=lambda view: view.lpips("vgg"), partial=True),
+        Metric("ms_ssim", "MS-SSIM", "", 4, "higher", "similarity", lambda view: view.ms_ssim),
+        Metric(
+            "dssim", "DSSIM", "", 4, "lower", "similarity", note=_DSSIM,
+            measure=lambda view: None if view.ms_ssim is None else (1.0 - view.ms_ssim) / 2.0,
+        ),
+        Metric("dssim1", "DSSIM1", "", 4, "lower", "similarity", lambda view: (1.0 - view.ssim) / 2.0, note=_DSSIM),
+        Metric(
+            "dssim2", "DSSIM2", "", 4, "lower", "similarity", note=_DSSIM,
+            measure=lambda view: (1.0 - ssim(view.image, view.truth, data_range=2.0)) / 2.0,
+        ),
+        Metric(
+            "psnr_moving", "PSNR, dynamic region", "dB", 2, "higher", "region",
+            lambda view: view.psnr(view.dynamic), partial=True, note=_REGION,
+        ),
+        Metric(
+            "psnr_still", "PSNR, static region", "dB", 2, "higher", "region",
+            lambda view: None if view.dynamic is None else view.psnr(~view.dynamic), partial=True, note=_REGION,
+        ),
+        Metric(
+            "psnr_foreground", "PSNR, foreground", "dB", 2, "higher", "region",
+            lambda view: view.psnr(view.foreground), partial=True, note=_REGION,
+        ),
+        Metric(
+            "psnr_masked", "PSNR, valid pixels", "dB", 2, "higher", "region",
+            lambda view: view.psnr(view.valid), partial=True, note=_REGION,
+        ),
+        Metric(
+            "flow_error", "Flow error", "", 3, "lower", "flow", lambda view: view.flow.get("flow_error"),
+            partial=True, ratio_of=("flow_error_px", "flow_true_px"), note=_FLOW,
+        ),
+        Metric(
+            "flow_error_px", "End-point error", "px", 2, "lower", "flow", lambda view: view.flow.get("flow_error_px"),
+            partial=True, note=_FLOW,
+        ),
+        Metric(
+            "flow_true_px", "True flow", "px", 2, "", "flow", lambda view: view.flow.get("flow_true_px"),
+            partial=True, note=_FLOW,
+        ),
+        Metric(
+            "depth_error_median", "Depth error, median", "", 4, "lower", "depth",
+            lambda view: view.depth.get("depth_error_median"), partial=True, note=_DEPTH,
+        ),
+        Metric(
+            "depth_error_mean", "Depth error, mean", "", 4, "lower", "depth",
+            lambda view: view.depth.get("depth_error_mean"), partial=True, note=_DEPTH,
+        ),
+        Metric(
+            "lidar_error_median", "LiDAR depth error, median", "", 4, "lower", "lidar",
+            lambda view: view.lidar_errors.get("lidar_error_median"), partial=True, note=_LIDAR,
+        ),
+        Metric(
+            "lidar_error_mean", "LiDAR AbsRel", "", 4, "lower", "lidar",
+            lambda view: view.lidar_errors.get("lidar_error_mean"), partial=True, note=_LIDAR,
+        ),
+        Metric(
+            "lidar_rmse", "LiDAR RMSE", "m", 2, "lower", "lidar",
+            lambda view: view.lidar_errors.get("lidar_rmse"), partial=True, note=_LIDAR,
+        ),
+        Metric(
+            "flicker", "Flicker", "levels of 255", 2, "lower", "flicker", lambda view: view.flicker,
+            partial=True, scale=255.0,
+            note="Flicker: mean change of render − truth between consecutive frames of a held-out camera.",
+        ),
+        Metric("fps_render", "FPS", "", 1, "higher", "speed", note=_FPS),
+        Metric("fps_raster", "FPS, blending", "", 1, "higher", "speed", note=_FPS),
+        Metric("iterations", "Iterations", "", 0, "", "cost"),
+        Metric("train_seconds", "Training", "s", 1, "lower", "cost", note="Training: without evaluation."),
+        Metric("n_gaussians", "Gaussians", "", 0, "", "cost"),
+        Metric("n_alive_mean", "Gaussians alive in a frame", "", 0, "", "cost"),
+        Metric("model_mb", "Model", "MB", 1, "lower", "cost"),
+        Metric("model_with_optimiser_mb", "Model with optimiser", "MB", 1, "lower", "cost"),
+        Metric("peak_rss_mb", "Peak memory", "MB", 0, "lower", "cost"),
     )
+}  # fmt: skip
 
 
-def ms_ssim(image: np.ndarray, truth: np.ndarray) -> float | None:
-    """Multi-scale SSIM, five scales, the same window. None below MS_SSIM_SMALLEST_SIDE."""
-    if min(image.shape[:2]) < MS_SSIM_SMALLEST_SIDE:
-        return None
-    return float(_ms_ssim(_batch(image), _batch(truth), data_range=1.0))
+def measure(view: MeasuredView) -> dict[str, float | None]:
+    """Every metric of one test view."""
+    return {key: metric.measure(view) for key, metric in METRICS.items() if metric.measure}
 
 
-def dssim1(image: np.ndarray, truth: np.ndarray) -> float:
-    """(1 - SSIM) / 2 with data range 1."""
-    return (1.0 - ssim(image, truth)) / 2.0
+def means(rows: Sequence[Row]) -> dict[str, float | None]:
+    """The metrics of a model from those of its test views."""
+    found = {key: mean(rows, key, metric.partial) for key, metric in METRICS.items() if metric.measure}
+    for key, metric in METRICS.items():
+        if metric.ratio_of:
+            over, under = (found[part] for part in metric.ratio_of)
+            found[key] = over / under if over is not None and under else None
+    return found
 
 
-def dssim2(image: np.ndarray, truth: np.ndarray) -> float:
-    """(1 - SSIM) / 2 with data range 2, for images in [0, 1]. SSIM's constants are then four times too large and
-    the result is smaller. Part of the literature reports it."""
-    return (1.0 - ssim(image, truth, data_range=2.0)) / 2.0
+def mean(rows: Sequence[Row], key: str, partial: bool = False) -> float | None:
+    """Mean of a column; None if a value is missing, or, with `partial`, if all are."""
+    known = [value for row in rows if (value := row[key]) is not None]
+    return float(np.mean(known)) if known and (partial or len(known) == len(rows)) else None
 
 
-METRICS: dict[str, Metric] = {"psnr": psnr, "ssim": ssim, "ms_ssim": ms_ssim, "dssim1": dssim1, "dssim2": dssim2}
-
-
-def measure(image: np.ndarray, truth: np.ndarray) -> dict[str, float | None]:
-    """Every metric of METRICS. Raises ValueError for images of different sizes and for a render that is not finite."""
-    if image.shape != truth.shape or image.ndim != 3 or image.shape[2] != 3:
-        raise ValueError(f"metrics: expected two images (H, W, 3) of one size, found {image.shape} and {truth.shape}")
-    if not np.isfinite(image).all():
-        raise ValueError("metrics: expected finite pixels, found NaN or Inf in the render")
-    similarity = ssim(image, truth)  # computed once for two metrics: half of the total time
-    known = {"ssim": similarity, "dssim1": (1.0 - similarity) / 2.0}
-    return {name: known[name] if name in known else metric(image, truth) for name, metric in METRICS.items()}
-
-
-def mean(rows: Sequence[Mapping[str, float | None]], name: str) -> float | None:
-    """Mean of a column over images; None if any value is missing, so that no mean is over a part of the images."""
-    values = [value for row in rows if (value := row[name]) is not None]
-    return float(np.mean(values)) if values and len(values) == len(rows) else None
-
-
-def _batch(image: np.ndarray) -> torch.Tensor:
-    """(H, W, 3) -> (1, 3, H, W)."""
-    return torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1)))[None]
+def quality_table(final: Row, best: Row | None) -> list[tuple[str, str, str]]:
+    """(metric, final, best on test) for the terminal: image quality, and what else there is a number for."""
+    return [
+        (metric.name, metric.text(final.get(key)), metric.text((best or {}).get(key)))
+        for key, metric in METRICS.items()
+        if metric.group != "cost" and (metric.group == "quality" or (metric.better and final.get(key) is not None))
+    ]

@@ -7,15 +7,12 @@ VGG_PIXELS in total.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-
 import numpy as np
 
 from datasets.scene import Scene
 from pipeline.config.schema import Config
 from pipeline.data.training_views import camera_at, evenly_spaced
 from pipeline.evaluation import lpips
-from pipeline.evaluation.metrics import mean
 
 NETS = ("alex", "vgg")
 VGG_PIXELS = 50e6  # 36 views of 1352 × 1014; all views of D-NeRF at 400 × 400 and of the synthetic scenes
@@ -23,7 +20,7 @@ VGG_BYTES_PER_PIXEL = 1300  # memory in use
 
 
 class Perceptual:
-    """Measures lpips_alex and lpips_vgg of single views, and their means."""
+    """Measures LPIPS of single views."""
 
     def __init__(self, cfg: Config, scene: Scene) -> None:
         """Loads the networks whose weights are available. `note`: why others are missing, or which views a mean has."""
@@ -50,20 +47,7 @@ class Perceptual:
         """Memory that `measure` needs in addition to the other metrics."""
         return 0 if self._networks["vgg"] is None else VGG_BYTES_PER_PIXEL
 
-    def measure(self, index: int, image: np.ndarray, truth: np.ndarray) -> dict[str, float | None]:
+    def measure(self, index: int, image: np.ndarray, truth: np.ndarray, net: str) -> float | None:
         """LPIPS of test view `index`, images (H, W, 3) in [0, 1]; None where a network is missing or skips the view."""
-        return {
-            f"lpips_{net}": network(image, truth) if network and self._measures(net, index) else None
-            for net, network in self._networks.items()
-        }
-
-    def means(self, rows: Sequence[Mapping[str, float | None]]) -> dict[str, float | str | None]:
-        """{lpips_alex, lpips_vgg, lpips_note} of the rows of all test views, in the order of scene.test."""
-        of_views = {
-            f"lpips_{net}": mean([row for index, row in enumerate(rows) if self._measures(net, index)], f"lpips_{net}")
-            for net in NETS
-        }
-        return {**of_views, "lpips_note": self.note}
-
-    def _measures(self, net: str, index: int) -> bool:
-        return net != "vgg" or index in self._vgg_views
+        network = self._networks[net]
+        return network(image, truth) if network and (net != "vgg" or index in self._vgg_views) else None

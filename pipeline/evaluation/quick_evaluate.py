@@ -9,8 +9,8 @@ import numpy as np
 from datasets.scene import Scene, View
 from pipeline.config.schema import Config
 from pipeline.data.training_views import Target, evenly_spaced, target_of
-from pipeline.evaluation.metrics import mean, psnr
-from pipeline.evaluation.motion.motion_metrics import masked_psnr, mean_of_known
+from pipeline.evaluation.image_metrics import masked_psnr, psnr
+from pipeline.evaluation.metrics import mean
 from pipeline.evaluation.motion.moving_pixels import MovingPixels
 from pipeline.evaluation.renderer import Renderer
 from pipeline.model.model import Model
@@ -32,7 +32,7 @@ def quick_evaluate(
     renderer = Renderer(model, scene, cfg, rasterizer)
 
     def means(views: Sequence[View]) -> dict[str, float | None]:
-        rows, of_moving = [], []
+        rows: list[dict[str, float | None]] = []
         for index in evenly_spaced(len(views), cfg.train.eval_views):
             target = target_of(views[index], cfg.train.resolution_scale)
             image = renderer.tensor(target.camera, target.time).clamp_(0.0, 1.0)
@@ -41,10 +41,10 @@ def quick_evaluate(
             )
             render, truth = (pixels.numpy().transpose(1, 2, 0) for pixels in (image, target.image))
             rows.append({"psnr": _counted_psnr(render, truth, target), "ssim": ssim, "test_loss": loss})
-            if views is scene.test and (mask := moving.of(index)) is not None:
-                of_moving.append(masked_psnr(render, truth, mask))
+            mask = moving.of(index) if views is scene.test else None
+            rows[-1]["psnr_moving"] = masked_psnr(render, truth, mask)
         found = {name: mean(rows, name) for name in ("psnr", "ssim", "test_loss")}
-        return {**found, "psnr_moving": mean_of_known(of_moving)}
+        return {**found, "psnr_moving": mean(rows, "psnr_moving", partial=True)}
 
     return {**means(scene.test), "train_psnr": means(scene.train)["psnr"]}
 
@@ -62,5 +62,5 @@ def held_out_psnr(model: Model, scene: Scene, cfg: Config, threads: int) -> np.n
 
 def _counted_psnr(image: np.ndarray, truth: np.ndarray, target: Target) -> float:
     """PSNR in dB of (H, W, 3) images over the pixels that the view's mask counts; over all if it counts none."""
-    counted = None if target.mask is None else masked_psnr(image, truth, target.mask.numpy())
+    counted = masked_psnr(image, truth, None if target.mask is None else target.mask.numpy())
     return psnr(image, truth) if counted is None else counted

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from datasets.scene import Scene
 from pipeline.config.schema import Config
-from pipeline.evaluation.motion.motion_metrics import Geometry
+from pipeline.evaluation.image_metrics import Geometry
 from pipeline.model.model import Model
 from pipeline.model.render import render_image
 from rasterizer import Camera, Rasterizer, Request

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.evaluation.motion.motion_metrics import flow_errors
+from pipeline.evaluation.image_metrics import flow_errors
 from pipeline.evaluation.pictures.false_colour import flow_picture
 from pipeline.evaluation.pictures.geometry_pictures import flow_parts, longest_flow
 from pipeline.evaluation.renderer import Renderer

@@ -23,7 +23,7 @@ from pipeline.config.schema import Config
 from pipeline.data.optical_flow import CACHE_LIMIT_BYTES as FLOW_CACHE_LIMIT_BYTES
 from pipeline.data.optical_flow import measured_size
 from pipeline.data.training_views import CACHE_LIMIT_BYTES
-from pipeline.evaluation.metrics import measure
+from pipeline.evaluation.metrics import MeasuredView, measure
 from pipeline.runs.provenance import memory_gb
 from rasterizer.cores import thread_count
 from rasterizer.gaussians import Gaussians
@@ -130,7 +130,7 @@ def _estimate(cfg: Config, size: Size, threads: int) -> Estimate:
     view = time_frame(workload, threads, TIMED_ITERATIONS).forward.minimum / 1e3
     image = np.random.default_rng(0).random((size.height, size.width, 3), dtype=np.float32)
     started = time.perf_counter()
-    measure(image, image[::-1].copy())
+    measure(MeasuredView(image, image[::-1].copy()))
     measured = time.perf_counter() - started
     quick = cfg.train.iterations // cfg.train.eval_every * min(size.test_views, cfg.train.eval_views) * 2 * view
     final = (1 + cfg.evaluate.best_on_test) * size.test_views * (2 * view + measured / threads)

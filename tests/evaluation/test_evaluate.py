@@ -14,7 +14,8 @@ from datasets.scene import Scene, View
 from pipeline.evaluation import evaluate as evaluation
 from pipeline.evaluation import lpips, perceptual
 from pipeline.evaluation.evaluate import evaluate, refuse_small_images
-from pipeline.evaluation.metrics import METRICS, psnr
+from pipeline.evaluation.image_metrics import psnr
+from pipeline.evaluation.metrics import METRICS, MeasuredView, Metric, quality_table
 from pipeline.model.initialise import initialise
 from pipeline.model.model import Model
 
@@ -46,7 +47,26 @@ def test_metrics_are_means_over_the_images(model: Model) -> None:
     assert [row["view"] for row in found.per_image] == [view.name for view in scene.test]
     for name in ("psnr", "ssim", "dssim1", "dssim2"):
         assert found.metrics[name] == pytest.approx(np.mean([row[name] for row in found.per_image]))
-    assert set(METRICS) | {"lpips_alex", "lpips_vgg", "fps_raster", "fps_render"} <= set(found.metrics)
+    assert {key for key, metric in METRICS.items() if metric.group != "cost"} <= set(found.metrics)
+
+
+def test_a_new_metric_is_one_entry_of_the_list(model: Model, monkeypatch) -> None:
+    """It is measured on every view, is in metrics.json with its mean, and on the terminal with its unit."""
+
+    def brightest(view: MeasuredView) -> float:
+        return float(view.image.max())
+
+    monkeypatch.setitem(
+        METRICS, "brightest", Metric("brightest", "Brightest pixel", "%", 1, "", scale=100.0, measure=brightest)
+    )
+    images: list[np.ndarray] = []
+    cfg = evaluation_config(renders=-1)
+    found = evaluate(model, tiny_scene(), cfg, 1, lambda name, image, truth: images.append(image))
+    assert [row["brightest"] for row in found.per_image] == [float(image.max()) for image in images]
+    assert found.metrics["brightest"] == np.mean([image.max() for image in images], dtype=np.float64)
+    table = quality_table(found.metrics, None)
+    assert ("Brightest pixel, %", f"{100 * found.metrics['brightest']:.1f}", "–") in table
+    assert table[0] == ("PSNR, dB", f"{found.metrics['psnr']:.2f}", "–")
 
 
 def test_results_do_not_depend_on_the_number_of_threads(model: Model) -> None:

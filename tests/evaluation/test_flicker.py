@@ -8,7 +8,8 @@ from tiny import tiny_scene
 
 from datasets.scene import View
 from pipeline.data.frame_order import camera_name, film_order, is_next_frame
-from pipeline.evaluation.flicker import FlickerMeter, flicker, mean_flicker, residual
+from pipeline.evaluation.flicker import FlickerMeter, flicker, residual
+from pipeline.evaluation.metrics import METRICS, mean
 
 CAMERA = tiny_scene().test[0].camera
 RATE = 30.0
@@ -23,6 +24,10 @@ def frame(number: int, camera: str = "cam00", rate: float = RATE) -> View:
 def noise(frames: int, seed: int = 0) -> np.ndarray:
     """(F, 5, 7, 3) float32 in [0, 1]."""
     return np.random.default_rng(seed).random((frames, 5, 7, 3), dtype=np.float32)
+
+
+def mean_flicker(changes: list[float | None]) -> float | None:
+    return mean([{"flicker": change} for change in changes], "flicker", METRICS["flicker"].partial)
 
 
 def metered(images: np.ndarray, truths: np.ndarray, views: list[View]) -> list[float | None]:

@@ -14,19 +14,15 @@ from tiny_film import tiny_film
 
 from datasets.scene import Scene
 from pipeline.evaluation.evaluate import evaluate
-from pipeline.evaluation.motion.motion_metrics import (
-    MOTION_METRICS,
-    depth_errors,
-    flow_errors,
-    masked_psnr,
-    motion_means,
-)
+from pipeline.evaluation.image_metrics import depth_errors, flow_errors, masked_psnr
+from pipeline.evaluation.metrics import METRICS, means
 from pipeline.evaluation.motion.moving_pixels import BY_COLOUR, BY_TRUTH, MovingPixels
 from pipeline.evaluation.quick_evaluate import quick_evaluate
 from pipeline.model.model import Model, ModelKind
 from rasterizer import Rasterizer
 
 RNG = np.random.default_rng(0)
+WITH_TRUTH = [key for key, metric in METRICS.items() if metric.group in ("region", "flow", "depth", "lidar")]
 
 
 def test_psnr_over_a_mask_by_a_loop() -> None:
@@ -64,7 +60,7 @@ def test_flow_and_depth_errors_by_a_loop() -> None:
 
 
 def test_means_are_over_the_images_that_have_the_number() -> None:
-    nothing = dict.fromkeys(MOTION_METRICS)
+    nothing = dict.fromkeys(METRICS)
     rows = [
         nothing | {"psnr_still": 30.0},  # nothing moves in it
         nothing
@@ -72,7 +68,7 @@ def test_means_are_over_the_images_that_have_the_number() -> None:
         nothing
         | {"psnr_still": 34.0, "psnr_moving": 10.0, "flow_error_px": 2.0, "flow_true_px": 8.0, "flow_error": 0.25},
     ]
-    found = motion_means(rows)
+    found = means(rows)
     assert (found["psnr_still"], found["psnr_moving"], found["psnr_foreground"]) == (32.0, 15.0, None)
     assert found["flow_error"] == pytest.approx(3.0 / 10.0)  # 1.5 px of 5 px
 
@@ -142,7 +138,7 @@ def test_without_truth_and_a_still_camera_nothing_is_known(scene: Scene) -> None
 
 def test_views_without_truth_have_no_numbers_of_motion() -> None:
     found = evaluate(moving_gaussian(0.0), tiny_scene(), evaluation_config(), 1)
-    assert {found.metrics[name] for name in (*MOTION_METRICS, "moving_by")} == {None}
+    assert {found.metrics[name] for name in (*WITH_TRUTH, "moving_by")} == {None}
 
 
 def test_foreground_is_where_alpha_is() -> None:

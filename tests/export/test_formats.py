@@ -13,7 +13,7 @@ import torch
 from builders import generator, make_request, random_gaussians
 from export_readers import read_fourdgs, read_ftgs, read_glb, read_splat, read_splatv, read_spz
 
-from pipeline.evaluation.metrics import psnr
+from pipeline.evaluation.image_metrics import psnr
 from pipeline.export.formats import FORMATS, FilmFormat, FrameFormat
 from pipeline.export.frame import frame_at
 from pipeline.export.moving import MovingGaussians, moving_gaussians
