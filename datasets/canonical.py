@@ -122,7 +122,7 @@ class Canonical:
 def canonical_of(scene: Scene) -> Canonical:
     """The transform for a scene, from its training cameras, its range of time and the frame rate of its videos."""
     cameras = [view.camera for view in scene.train]
-    space = along_a_drive(cameras) if scene.is_drive else canonical_space(cameras, scene.unit)
+    space = along_a_drive(cameras) if scene.capture == "drive" else canonical_space(cameras, scene.unit)
     if scene.frame_rate is None:
         time_scale = 1.0 / scene.duration
     else:

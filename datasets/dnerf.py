@@ -36,7 +36,7 @@ from datasets.composition import (
 from datasets.files.errors import SceneError, read_json
 from datasets.files.image_files import common_size, read_rgba
 from datasets.ground_truth import truth_beside
-from datasets.scene import Scene, View, camera_extent, make_camera, validate_scene
+from datasets.scene import Scene, View, camera_extent, capture_of, make_camera, validate_scene
 from rasterizer.camera import Camera
 
 # Times within [0, 1] that span more than this are in D-NeRF's unit, whose range is [0, 1].
@@ -97,16 +97,18 @@ def read_dnerf(
     train_images = [np.asarray(view.image) for view in views["train"]]
     opaque = all(view.coverage is None for view in views["train"])
     space = canonical_space(train_cameras)
+    test = views[test_split] if test_split else ()
     scene = Scene(
         name=name,
         train=views["train"],
-        test=views[test_split] if test_split else (),
+        test=test,
         duration=duration,
         time_start=time_start,
         background=chosen_background(train_images, opaque, background, log),
         extent=camera_extent(train_cameras),
         init_box=space.inverse.box((init_box[0], init_box[1])),
         source=root,
+        capture=capture_of(views["train"], test, filmed=False),
         unit=space.unit,
     )
     return validate_scene(scene) if test_split else scene

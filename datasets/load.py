@@ -136,8 +136,8 @@ def _load_photographs(cfg: SceneConfig, log: Log) -> Scene:
         init_box=(cfg.init_box[0], cfg.init_box[1]),
         log=log,
     )
-    is_clip = cfg.reader == "synthetic" and cfg.camera_path == "arc" and not scene.is_static
-    return replace(scene, playback_rate=PLAYBACK_RATE) if is_clip else scene
+    filmed = cfg.reader == "synthetic" and cfg.camera_path == "arc" and scene.capture == "monocular"
+    return replace(scene, capture="clip", playback_rate=PLAYBACK_RATE) if filmed else scene
 
 
 def _load_drive(cfg: SceneConfig, log: Log) -> Scene:

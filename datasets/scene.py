@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 
@@ -24,6 +24,14 @@ from rasterizer.request import MIN_DURATION
 # 3DGS scales its position learning rate by 1.1 × the distance of the farthest training camera from their centre.
 EXTENT_MARGIN = 1.1
 PLAYBACK_RATE = 30.0  # frames a second of rendered videos of one moving camera, where the data say nothing
+
+# What sort of scene the data are:
+# static      every view has one time
+# monocular   photographs of a dynamic scene, one at a time, from anywhere
+# clip        one camera filmed it: images in order of time, neighbours are nearly the same view
+# multi_view  several cameras: each time is seen from two places or more, or the cameras need not be synchronised
+# drive       cameras on a car
+Capture = Literal["static", "monocular", "clip", "multi_view", "drive"]
 
 # Opposite corners, low and high; one number is the same on all three axes.
 Corner = float | tuple[float, float, float]
@@ -56,6 +64,7 @@ class View:
     sky: np.ndarray | None = None  # (H, W) bool; None: unknown
     moving: np.ndarray | None = None  # (H, W) bool, what moves by a mask of the data; None: unknown
     mask: np.ndarray | None = None  # (H, W) bool: pixels that count in the loss and in psnr_masked; None: all
+    filmed_by: str = ""  # the camera, of several that filmed; "": of one, or of photographs
 
 
 @dataclass(frozen=True)
@@ -92,14 +101,12 @@ class Scene:
     extent: float  # world units, see camera_extent
     init_box: Box  # random initial points are drawn in it, world units
     source: Path  # the folder it was read from
+    capture: Capture
     unit: float = 1.0  # world units per normalised unit, in which the near plane is given
     frame_rate: float | None = None  # of videos of cameras that stand still: frames per unit of time; None: others
     playback_rate: float | None = None  # of videos and clips: frames a second of rendered videos; None: frame_rate
     sweeps: tuple[Sweep, ...] = ()  # LiDAR of the training frames, in the order of time
     test_sweeps: tuple[Sweep, ...] = ()  # of the held-out frames; no model is trained on them
-    cameras_move: bool = False  # several cameras, of which some move; views are named <split>/<camera>_<frame>
-    cameras_stand: bool = False  # photographs by several cameras, each from one place, at times of their own
-    is_drive: bool = False  # a car drives through it; images of different cameras may differ in size
     metre: float | None = None  # world units per metre; None: unknown
     seconds_per_unit: float = 1.0  # of a driving log: seconds per unit of its times
     moving_by: str | None = None  # where the views' masks of what moves come from
@@ -118,16 +125,10 @@ class Scene:
     @cached_property
     def _times_of_cameras(self) -> list[list[float]]:
         """The distinct times, ascending, of each training camera that films; of other photographs all in one list."""
-        found: dict[bytes | str, set[float]] = defaultdict(set)
+        found: dict[str, set[float]] = defaultdict(set)
         for view in self.train:
-            found[self._camera_of(view)].add(view.time)
+            found[view.filmed_by].add(view.time)
         return [sorted(times) for times in found.values()]
-
-    def _camera_of(self, view: View) -> bytes | str:
-        """Tells cameras that film apart: those that move by their views' names, others by their pose."""
-        if self.cameras_move or self.is_drive:
-            return view.name.rpartition("_")[0]
-        return view.camera.world_to_cam.tobytes() if self.frame_rate is not None or self.cameras_stand else b""
 
     @cached_property
     def frame_spacing(self) -> float:
@@ -150,20 +151,20 @@ class Scene:
 
     @property
     def several_cameras(self) -> bool:
-        """Whether the training views show each time from two places or more, on average; in videos and driving logs,
-        whose cameras need not be synchronised, whether they are of two cameras or more."""
-        shared = len(self.train) >= 2 * len(self.train_times)
-        return shared or len(self._times_of_cameras) > 1
+        """Whether the training views show a moment from several places: always but for one camera, on a car or not."""
+        if self.capture == "drive":
+            return len(self._times_of_cameras) > 1
+        return self.capture in ("static", "multi_view")
 
-    @property
-    def is_clip(self) -> bool:
-        """Whether one camera filmed it in order: neighbouring images are nearly the same view."""
-        return self.playback_rate is not None and not self.several_cameras
 
-    @property
-    def is_static(self) -> bool:
-        """True if every view has the same time: the model then has no time axis."""
-        return len({view.time for view in self.train + self.test}) <= 1
+def capture_of(train: Sequence[View], test: Sequence[View], filmed: bool) -> Capture:
+    """The capture of views that are not of a drive; filmed: each camera took its views in order of time."""
+    times = {view.time for view in train}
+    if len(times.union(view.time for view in test)) <= 1:
+        return "static"
+    if len({view.filmed_by for view in train}) > 1 or len(train) >= 2 * len(times):
+        return "multi_view"
+    return "clip" if filmed else "monocular"
 
 
 def camera_extent(cameras: Sequence[Camera]) -> float:
@@ -243,7 +244,7 @@ def _validate_view(view: View, scene: Scene, first: View) -> None:
         raise SceneError(
             where, f"an image of uint8 {shape}, its camera's size", f"{view.image.dtype} {view.image.shape}"
         )
-    if view.image.shape != first.image.shape and not scene.is_drive:
+    if view.image.shape != first.image.shape and scene.capture != "drive":
         raise SceneError(
             where,
             f"{first.camera.width} x {first.camera.height} pixels as {first.name}",

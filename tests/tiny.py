@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from datasets.scene import Scene, View, camera_extent
+from datasets.scene import Scene, View, camera_extent, capture_of
 from datasets.settings import SceneConfig
 from pipeline.config.schema import AblationConfig, Config, EvaluateConfig, InitConfig
 from pipeline.config.train_schema import DensifyConfig, TrainConfig
@@ -46,6 +46,7 @@ def tiny_scene(views: int = 8, static: bool = False) -> Scene:
         camera_extent([view.camera for view in made]),
         (-1.2, 1.2),
         Path("tiny"),
+        capture_of(made, made[::3], filmed=False),
     )
 
 

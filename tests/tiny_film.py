@@ -27,7 +27,7 @@ def tiny_film(frames: int = 4, height: int = SIZE, held_out: tuple[str, ...] = (
             y, x = np.mgrid[:height, :SIZE] + 0.5
             image = np.zeros((height, SIZE, 3), np.uint8)
             image[(x - (10 + 3 * frame)) ** 2 + (y - 16) ** 2 < 36] = (220, 60, 30)
-            views.append(View(cameras[camera], frame / RATE, image, f"{split}/{name}_{frame:04d}"))
+            views.append(View(cameras[camera], frame / RATE, image, f"{split}/{name}_{frame:04d}", filmed_by=name))
         return views
 
     train = [view for i in (0, 1, 2) for view in filmed("train", f"cam{i + 1:02d}", i)]
@@ -44,6 +44,7 @@ def tiny_film(frames: int = 4, height: int = SIZE, held_out: tuple[str, ...] = (
         camera_extent(cameras),
         (-1.2, 1.2),
         Path("tiny_film"),
+        "multi_view",
         frame_rate=RATE,
     )
 
@@ -53,7 +54,13 @@ def unsynchronised_film(frames: int = 30) -> Scene:
     film = tiny_film(frames)
     cameras = [film.train[i * frames].camera for i in range(3)] + [film.test[0].camera]
     train = [
-        View(camera, offset + frame / 30, film.train[frame].image, f"train/cam{number:02d}_{frame:04d}")
+        View(
+            camera,
+            offset + frame / 30,
+            film.train[frame].image,
+            f"train/cam{number:02d}_{frame:04d}",
+            filmed_by=f"{number}",
+        )
         for number, (camera, offset) in enumerate(zip(cameras, (0.0, 0.004, 0.011, 0.007), strict=True))
         for frame in range(frames)
     ]
@@ -82,7 +89,8 @@ def moving_plane() -> Scene:
     height, width = PLANE
     camera = replace(film.train[0].camera, width=width, height=height, cx=width / 2, cy=height / 2)
     frames = [plane_image(2 * frame, frame) for frame in range(4)]
-    return replace(film, train=tuple(replace(v, camera=camera, image=i) for v, i in zip(film.train, frames)))
+    views = tuple(replace(v, camera=camera, image=i) for v, i in zip(film.train, frames))
+    return replace(film, train=views, capture="clip")
 
 
 def clip_past_a_plane() -> Scene:

@@ -9,7 +9,7 @@ import numpy as np
 
 from datasets.canonical import canonical_space
 from datasets.composition import Color
-from datasets.scene import Scene, View, camera_extent, validate_scene
+from datasets.scene import Scene, View, camera_extent, capture_of, validate_scene
 
 PLAYBACK_RATES = (5.0, 60.0)  # frames a second of rendered videos
 
@@ -24,12 +24,11 @@ def scene_of_views(
     rate: float,
     test_split: str,
     background: Color,
-    cameras_move: bool = False,
 ) -> Scene:
     """The scene of the views of both splits, "train" and "test", whose first time is 0; duration in seconds.
 
     unit: world units per normalised unit; None: the canonical unit of the training cameras. rate: frames a second of
-    rendered videos. cameras_move: of several cameras, of which some move.
+    rendered videos.
     """
     train = [view.camera for view in views["train"]]
     space = canonical_space(train, unit)
@@ -44,10 +43,10 @@ def scene_of_views(
             extent=camera_extent(train),
             init_box=space.inverse.box((-1.2, 1.2)),
             source=source,
+            capture=capture_of(views["train"], views["test"], filmed=True),
             unit=unit or space.unit,
             playback_rate=rate,
             test_split=test_split,
-            cameras_move=cameras_move,
         )
     )
 

@@ -109,7 +109,8 @@ class ClipSet:
                 pose, image = camera.clip.training_view(poses[camera.photograph(frame)], image)
                 name = f"{split}/{camera.name}_{frame.name.rpartition('_')[2]}"
                 mask = imaged(lens, size, (pose.width, pose.height))
-                views[split].append(View(pose, camera.time(frame) - start, image, name, mask=mask))
+                time = camera.time(frame) - start
+                views[split].append(View(pose, time, image, name, mask=mask, filmed_by=camera.name))
         longest = max(self.cameras, key=lambda camera: len(kept[camera.name]))
         return scene_of_views(
             views,
@@ -120,7 +121,6 @@ class ClipSet:
             rate=playback_rate([frame.time for frame in kept[longest.name]]),
             test_split=self._split(),
             background=self.options.background,
-            cameras_move=True,
         )
 
     def _held_out(self, camera: MovingCamera, count: int) -> Sequence[int]:

@@ -24,7 +24,16 @@ from datasets.layouts.file_names import stand_still, with_times
 from datasets.layouts.image_size import of_one_size
 from datasets.layouts.photograph import LayoutOptions, Photograph
 from datasets.layouts.selection import FEWEST, held_out_names, within_limits, without_cameras
-from datasets.scene import PLAYBACK_RATE, Scene, ScenePoints, View, camera_extent, make_camera, validate_scene
+from datasets.scene import (
+    PLAYBACK_RATE,
+    Scene,
+    ScenePoints,
+    View,
+    camera_extent,
+    capture_of,
+    make_camera,
+    validate_scene,
+)
 from rasterizer.camera import MAX_DISTANCE, Camera
 
 KEPT_BYTES = 1 << 30  # of decoded images, which are then kept; more are read again at each use
@@ -76,6 +85,8 @@ def to_scene(
     trained = [photograph for photograph in photographs if photograph.name not in held_out]
     composed_over = options.background or BLACK
     views: dict[str, list[View]] = {"train": [], "test": []}
+    cameras_film = stand_still(trained)
+    one_camera = len({photograph.group for photograph in trained}) == 1
     cameras: dict[int, Camera] = {}
     for photograph in photographs:
         split = "test" if photograph.name in held_out else "train"
@@ -89,7 +100,8 @@ def to_scene(
         name, full = f"{split}/{photograph.name}", photograph.camera
         seen = imaged(photograph.lens, (full.width, full.height), (small.width, small.height))
         mask = both(_mask(photograph, downscale), seen)
-        views[split].append(View(small, photograph.time, image, name, alpha, mask=mask))
+        camera_name = f"{photograph.group}" if cameras_film else ""
+        views[split].append(View(small, photograph.time, image, name, alpha, mask=mask, filmed_by=camera_name))
     train_cameras = [view.camera for view in views["train"]]
     background = _background(views["train"], options)
     space = canonical_space(train_cameras)
@@ -109,9 +121,9 @@ def to_scene(
             extent=camera_extent(train_cameras),
             init_box=space.inverse.box((-1.2, 1.2)),
             source=root,
+            capture=capture_of(views["train"], views["test"], filmed=one_camera),
             unit=space.unit,
-            playback_rate=PLAYBACK_RATE if len({p.group for p in trained}) == 1 and high > low else None,
-            cameras_stand=stand_still(trained),
+            playback_rate=PLAYBACK_RATE if one_camera and high > low else None,
             points=points,
             test_split=how,
         )

@@ -21,7 +21,17 @@ from datasets.plenoptic.display import Log
 from datasets.plenoptic.images import ImageSequence
 from datasets.plenoptic.sync import drop_advice
 from datasets.plenoptic.unsynchronised import AlignedStream
-from datasets.scene import Box, Image, Scene, View, bounding_cube, camera_extent, make_camera, validate_scene
+from datasets.scene import (
+    Box,
+    Image,
+    Scene,
+    View,
+    bounding_cube,
+    camera_extent,
+    capture_of,
+    make_camera,
+    validate_scene,
+)
 from rasterizer.camera import Camera
 from rasterizer.cores import thread_count
 
@@ -224,6 +234,7 @@ class Footage:
                     f"{split}/{stream.name}_{self.options.first_frame + index:04d}",
                     truth=None if truth is None else truth[index],
                     mask=masks[stream.name],
+                    filmed_by=stream.name,
                 )
                 for index, image in enumerate(images[stream.name])
             ]
@@ -238,6 +249,7 @@ class Footage:
             extent=camera_extent([view.camera for view in train]),
             init_box=init_box,
             source=self.source,
+            capture=capture_of(train, test, filmed=True),
             unit=unit,
             frame_rate=self.rate,
             playback_rate=self.playback_rate,

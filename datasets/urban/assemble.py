@@ -80,10 +80,10 @@ def scene_of_log(log: DrivingLog, cfg: SceneConfig, say: Log = lambda line: None
                 extent=camera_extent(train_cameras),
                 init_box=bounding_cube(positions, SURROUNDINGS),
                 source=log.source,
+                capture="drive",
                 unit=UNIT,
                 sweeps=sweeps_of(train_frames),
                 test_sweeps=sweeps_of(test_frames),
-                is_drive=True,
                 metre=1.0,
                 moving_by=BY_MASKS if has_masks else None,
                 test_split=rule,
@@ -170,6 +170,7 @@ def _view(image: LogImage, split: str, cfg: SceneConfig) -> View:
         sky=sky,
         moving=moving,
         mask=counts,
+        filmed_by=f"{image.number}",
     )
 
 

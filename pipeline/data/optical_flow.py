@@ -47,7 +47,7 @@ class FlowTargets:
 
     def __init__(self, scene: Scene, cache_limit_bytes: int = CACHE_LIMIT_BYTES) -> None:
         self._views = scene.train
-        self._neighbour = neighbours(scene.train, MAX_GAP * scene.frame_spacing, scene.is_clip)
+        self._neighbour = neighbours(scene.train, MAX_GAP * scene.frame_spacing, scene.capture == "clip")
         self._bytes_left = cache_limit_bytes
         self._cache: dict[int, np.ndarray] = {}
 
@@ -66,15 +66,15 @@ class FlowTargets:
         return MeasuredFlow(other.time - view.time, resized_flow(flow, camera.width, camera.height), later)
 
 
-def neighbours(views: Sequence[View], max_gap: float, is_clip: bool = False) -> dict[int, int]:
+def neighbours(views: Sequence[View], max_gap: float, one_camera: bool = False) -> dict[int, int]:
     """View -> view of the same camera at the next time, or at the previous one after the last, at most max_gap away.
 
-    is_clip: one camera filmed all views; else cameras stand still, and one place is one camera.
+    one_camera: one camera filmed all views; else cameras stand still, and one place is one camera.
     """
     by_camera = defaultdict(list)
     for index, view in enumerate(views):
         c = view.camera
-        place = None if is_clip else (c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.world_to_cam.tobytes())
+        place = None if one_camera else (c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.world_to_cam.tobytes())
         by_camera[place].append(index)
     found: dict[int, int] = {}
     for indices in by_camera.values():

@@ -19,4 +19,4 @@ class Prepared:
     cloud: Reconstruction | None  # None: random points, or those of LiDAR
     sfm_folder: Path | None  # cache folder of the cloud, with its summary and plot
     canonical: Canonical = Canonical()  # transform from the files' units
-    is_clip: bool = False  # the video of one camera that moves
+    poses_estimated: bool = False  # of every frame: the user's own videos by cameras that move

@@ -145,7 +145,7 @@ def evaluate_with_images(model: Model, scene: Scene, cfg: Config, threads: int, 
     save = png_saver(folder)
     write_moving(folder, scene, cfg)
     write_geometry(folder, Renderer(model, scene, cfg, Rasterizer(threads=threads)))
-    if scene.is_drive:
+    if scene.capture == "drive":
         write_rendered_depth(folder, Renderer(model, scene, cfg, Rasterizer(threads=threads)))
     if not cfg.evaluate.videos or scene.frame_rate is None:
         found = evaluate(model, scene, cfg, threads, save)

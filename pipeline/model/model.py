@@ -67,9 +67,9 @@ class ModelKind:
 def kind_of(scene: Scene, cfg: Config) -> ModelKind:
     """The kind of model for a scene under an ablation.
 
-    `ablation.static` overrides `scene.is_static`. A static model has Fourier order 0 whatever the ablation says.
+    `ablation.static` overrides a static `scene.capture`. A static model has Fourier order 0 whatever the ablation says.
     """
-    static = scene.is_static if cfg.ablation.static is None else cfg.ablation.static
+    static = scene.capture == "static" if cfg.ablation.static is None else cfg.ablation.static
     if static:
         return ModelKind("static", 0, cfg.ablation.sh_degree)
     motion: Motion = "full" if cfg.ablation.rotation_4d else "separable"

@@ -28,4 +28,4 @@ def overrides_for(scene: Scene, cfg: Config) -> str | None:
         return "static_overrides"
     if scene.several_cameras:
         return "multi_view_overrides"
-    return "clip_overrides" if scene.is_clip else None
+    return "clip_overrides" if scene.capture == "clip" else None

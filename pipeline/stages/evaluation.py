@@ -42,7 +42,7 @@ def evaluate_model(cfg: Config, data: Prepared, folder: RunFolder, log: Log) -> 
         "model": asdict(model.kind),  # as trained: selection may have left out what `ablation` has
         **({} if decided is None else {MOTION: {**asdict(decided), "dynamic": decided.dynamic}}),
         TIME_COLOUR: None if selection is None else {**asdict(selection), "kept": selection.kept},
-        **({"outlook": _outlook(final, model, data)} if data.is_clip else {}),
+        **({"outlook": _outlook(final, model, data)} if data.poses_estimated and scene.capture == "clip" else {}),
         "note": final.note(), "n_alive_mean": final.n_alive_mean, "n_test_views": len(scene.test), **trained,
     })  # fmt: skip
     return {"psnr": final.metrics["psnr"]}

@@ -31,7 +31,7 @@ def stage_inputs(cfg: Config, data: Prepared) -> dict[str, str]:
     if data.sfm_folder is not None:
         found["sfm"] = _hash(data.sfm_folder.name)
         beginning.append(found["sfm"])
-    if data.scene.is_drive:
+    if data.scene.capture == "drive":
         beginning += [asdict(cfg.init), cfg.effective_fourier_order, config["train"]["densify"]["max_gaussians"]]
     if cfg.effective_background_model != "none":
         beginning += [cfg.effective_background_model, cfg.init.sphere_points, cfg.init.sphere_radius]

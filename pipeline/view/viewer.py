@@ -71,7 +71,7 @@ def page_header(scene: Scene, cfg: Config, cameras: Cameras, has_time: bool) -> 
     return {
         "scene": {
             "name": cfg.scene.name,
-            "static": scene.is_static,
+            "static": scene.capture == "static",
             "has_time": has_time,  # lifetimes and speeds to colour by
             "start": scene.time_start,
             "end": scene.time_end,

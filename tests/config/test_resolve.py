@@ -48,7 +48,7 @@ def test_nor_where_something_moves_or_the_schedule_has_none() -> None:
 
 def test_films_have_their_own() -> None:
     one = tiny_scene()
-    film = replace(one, train=one.train + one.train)
+    film = replace(one, capture="multi_view")
     cfg = Config(
         scene=BLACK, train=TrainConfig(iterations=40, multi_view_overrides={"regularization": {"motion": 0.5}})
     )
@@ -59,10 +59,10 @@ def test_films_have_their_own() -> None:
 
 def test_and_clips_by_one_camera() -> None:
     one, film = tiny_scene(), tiny_film()
-    clip = replace(one, playback_rate=10.0)
+    clip = replace(one, capture="clip")
     cfg = Config(scene=BLACK, train=TrainConfig(iterations=40, clip_overrides={"dropout": 0.25}))
-    found = [resolved(cfg, scene).train.dropout for scene in (one, clip, film, replace(film, playback_rate=10.0))]
-    assert found == [0, 0.25, 0, 0]
+    found = [resolved(cfg, scene).train.dropout for scene in (one, clip, film)]
+    assert found == [0, 0.25, 0]
 
 
 def test_cameras_that_are_not_synchronised_are_a_multi_view_video() -> None:
@@ -127,7 +127,7 @@ def test_an_added_one_counts() -> None:
 
 def test_what_the_command_line_gives_counts_on_every_kind_of_scene() -> None:
     one, static = tiny_scene(), tiny_scene(static=True)
-    film = replace(one, train=one.train + one.train)
+    film = replace(one, capture="multi_view")
     arguments = ["scene=synthetic/wheel", "train=fast", "train.regularization.opacity=0.5", "train.lr={sh_rest: 0.25}"]
     register_schema()
     with initialize_config_dir(str(CONFIG_DIR), version_base=None):

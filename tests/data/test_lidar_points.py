@@ -41,8 +41,8 @@ def drive(frames: int = 4, sky_rows: int = 3) -> Scene:
         views.append(View(camera, 0.1 * frame, image, f"train/cam2_{frame:06d}", frame=frame, sky=sky))
         sweeps.append(Sweep(frame, 0.1 * frame, np.array([0, -1.0, 2.0 * frame]), wall))
     return Scene(
-        "drive", tuple(views), tuple(views[-1:]), 0.3, 0.0, (0.0, 0.0, 0.0), 5.0, (-30.0, 30.0), Path("drive"),
-        unit=5.0, sweeps=tuple(sweeps), is_drive=True, metre=1.0,
+        "drive", tuple(views), tuple(views[-1:]), 0.3, 0.0, (0.0, 0.0, 0.0), 5.0, (-30.0, 30.0), Path("drive"), "drive",
+        unit=5.0, sweeps=tuple(sweeps), metre=1.0,
     )  # fmt: skip
 
 

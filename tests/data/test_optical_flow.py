@@ -56,8 +56,8 @@ def test_pairs_are_consecutive_frames_of_one_camera() -> None:
     assert neighbours(views[::2], gap) == {}, "frames in between are missing"
     photographs, gap = tiny_scene(views=12).train, 1.5 / 11
     assert neighbours(photographs, gap) == {}, "cameras jump from one time to the next"
-    assert neighbours(photographs, gap, is_clip=True) == {i: i + 1 if i < 11 else 10 for i in range(12)}
-    assert neighbours(photographs[::2], gap, is_clip=True) == {}, "frames in between are missing"
+    assert neighbours(photographs, gap, one_camera=True) == {i: i + 1 if i < 11 else 10 for i in range(12)}
+    assert neighbours(photographs[::2], gap, one_camera=True) == {}, "frames in between are missing"
 
 
 def test_flow_of_a_clip_comes_with_the_camera_that_sees_it() -> None:

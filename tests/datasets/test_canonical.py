@@ -70,6 +70,7 @@ def scene_of(cameras: list[Camera], unit: float = 0.8, **changes: object) -> Sce
         camera_extent(cameras),
         (-2.0, 3.0),
         Path("rig"),
+        "monocular",
         unit=unit,
     )
     return replace(made, **changes)

@@ -95,7 +95,7 @@ def test_times_and_view_names(folder: Path) -> None:
         "test/r_000",
         "test/r_001",
     ]
-    assert (scene.time_start, scene.duration, scene.is_static) == (0.0, 1.0, False)
+    assert (scene.time_start, scene.duration) == (0.0, 1.0) and scene.capture != "static"
 
 
 def test_val_as_the_held_out_split(folder: Path) -> None:
@@ -124,7 +124,7 @@ def test_times_in_other_units_set_start_and_duration(folder: Path, step: float, 
         edit(folder, lambda c: [e.update(time=start + step * e["time"]) for e in c["frames"]], split)
     scene = read(folder)
     assert [view.time for view in scene.train] == [start, start + 0.5 * step, start + step]
-    assert (scene.time_start, scene.duration) == (start, pytest.approx(step)) and not scene.is_static
+    assert (scene.time_start, scene.duration) == (start, pytest.approx(step)) and scene.capture != "static"
 
 
 @pytest.mark.parametrize("times", [(0.0, 0.2, 0.5), (0.0, 0.4, 0.5)])
@@ -185,7 +185,7 @@ def test_scene_without_times_is_static(tmp_path: Path) -> None:
     for split in ("train", "test"):
         write_split(tmp_path, split, 2, timed=False)
     scene = read(tmp_path)
-    assert scene.is_static and {view.time for view in scene.train + scene.test} == {0.0}
+    assert scene.capture == "static" and {view.time for view in scene.train + scene.test} == {0.0}
 
 
 # --- invalid input ----------------------------------------------------------------------------------------------------

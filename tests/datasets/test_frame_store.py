@@ -167,6 +167,15 @@ def test_validate_scene_reads_no_frame(tmp_path: Path) -> None:
         ]
     extent = camera_extent([view.camera for view in views])
     scene = Scene(
-        "toy", tuple(views[300:]), tuple(views[:300]), 10.0, 0.0, (0.0, 0.0, 0.0), extent, (-1.0, 1.0), tmp_path
+        "toy",
+        tuple(views[300:]),
+        tuple(views[:300]),
+        10.0,
+        0.0,
+        (0.0, 0.0, 0.0),
+        extent,
+        (-1.0, 1.0),
+        tmp_path,
+        "monocular",
     )
     assert validate_scene(scene) is scene

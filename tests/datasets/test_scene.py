@@ -10,7 +10,7 @@ import pytest
 from tiny_film import tiny_film, unsynchronised_film
 
 from datasets.files.errors import SceneError
-from datasets.scene import Scene, View, camera_extent, validate_scene
+from datasets.scene import Scene, View, camera_extent, capture_of, validate_scene
 from rasterizer.camera import Camera
 
 
@@ -35,6 +35,7 @@ def scene(**changes: object) -> Scene:
         extent=1.1,
         init_box=(-1.2, 1.2),
         source=Path("toy"),
+        capture="monocular",
     )
     return Scene(**{**fields, **changes})
 
@@ -43,11 +44,14 @@ def test_valid_scene_is_returned_unchanged() -> None:
     valid = scene()
     assert validate_scene(valid) is valid
     assert valid.time_end == 1.0
-    assert not valid.is_static
 
 
-def test_scene_of_one_time_is_static() -> None:
-    assert scene(train=(view("a", -1.0, 0.3), view("b", 1.0, 0.3)), test=(view("c", 0.0, 0.3),)).is_static
+def test_capture_of_photographs_by_their_times() -> None:
+    two = (view("a", -1.0, 0.3), view("b", 1.0, 0.3))
+    assert capture_of(two, (view("c", 0.0, 0.3),), filmed=False) == "static"
+    assert capture_of(two, (view("c", 0.0, 0.4),), filmed=True) == "multi_view"  # both at one time
+    apart = (view("a", -1.0, 0.3), view("b", 1.0, 0.4), view("c", 0.0, 0.4))  # less than two at a time in the mean
+    assert capture_of(apart, (), filmed=False) == "monocular" and capture_of(apart, (), filmed=True) == "clip"
 
 
 def test_frame_spacing_is_that_of_the_training_times_even_if_the_duration_is_longer() -> None:
@@ -60,13 +64,12 @@ def test_frame_spacing_is_that_of_the_training_times_even_if_the_duration_is_lon
 def test_cameras_that_are_not_synchronised_are_several_with_the_spacing_of_one() -> None:
     film = unsynchronised_film()
     assert len(film.train) == len(film.train_times) == 4 * 30  # every view has a time of its own
-    assert film.several_cameras and not film.is_clip and film.frame_count == 30
+    assert capture_of(film.train, film.test, filmed=True) == "multi_view" and film.frame_count == 30
     assert film.frame_spacing == pytest.approx(1 / 30, rel=1e-12)
-    photographs = replace(film, frame_rate=None)  # so many poses of one camera that moves
-    assert not photographs.several_cameras and photographs.is_clip and photographs.frame_count == 120
-    moving = replace(photographs, cameras_move=True)  # their names tell them apart, not their poses
-    assert moving.several_cameras and not moving.is_clip and moving.frame_count == 30
-    assert moving.frame_spacing == pytest.approx(1 / 30, rel=1e-12)
+    one = replace(film, train=tuple(replace(view, filmed_by="") for view in film.train))  # the same by one camera
+    assert capture_of(one.train, one.test, filmed=True) == "clip" and one.frame_count == 120
+    assert not replace(one, capture="clip").several_cameras and film.several_cameras
+    assert replace(film, capture="drive").several_cameras and not replace(one, capture="drive").several_cameras
 
 
 def test_spacing_of_synchronised_cameras_is_that_of_all_times_to_the_bit() -> None:

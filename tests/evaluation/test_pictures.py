@@ -37,7 +37,7 @@ def test_films_of_cameras_that_move_show_one_camera_after_the_other(monkeypatch:
 
     monkeypatch.setattr(view_pictures, "video", video)
     monkeypatch.setattr(view_pictures, "write_bullet_time", lambda path, renderer: None)
-    scene = replace(tiny_film(), frame_rate=None, playback_rate=10.0, cameras_move=True)
+    scene = replace(tiny_film(), frame_rate=None, playback_rate=10.0)
     renderer = SimpleNamespace(
         scene=scene,
         cfg=SimpleNamespace(train=SimpleNamespace(resolution_scale=1.0)),
@@ -48,5 +48,7 @@ def test_films_of_cameras_that_move_show_one_camera_after_the_other(monkeypatch:
     assert sent["path_render_and_truth.mp4"] == times * 5  # five cameras
     assert sent["still_camera.mp4"] == times  # of one
     still = tiny_film(held_out=("cam00",))  # four cameras at places of their own
+    unnamed = {s: tuple(replace(view, filmed_by="") for view in getattr(still, s)) for s in ("train", "test")}
+    still = replace(still, **unnamed)
     view_pictures.write_clip_films(Path(), SimpleNamespace(**{**vars(renderer), "scene": still}), 10.0)
     assert sent["path_render_and_truth.mp4"] == times * 4, "each that stands still by itself, as beside DyCheck's clips"

@@ -29,7 +29,7 @@ def from_clip(cfg: Config, log: Callable[[str], None]) -> Prepared:
     )
     cameras = {name: found.camera for name, found in cloud.cameras.items()}
     scene = clip.to_scene(cameras, lens.radial, normalised_unit(cloud.points, list(cameras.values())))
-    return Prepared(scene, cloud if cfg.init.source != "random" else None, folder, is_clip=True)
+    return Prepared(scene, cloud if cfg.init.source != "random" else None, folder, poses_estimated=True)
 
 
 def from_clips(cfg: Config, log: Callable[[str], None]) -> Prepared:
@@ -59,4 +59,4 @@ def from_clips(cfg: Config, log: Callable[[str], None]) -> Prepared:
     radial = {p.lens: cloud.cameras[p.name].radial for p in photographs if p.name in cloud.cameras}
     unit = normalised_unit(cloud.points, list(cameras.values()))
     scene = found.to_scene(cameras, radial, unit, colors)
-    return Prepared(scene, cloud if cfg.init.source != "random" else None, folder)
+    return Prepared(scene, cloud if cfg.init.source != "random" else None, folder, poses_estimated=True)

@@ -27,7 +27,8 @@ class MovingPixels:
         self._views, self._scale, self._moving_by = scene.test, scale, scene.moving_by
         self._by_pose: dict[bytes, np.ndarray] = {}
         views_of = Counter(map(_pose, scene.test))
-        self._still = set() if scene.is_static else {pose for pose, views in views_of.items() if views >= STILL_VIEWS}
+        filmed = {pose for pose, views in views_of.items() if views >= STILL_VIEWS}
+        self._still = set() if scene.capture == "static" else filmed
 
     def of(self, index: int, truth: GroundTruth | None = None) -> np.ndarray | None:
         """(H, W) bool of test view `index`; None: unknown. truth: of the view, if it has been read."""

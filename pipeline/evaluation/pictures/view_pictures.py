@@ -12,7 +12,6 @@ from PIL import Image
 from datasets.files.atomic_write import atomic_file
 from datasets.scene import Scene, View
 from pipeline.config.schema import Config
-from pipeline.data.frame_order import camera_name
 from pipeline.data.training_views import camera_at, evenly_spaced, target_of
 from pipeline.evaluation.motion.moving_pixels import MovingPixels
 from pipeline.evaluation.pictures.camera_path import FRAME_RATE, Ellipse, bullet_time, ellipse_among, median_depth
@@ -77,10 +76,10 @@ def write_clip_films(folder: Path, renderer: Renderer, frame_rate: float) -> Non
     places = Counter(view.camera.world_to_cam.tobytes() for view in scene.train + scene.test)
 
     def taker(view: View) -> str:
-        if scene.cameras_move:
-            return camera_name(view.name)
         place = view.camera.world_to_cam.tobytes()
-        return place.hex() if places[place] > 1 else ""  # a held-out camera that stands still beside a clip
+        return view.filmed_by or (
+            place.hex() if places[place] > 1 else ""
+        )  # a held-out camera that stands still beside a clip
 
     views = sorted(scene.train + scene.test, key=lambda view: (taker(view), view.time))
     middle = views[len(views) // 2]

@@ -103,7 +103,7 @@ def test_each_camera_has_a_share_and_its_own_held_out_frames(videos: Path) -> No
         train, test = ([v for v in part if f"/{name}_" in v.name] for part in (scene.train, scene.test))
         assert 12 <= len(train) + len(test) <= 20 and len(test) in (2, 3)
     assert found.counts() == (len(scene.train), len(scene.test))
-    assert scene.test_split == "every 8th frame of each camera" and scene.cameras_move
+    assert scene.test_split == "every 8th frame of each camera" and scene.capture == "multi_view"
 
 
 def test_whole_cameras_are_held_out_on_request(videos: Path) -> None:

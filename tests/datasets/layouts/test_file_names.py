@@ -44,7 +44,7 @@ def named(root: Path, name: str, still: bool, times: bool = False, offset: float
 def test_cameras_that_stand_still(tmp_path: Path, name: str, times: bool) -> None:
     """Whether the camera is the folder or the file, the beginning of the name or its end."""
     scene = named(tmp_path, name, still=True, times=times)
-    assert scene.several_cameras and scene.cameras_stand and scene.test_split == "camera 0 (cam0)"
+    assert scene.capture == "multi_view" and scene.test_split == "camera 0 (cam0)"
     assert len(scene.test) == TIMES and len(scene.train) == (CAMERAS - 1) * TIMES
     assert sorted({view.time for view in scene.train}) == [10 + t / 2 if times else t for t in range(TIMES)]
 
@@ -54,7 +54,7 @@ def test_cameras_that_move_or_have_estimated_poses(tmp_path: Path, name: str) ->
     """Their numbers coincide, so that the frames of a number are of one moment."""
     for folder, arguments in (("moving", {"still": False}), ("estimated", {"still": True, "offset": 1e-3})):
         scene = named(tmp_path / folder, name, **arguments)
-        assert {view.time for view in scene.train} == set(range(TIMES)) and not scene.is_clip
+        assert {view.time for view in scene.train} == set(range(TIMES)) and scene.capture == "multi_view"
         assert scene.test_split == "camera 0 (cam0)"
 
 
@@ -68,7 +68,7 @@ def test_two_takes_of_one_camera_are_one_clip(tmp_path: Path) -> None:
         (tmp_path / frame["file_path"]).rename(tmp_path / f"images/{name}.png")
         frame["file_path"] = f"images/{name}.png"
     file.write_text(json.dumps(content))
-    assert read(tmp_path)[0].is_clip
+    assert read(tmp_path)[0].capture == "clip"
 
 
 @pytest.mark.parametrize("first", [5000, 846112073799])

@@ -47,7 +47,7 @@ def test_folders_of_several_cameras_count_alike(tmp_path: Path) -> None:
     scene, lines = read(tmp_path)
     assert any("times: the numbers in the file names" in line for line in lines)
     assert scene.test_split == "camera 0 (cam0)" and "held out: camera 0 (cam0)" in lines  # the last one of the file
-    assert [view.time for view in scene.test] == [0, 1, 2, 3] and scene.several_cameras and not scene.is_clip
+    assert [view.time for view in scene.test] == [0, 1, 2, 3] and scene.capture == "multi_view"
     shown = {(view.time, view.camera.world_to_cam.tobytes()): np.asarray(view.image) for view in scene.train}
     for index in range(COUNT - 4):
         key = next(key for key in shown if key[0] == index % 4 and np.array_equal(shown[key], picture(index)))

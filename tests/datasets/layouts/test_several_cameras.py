@@ -47,7 +47,7 @@ def rig(root: Path, offset: float | None, count: int = 32, cameras: int = 4, nam
 @pytest.mark.parametrize("offset", [0, 0.0006, 0.01])
 def test_cameras_that_stand_still_may_have_times_of_their_own(tmp_path: Path, offset: float) -> None:
     scene, _ = read(rig(tmp_path, offset))
-    assert scene.several_cameras and not scene.is_clip and scene.test_split == "camera 0 (cam0)"
+    assert scene.capture == "multi_view" and scene.test_split == "camera 0 (cam0)"
     assert scene.frame_spacing == pytest.approx(1 / 30, rel=1e-6) and len(scene.train) == 24
 
 
@@ -55,7 +55,7 @@ def test_cameras_that_stand_still_may_have_times_of_their_own(tmp_path: Path, of
 def test_cameras_in_one_folder_are_told_apart_by_their_names(tmp_path: Path, offset: float | None) -> None:
     """Without times a number in the names is one, of all cameras alike."""
     scene, _ = read(rig(tmp_path, offset, name="cam{}_{:04d}"))
-    assert scene.several_cameras and not scene.is_clip and scene.test_split == "camera 0 (cam0)"
+    assert scene.capture == "multi_view" and scene.test_split == "camera 0 (cam0)"
     assert scene.frame_spacing == pytest.approx(1 / 30 if offset else 1)
 
 
@@ -66,7 +66,7 @@ def test_names_of_a_camera_that_moves_tell_nothing(tmp_path: Path) -> None:
         frame["file_path"] = f"images/{'ab'[index // 6]}_{index:04d}.png"  # two takes, say
 
     rewritten(tmp_path, rename)
-    assert read(tmp_path)[0].is_clip
+    assert read(tmp_path)[0].capture == "clip"
 
 
 def test_frames_of_each_camera_are_spread_evenly(tmp_path: Path) -> None:
@@ -91,7 +91,7 @@ def test_held_out_cameras_beside_a_clip_leave_it_a_clip(tmp_path: Path) -> None:
         metadata[name]["camera_id"] = 1
     (tmp_path / "metadata.json").write_text(json.dumps(metadata))
     scene, _ = read(tmp_path)
-    assert len(scene.test) == len(held_out) == 3 and scene.is_clip
+    assert len(scene.test) == len(held_out) == 3 and scene.capture == "clip"
 
 
 def alternating(root: Path, count: int = 30) -> Path:

@@ -153,7 +153,7 @@ def test_one_frame_per_camera_is_a_static_scene(folder: Path) -> None:
     for split in ("train", "test"):
         edit(folder, lambda c: c.update(frames=[e for e in c["frames"] if e["time"] == 0]), split)
     scene = read(folder)
-    assert scene.is_static and scene.frame_rate == 30
+    assert scene.capture == "static" and scene.frame_rate == 30
 
 
 @pytest.mark.parametrize(
@@ -191,7 +191,7 @@ def test_images_have_the_times_of_the_file(folder: Path) -> None:
     for frame in range(FRAMES):
         assert found[f"train/cam01_{frame:04d}"] == pytest.approx(frame + late[frame], abs=1e-9)
         assert found[f"train/cam02_{frame:04d}"] == found[f"test/cam00_{frame:04d}"] == pytest.approx(frame, abs=1e-9)
-    assert scene.several_cameras and scene.frame_spacing == pytest.approx(1 / 30)
+    assert scene.capture == "multi_view" and scene.frame_spacing == pytest.approx(1 / 30)
 
 
 def test_videos_with_poses_take_precedence(folder: Path) -> None:

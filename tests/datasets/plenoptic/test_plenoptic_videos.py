@@ -43,7 +43,7 @@ def test_view_names_times_and_splits(folder: Path) -> None:
     assert scene.train[0].name == "train/cam01_0000" and scene.train[-1].name == f"train/cam02_{FRAMES - 1:04d}"
     assert [view.time for view in scene.test] == pytest.approx([frame / RATE for frame in range(FRAMES)], rel=1e-12)
     assert (scene.time_start, scene.duration, scene.frame_rate) == (0.0, pytest.approx(FRAMES / RATE), RATE)
-    assert not scene.is_static and scene.source == folder and scene.background == (0.0, 0.0, 0.0)
+    assert scene.capture == "multi_view" and scene.source == folder and scene.background == (0.0, 0.0, 0.0)
 
 
 def test_cameras_are_those_of_poses_bounds(folder: Path) -> None:

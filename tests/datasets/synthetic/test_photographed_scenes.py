@@ -70,8 +70,8 @@ def test_an_arc_is_filmed_by_one_camera_and_tested_beside_it() -> None:
 @pytest.mark.parametrize(("name", "is_clip"), [("wheel", True), ("still", False)])
 def test_a_scene_filmed_along_an_arc_is_a_clip(name: str, is_clip: bool, tmp_path: Path) -> None:
     settings = SceneConfig(f"synthetic/{name}", "synthetic", downscale=1, cache=str(tmp_path), **SMALL)
-    assert not load_scene(settings).is_clip
-    assert load_scene(replace(settings, camera_path="arc")).is_clip == is_clip
+    assert load_scene(settings).capture == ("monocular" if is_clip else "static")
+    assert load_scene(replace(settings, camera_path="arc")).capture == ("clip" if is_clip else "static")
 
 
 def test_a_scene_with_cameras_of_its_own_is_not_filmed_along_an_arc(tmp_path: Path) -> None:
@@ -102,7 +102,7 @@ def test_round_trip_of_traced_images(name: str, tmp_path: Path, monkeypatch: pyt
             # Rounding of alpha (½ through the background), of colour (½) and of the composed image (½).
             worst = 1.0 if background[0] == 0 else 1.5
             np.testing.assert_allclose(view.image.transpose(2, 0, 1), expected, atol=worst + 1e-3)
-    assert scene.is_static == (name == "still")
+    assert (scene.capture == "static") == (name == "still")
     times = [
         "time" in frame
         for split in ("train", "val", "test")

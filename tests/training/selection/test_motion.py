@@ -67,9 +67,7 @@ def test_due_for_one_moving_camera_whose_model_may_have_time() -> None:
     assert not due(replace(cfg, train=replace(cfg.train, time_budget_s=9.0)), moving), "all of it is for the schedule"
     same_place = replace(moving, train=tuple(replace(view, camera=moving.train[0].camera) for view in moving.train))
     assert not due(cfg, same_place), "one camera that stands still, or several: all moments are seen from each place"
-    names = [f"train/cam{i % 2}_{i // 2}" for i in range(len(moving.train))]
-    two = replace(moving, train=tuple(replace(v, name=n) for v, n in zip(moving.train, names)), cameras_move=True)
-    assert not due(cfg, two), "two cameras that move"
+    assert not due(cfg, replace(moving, capture="multi_view")), "two cameras that move"
 
 
 def test_the_static_model_has_no_time() -> None:
