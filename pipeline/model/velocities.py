@@ -2,7 +2,7 @@
 
 A 4D covariance has ten numbers: six of the ellipsoid Σ(t) at any time, three of the velocity v and one of the lifetime
 √Σtt (docs/method.md 1.1). In them nothing keeps a Gaussian from moving: a 4D rotation moves one with the scales s_x and
-st with at most |s_x² - st²| / (2 s_x st), and not at all where both are equal (docs/method.md 2.9). Training has them
+st with at most |s_x² - st²| / (2 s_x st), and not at all where both are equal (docs/method.md 5.6). Training has them
 with `train.explicit_velocity`; all that reads a trained model gets rotations.
 """
 

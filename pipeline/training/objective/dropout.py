@@ -3,7 +3,7 @@ CVPR 2025). Not in the paper.
 
 Where few views show a moment, Gaussians learn to correct each other's errors in the images they are trained on. A
 Gaussian cannot rely on others that are missing at times. DropGaussian also multiplies the remaining opacities by
-1 / (1 - rate); here that made no difference (docs/method.md 2.5).
+1 / (1 - rate); here that made no difference (docs/method.md 5.2).
 
 Evaluation has all Gaussians, and long-lived ones, which many views determine, are better if the end of training has
 them, too. There short-lived ones alone are left out.
