@@ -8,7 +8,6 @@ that its fixtures are made once). A test that needs a real data set is marked `d
 from __future__ import annotations
 
 import os
-import shutil
 
 # Set before anything loads OpenMP, and handed down to the processes that tests start. One thread where a test does not
 # ask for more: processes already fill the cores. Threads that wait sleep, as others want the core they would spin on.
@@ -19,8 +18,6 @@ import pytest  # noqa: E402
 
 from rasterizer.cores import usable_cores  # noqa: E402
 
-# `.ci/run` clones. Who got the sources as an archive, on a machine without git, runs no such thing.
-collect_ignore = [] if shutil.which("git") else ["project/test_ci.py"]
 MOST_PROCESSES = 8  # more would wait for the longest file
 # The longest files, longest first: one that began last would leave the other processes idle.
 LONGEST = ("test_kernel_precision", "test_kernel_stability", "test_pipeline", "test_filmed", "test_config", "test_sfm")
