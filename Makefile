@@ -68,13 +68,13 @@ test-data: $(BUILT) ## the tests that need real data: DATA_DIR=/path holds dnerf
 	@$(call took,passed)
 
 reproduce: $(BUILT) ## train the synthetic suite, and each ablation on the scene made for it; write tables, plots, report
-	$(RUN) pipeline experiment=synthetic_suite,ablation/no_4drot,ablation/no_4dsh,ablation/no_time_split
+	$(RUN) pipeline experiment=reproduce
 	$(RUN) pipeline.report results/runs
 	@echo "make reproduce: the report is results/report/report.html"
 	@$(call took,done)
 
 ablations: $(BUILT) ## all ablations on all dynamic synthetic scenes, beside the runs of reproduce
-	$(RUN) pipeline experiment=synthetic_suite,synthetic_ablation
+	$(RUN) pipeline experiment=synthetic_ablation
 	$(RUN) pipeline.report results/runs
 	@echo "make ablations: the report is results/report/report.html"
 	@$(call took,done)

@@ -22,12 +22,11 @@ from rich.table import Table
 from pipeline.config.compose import CONFIG_DIR, one_line, options, quote_paths, register_schema, to_config
 from pipeline.config.scene_overrides import without_given
 from pipeline.config.schema import Config
-from pipeline.config.sweep_launch import can_be_one, launch
-from pipeline.config.sweep_plan import merged, one_per_experiment, planned_sweeps
 from pipeline.terminal import interruption, sweep_progress
 from pipeline.terminal.closed_pipe import quiet_on_closed_pipe
 from pipeline.terminal.help_page import help_page
 from pipeline.terminal.sweep_progress import SweepRun
+from pipeline.terminal.sweeper import register_sweeper
 from rasterizer.allocator import keep_freed_memory
 
 # What a user can cause, by a wrong key, bad data, a full disk or a training that diverges. Anything else is a bug of
@@ -35,10 +34,6 @@ from rasterizer.allocator import keep_freed_memory
 EXPECTED = (ValueError, OSError, ArithmeticError, MemoryError, HydraException, OmegaConfBaseException)
 
 _FULL_ERROR = "HYDRA_FULL_ERROR"
-
-
-class RunFailed(Exception):
-    """A run of a sweep failed and its error is printed; the other runs continue."""
 
 
 def main() -> None:
@@ -51,19 +46,11 @@ def main() -> None:
     os.environ[_FULL_ERROR] = "1"  # so that Hydra raises and does not print: what is printed is decided here
     os.environ.setdefault("PIPELINE_TRACEBACK", "1" if traceback_wanted else "0")  # for the workers of a sweep
     register_schema()
-    commands = one_per_experiment(quote_paths(sys.argv[1:]))
+    register_sweeper()
+    sys.argv[1:] = quote_paths(sys.argv[1:])
     interruption.watch()
     try:
-        sweeps = planned_sweeps(commands)
-        runs = merged(sweeps)
-        with sweep_progress.sweep({out: run.work for out, run in runs.items()}):
-            if can_be_one(commands, sweeps):
-                failed = not launch(commands[0], list(runs.values()), run_one)
-            else:
-                ended_well = [_hydra_run(command) for command in commands]  # if one fails, the others go on
-                failed = not all(ended_well)
-        if failed:
-            sys.exit(1)
+        hydra.main(config_path=str(CONFIG_DIR), config_name="config", version_base="1.3")(run_one)()
     except KeyboardInterrupt as interrupt:
         _complain(
             f"interrupted; {str(interrupt) or 'finished runs are kept, and the same command goes on with the others'}"
@@ -75,18 +62,8 @@ def main() -> None:
         _refuse(one_line(error))
 
 
-def _hydra_run(command: list[str]) -> bool:
-    """What Hydra makes of a command: a run or a sweep. False if a run of a sweep failed."""
-    sys.argv[1:] = command
-    try:
-        hydra.main(config_path=str(CONFIG_DIR), config_name="config", version_base="1.3")(run_one)()
-    except RunFailed:
-        return False
-    return True
-
-
-def run_one(composed: DictConfig) -> None:
-    """One run of the command line's. A failure ends a single run with exit status 1, and is RunFailed in a sweep."""
+def run_one(composed: DictConfig) -> bool:
+    """One run of the command line's. A failure ends a single run with exit status 1; in a sweep it returns False."""
     job = HydraConfig.get()
     command = shlex.join(["python", "-m", "pipeline", *job.overrides.task])
     cfg: Config | None = None
@@ -105,7 +82,7 @@ def run_one(composed: DictConfig) -> None:
             from pipeline.stages.estimate import estimate
 
             print("\n  ".join([f"{_title(cfg)} would take", *estimate(cfg).lines(cfg)]), flush=True)
-            return
+            return True
         metrics = run(cfg, job.overrides.task, log=_say if sweep is None else _say_nothing)
         if sweep is not None:
             sweep.finished(_result_line(cfg, metrics))
@@ -113,6 +90,7 @@ def run_one(composed: DictConfig) -> None:
             _say(_result_line(cfg, metrics))
         else:
             _report(cfg, metrics)
+        return True
     except KeyboardInterrupt:
         raise KeyboardInterrupt(_kept_progress(cfg)) from None
     except EXPECTED as error:
@@ -125,7 +103,7 @@ def run_one(composed: DictConfig) -> None:
             if sweep_progress.current is not None:
                 sweep_progress.current.failed()
             _complain(f"{line}  [{command}]")
-            raise RunFailed(command) from error
+            return False
         _complain(line)
         sys.exit(1)
 

@@ -32,7 +32,7 @@ EXAMPLES = (
     ("-m scene=synthetic/lamp ablation=full,no_4dsh seed=0,1,2", "a sweep: six runs; launcher=joblib: side by side"),
     ("scene=synthetic/wheel train.iterations=10000 out=DIR", "single keys, and a run folder of your own"),
     ("scene=synthetic/lamp view=true", "shows the model in a browser while it is trained"),
-    ("experiment=synthetic_suite", "the sweep that `make reproduce` starts with"),
+    ("experiment=reproduce", "the sweep of `make reproduce`"),
 )
 
 

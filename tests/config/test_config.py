@@ -6,18 +6,13 @@ import functools
 import os
 import subprocess
 import sys
-from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 
 import pytest
 from hydra import compose, initialize_config_dir
-from hydra.core.hydra_config import HydraConfig
-from omegaconf import OmegaConf, flag_override
-from tiny import tiny_scene
 
 from pipeline.config.compose import CONFIG_DIR, known_keys, one_line, options, register_schema, to_config
 from pipeline.config.schema import Config
-from pipeline.model.scene_settings import resolved
 
 ROOT = CONFIG_DIR.parent
 # Of these the released program's settings are known: conf/train/release/<scene>.yaml.
@@ -35,17 +30,6 @@ SCHEDULE = {"video": "fast", "auto": "fast"}  # of scenes that no paper trained;
 def config_of(*overrides: str) -> Config:
     with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
         return to_config(compose("config", overrides=list(overrides)))
-
-
-@functools.cache
-def run_of(*overrides: str) -> Config:
-    """A run of a sweep: its file may ask Hydra what was chosen."""
-    with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
-        composed = compose("config", overrides=list(overrides), return_hydra_config=True)
-    HydraConfig.instance().set_config(composed)
-    with flag_override(composed, ["struct", "readonly"], False):
-        del composed["hydra"]
-    return to_config(composed)
 
 
 def complaint(*overrides: str) -> str:
@@ -92,60 +76,6 @@ def test_every_ablation(ablation: str) -> None:
 def test_every_scene_of_the_release(scene: str) -> None:
     cfg = config_of(f"scene={scene}", "train=release")
     assert (cfg.train.name, cfg.scene.name) == ("release", scene)
-
-
-@pytest.mark.parametrize("experiment", options("experiment"))
-def test_every_experiment_and_every_run_of_it(experiment: str) -> None:
-    with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
-        hydra = compose("config", overrides=[f"experiment={experiment}", "scene=dnerf"], return_hydra_config=True).hydra
-        assert hydra.mode.name == "MULTIRUN"
-        sweep = OmegaConf.to_container(hydra.sweeper.params)
-        longest = max(len(values.split(",")) for values in sweep.values())
-    for i in range(longest):  # each value of each swept key at least once
-        chosen = [f"{key}={values.split(',')[i % len(values.split(','))]}" for key, values in sweep.items()]
-        run_of(f"experiment={experiment}", *chosen)
-    text = (CONFIG_DIR / "experiment" / f"{experiment}.yaml").read_text()
-    assert f"python -m pipeline experiment={experiment}\n" in text, "opens with the command that runs it"
-
-
-@pytest.mark.parametrize("variant", options("variant"))
-def test_every_variant_is_one_change_in_a_folder_of_its_own(variant: str) -> None:
-    chosen = ("experiment=training_curves", "scene=synthetic/wheel", "seed=1")
-    base = f"{variant.partition('/')[0]}/baseline" if "/" in variant else "fast"
-    cfg, usual = run_of(*chosen, f"variant={variant}"), run_of(*chosen, f"variant={base}")
-    assert cfg.out == f"results/runs/training_curves/synthetic/wheel/{variant}/seed1"
-    if variant.endswith("_start"):  # a schedule's first iterations, and nothing else of it
-        whole = config_of("scene=synthetic/wheel", f"train={variant.removesuffix('_start')}").train
-        assert replace(cfg.train, name=whole.name, iterations=whole.iterations, eval_every=whole.eval_every) == whole
-        assert cfg.train.iterations % whole.densify.opacity_reset_every != 0
-    elif variant.startswith("urban/"):  # other groups too; the two losses on the sky are one part
-        found = changes(replace(cfg, out=usual.out), usual) - {"static", "time_split", "fourier_order"}
-        assert len(found) == {"no_sky_loss": 2, "baseline": 0}.get(variant.partition("/")[2], 1)
-    else:
-        found = changes(cfg.train, usual.train) | changes(cfg.ablation, usual.ablation)
-        assert len(found - {"multi_view_overrides", "clip_overrides"}) == (
-            variant != base
-        )  # those: the same change there
-
-
-def test_a_part_left_out_is_left_out_in_films_too() -> None:
-    one = tiny_scene()
-    film = replace(one, train=one.train + one.train)
-    variant = "variant=leave_one_out/opacity_regularization"
-    cfg = run_of("experiment=few_views_leave_one_out", "scene=synthetic/counter", "seed=0", variant)
-    assert resolved(cfg, film).train.regularization.opacity == resolved(cfg, one).train.regularization.opacity == 0
-
-
-def changes(one: object, other: object) -> set[str]:
-    """Fields, those inside fields too, with other values; a name is not one."""
-    found = set()
-    for f in fields(one):
-        a, b = getattr(one, f.name), getattr(other, f.name)
-        if is_dataclass(a):
-            found |= changes(a, b)
-        elif a != b and f.name != "name":
-            found.add(f.name)
-    return found
 
 
 @pytest.mark.parametrize("launcher", ["local", "joblib"])

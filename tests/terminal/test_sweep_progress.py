@@ -8,10 +8,7 @@ import time
 from pathlib import Path
 
 import pytest
-from hydra import compose, initialize_config_dir
 
-from pipeline.config.compose import CONFIG_DIR, register_schema
-from pipeline.config.sweep_plan import merged, one_per_experiment, planned_sweeps
 from pipeline.terminal.sweep_progress import FOLDER_VARIABLE, TRAINING_SHARE, SweepRun, sweep
 
 
@@ -111,33 +108,3 @@ def test_without_a_sweep_there_is_no_line(monkeypatch: pytest.MonkeyPatch, tmp_p
         assert SweepRun.joined("out", 1) is None
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "of another machine"))
     assert SweepRun.joined("out", 1) is None
-
-
-def test_experiments_are_commands_of_their_own() -> None:
-    assert one_per_experiment(["experiment=a,b", "seed=1"]) == [["experiment=a", "seed=1"], ["experiment=b", "seed=1"]]
-    assert one_per_experiment(["-m", "seed=1,2"]) == [["-m", "seed=1,2"]]
-
-
-def test_the_plan_of_reproduce_has_each_run_once() -> None:
-    register_schema()
-    experiments = ("synthetic_suite", "ablation/no_4drot", "ablation/no_4dsh", "ablation/no_time_split")
-    runs = merged(planned_sweeps([[f"experiment={name}"] for name in experiments]))
-    assert len(runs) == 21
-    overrides = ["experiment=synthetic_suite", "scene=synthetic/counter", "seed=0"]
-    with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
-        cfg = compose("config", overrides)
-    wheel = runs["results/runs/synthetic/wheel/full/short/seed0"]
-    assert runs[cfg.out].work / wheel.work == pytest.approx(320**2 / 200**2)
-
-
-def test_a_single_run_has_no_plan() -> None:
-    register_schema()
-    assert planned_sweeps([["scene=synthetic/wheel"], ["--cfg", "job", "experiment=synthetic_suite"]]) == [{}, {}]
-    assert len(planned_sweeps([["-m", "scene=synthetic/wheel", "seed=0,1"]])[0]) == 2
-
-
-def test_reproduce_begins_with_each_scene_once() -> None:
-    """Runs side by side then trace different scenes."""
-    register_schema()
-    first = list(planned_sweeps([["experiment=synthetic_suite"]])[0])[:6]
-    assert len({out.split("/short/")[0] for out in first}) == 6
