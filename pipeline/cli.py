@@ -48,6 +48,8 @@ def main() -> None:
     register_schema()
     register_sweeper()
     sys.argv[1:] = quote_paths(sys.argv[1:])
+    if any(word.startswith("experiment=") for word in sys.argv) and not any(word[:1] == "-" for word in sys.argv):
+        sys.argv.append("--multirun")  # an experiment is a sweep
     interruption.watch()
     try:
         hydra.main(config_path=str(CONFIG_DIR), config_name="config", version_base="1.3")(run_one)()

@@ -84,7 +84,6 @@ def test_every_run_of_an_experiment_has_a_valid_configuration_and_a_folder(
     with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
         loader = GlobalHydra.instance().config_loader()
         hydra = loader.load_configuration("config", [f"experiment={experiment}"], RunMode.MULTIRUN).hydra
-    assert hydra.mode == RunMode.MULTIRUN
     first = {
         "scene": "synthetic/wheel",
         **{key: str(values).split(",")[0] for key, values in hydra.sweeper.params.items()},
@@ -169,6 +168,11 @@ def test_an_interrupted_sweep_says_what_is_kept(
     assert command(interrupted, "experiment=smoke") == 130
     said = capsys.readouterr().err
     assert said == "error: interrupted; finished runs are kept, and the same command goes on with the others\n"
+
+
+def test_a_wrong_key_of_an_experiment_is_named(command: Callable[..., int], capsys: pytest.CaptureFixture[str]) -> None:
+    assert command(lambda cfg: True, "experiment=smoke", "train.iteratons=3") == 1
+    assert capsys.readouterr().err == "error: train.iteratons: no such key; did you mean train.iterations?\n"
 
 
 def test_a_bug_in_a_run_is_a_traceback(command: Callable[..., int]) -> None:
