@@ -29,7 +29,7 @@ LONGEST_S = 120  # of a command
 # region, after which a fork hangs.
 FORKING = multiprocessing.get_context("forkserver")
 FORKING.set_forkserver_preload(
-    ["pipeline.cli", "pipeline.stages", "datasets.plenoptic", "pipeline.studies.compression.plot"]
+    ["pipeline.cli", "pipeline.stages", "datasets.plenoptic", "pipeline.studies.compression.__main__"]
 )
 
 

@@ -12,10 +12,8 @@ from tiny import tiny_config, tiny_scene, train_tiny
 from pipeline.evaluation.quick_evaluate import held_out_psnr
 from pipeline.model.initialise import initialise
 from pipeline.model.model import Model, ModelKind
-from pipeline.studies.compression.__main__ import main
-from pipeline.studies.compression.measure import measure, pruned_model, smallest
-from pipeline.studies.compression.pruning import prune_by_sensitivity
-from pipeline.studies.compression.retrain import retrain
+from pipeline.studies.compression.__main__ import main, measure, smallest
+from pipeline.studies.compression.pruning import prune_by_sensitivity, retrain
 from pipeline.studies.compression.storage import LEVELS, PRECISIONS, load_compressed, save_compressed
 from pipeline.training.density.sensitivity_pruning import image_sensitivity
 
@@ -91,7 +89,7 @@ def test_foreign_file_is_an_error(tmp_path, content):
 def test_points_start_with_the_full_model_and_smallest_respects_max_loss(trained):
     scene, cfg = tiny_scene(), tiny_config()
     sensitivity = image_sensitivity(trained, scene.train, scene, cfg, 1.0, np.random.default_rng(0), threads=1)
-    models = {fraction: pruned_model(trained, sensitivity, scene, cfg, fraction, 0.0) for fraction in (1.0, 0.5)}
+    models = {1.0: trained, 0.5: prune_by_sensitivity(trained, sensitivity, 0.5)}
     points = measure(models, scene, cfg)
     assert [(p.fraction, p.precision) for p in points] == [(f, p) for p in PRECISIONS for f in (1.0, 0.5)]
     assert smallest(points, max_loss=100.0) is points[5]

@@ -14,8 +14,7 @@ import torch
 from builders import generator, off_centre_camera, outputs_of, random_gaussians, render_and_gradients
 
 from pipeline.studies.kernel_precision import build
-from pipeline.studies.kernel_precision.build import BuildError, load_variants
-from pipeline.studies.kernel_precision.half_precision_sh import HalfPrecisionSH
+from pipeline.studies.kernel_precision.build import BuildError, HalfPrecisionSH, load_variants
 from pipeline.studies.kernel_precision.measure import (
     UNTIMED,
     Errors,
@@ -24,12 +23,10 @@ from pipeline.studies.kernel_precision.measure import (
     time_kernels,
     without_varied,
 )
-from pipeline.studies.kernel_precision.pareto_front import on_front
 from pipeline.studies.kernel_precision.plot import draw
 from pipeline.studies.kernel_precision.reference_rendering import Rendered, render_reference
-from pipeline.studies.kernel_precision.table import comma_separated, markdown
+from pipeline.studies.kernel_precision.table import comma_separated, margins_of, markdown, on_front, verdicts
 from pipeline.studies.kernel_precision.variants import DEFAULT, TRADES, NumericalChoices, all_variants, by_name
-from pipeline.studies.kernel_precision.verdicts import verdicts
 from rasterizer import Gradients, Rasterizer, Request
 from rasterizer.gaussians import Motion
 from rasterizer.kernel_loader import kernel
@@ -248,30 +245,27 @@ POINTS = [
 
 
 def test_verdicts() -> None:
-    noise, together, alpha, degree = verdicts(POINTS)
-    assert "2.0 %" in noise
-    assert alpha == (
-        "Alpha cut-off: the default is on the front of time and maximum image error; "
-        "on the front of time and gradient error."
-    )
-    assert degree.startswith(
-        'Exp degree: the default is not on the front of time and maximum image error: "label of '
-        'better" takes 25.0 % less time, its error is 4.0e-02 against 5.0e-02'
-    )
-    assert "not on the front" in together
+    assert margins_of(POINTS)[0] == pytest.approx(0.02)  # the noise
+    found = verdicts(POINTS)
+    assert found["alpha cut-off"] == ["nothing", "nothing"]
+    assert found["exp degree"] == [
+        "label of better: 25.0% less time, error 4.0e-02",
+        "label of better: 25.0% less time, error 8.0e-02",
+    ]
+    assert "nothing" not in found["all choices together"]
     again = [*POINTS, point("again", "built again", 18.0, 0.05)]
-    assert "10.0 %" in verdicts(again)[0]
-    level = point("level", "exp degree", 19.9, 0.0498)
-    assert " not " not in verdicts([p if p.name != "better" else level for p in POINTS])[3]  # the noise is 2 %
+    assert margins_of(again)[0] == pytest.approx(0.1)
+    level = point("level", "exp degree", 19.9, 0.0498)  # within the noise
+    assert verdicts([p if p.name != "better" else level for p in POINTS])["exp degree"] == ["nothing", "nothing"]
 
 
 def test_tables_hold_all_points_and_empty_cells_for_unmeasured_times() -> None:
     rows = list(csv.DictReader(io.StringIO(comma_separated(POINTS))))
     assert [row["name"] for row in rows] == [p.name for p in POINTS]
     assert rows[-1]["milliseconds"] == "" and float(rows[0]["errors_image_max"]) == 0.1
-    assert [row["on_image_front"] for row in rows] == ["1", "0", "0", "1", "0"]
+    assert ["I" in row["front"] for row in rows] == [True, False, False, True, False]
     text = markdown(POINTS, "heading")
-    assert "heading" in text and text.count("\n| ") == 1 + len(POINTS) and "n/a" in text
+    assert "heading" in text and text.count("\n| label of ") == len(POINTS) and "n/a" in text
 
 
 def test_plot_is_reproducible_and_omits_untimed_points() -> None:

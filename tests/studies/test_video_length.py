@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 from report_runs import write_run
 
-from pipeline.runs.read.collect import collect
-from pipeline.studies.video_length import draw, exponent, lengths_of, main
+from pipeline.studies.video_length.__main__ import draw, exponent, main, read_lengths
 
 
 def write_length(root: Path, frames: int, seed: int = 0, iterations: int = 100, **changes) -> Path:
@@ -25,9 +24,9 @@ def test_exponents_and_means_over_seeds(tmp_path: Path) -> None:
     for frames in (10, 20, 80):
         for seed, factor in enumerate((0.9, 1.1)):
             write_length(tmp_path, frames, seed, n_gaussians=factor * 500 * frames**0.8, n_alive_mean=factor * 300.0)
-    found = lengths_of(collect(tmp_path))
-    assert [length.frames for length in found] == [10, 20, 80]
-    assert found[1].gaussians.mean == pytest.approx(500 * 20**0.8) and found[1].alive.n == 2
+    found = read_lengths(tmp_path)
+    assert list(found) == [10, 20, 80]
+    assert found[20]["gaussians"].mean() == pytest.approx(500 * 20**0.8) and len(found[20]["alive"]) == 2
     assert exponent(found, "gaussians") == pytest.approx(0.8)
     assert exponent(found, "alive") == pytest.approx(0.0, abs=1e-12)
     assert draw(found, "title") == draw(found, "title")
@@ -39,10 +38,7 @@ def test_command_writes_table_csv_and_plot(tmp_path: Path, capsys: pytest.Captur
     assert main([str(tmp_path / "runs"), "--out", str(tmp_path / "out")]) == 0
     with (tmp_path / "out/video_length.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert [(int(row["frames"]), float(row["gaussians"]), row["gaussians_std"]) for row in rows] == [
-        (15, 1500.0, ""),
-        (30, 3000.0, ""),
-    ]
+    assert [(int(row["frames"]), float(row["gaussians"])) for row in rows] == [(15, 1500.0), (30, 3000.0)]
     text = (tmp_path / "out/video_length.md").read_text()
     assert text in capsys.readouterr().out and "Gaussians 1.00; active in a frame 0.00" in text
     assert (tmp_path / "out/video_length.svg").read_text().startswith("<?xml")

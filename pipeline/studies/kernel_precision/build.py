@@ -14,13 +14,16 @@ import sysconfig
 from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
-from typing import cast
+from typing import Any, cast
 
-from pipeline.studies.kernel_precision.half_precision_sh import SH_TYPES, HalfPrecisionSH
+import torch
+from torch import Tensor
+
 from pipeline.studies.kernel_precision.variants import NumericalChoices, Variant
 from rasterizer.kernel_loader import kernel, load_kernel_at
 
 SOURCE = Path(__file__).resolve().parents[3]
+SH_TYPES = {"Float16": torch.float16, "Bfloat16": torch.bfloat16}  # C++ type of the kernel's sh_type -> torch's
 _MAX_MESSAGE = 300  # characters of a failed command's output that are shown, from its first error on
 
 
@@ -85,3 +88,24 @@ def _call(command: list[str], environment: dict[str, str]) -> None:
             f"kernel_precision: expected {Path(command[0]).name} and a C++ compiler to build the variants, "
             f"found: {message[:_MAX_MESSAGE] or 'no output'}"
         )
+
+
+class HalfPrecisionSH:
+    """The kernel `module`, built for 16-bit SH; its models are made from float32 coefficients, rounded once a tensor.
+
+    A model in half precision would be rounded when it is stored, so rounding is no part of a frame's time. Coefficients
+    must not change between frames.
+    """
+
+    def __init__(self, module: ModuleType) -> None:
+        self._module, self._type = module, SH_TYPES[module.choices["sh_type"]]
+        self._given: Tensor | None = None
+        self._rounded: Tensor | None = None
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._module, name)
+
+    def Model(self, sh: Tensor, **others: Any) -> Any:  # noqa: N802  # the module's class
+        if self._given is None or self._given.data_ptr() != sh.data_ptr():
+            self._given, self._rounded = sh, sh.to(self._type)
+        return self._module.Model(sh=self._rounded, **others)

@@ -8,11 +8,11 @@ from typing import Any
 
 from matplotlib.axes import Axes
 
-from pipeline.presentation.theme import LIGHT, Theme
+from pipeline.presentation.theme import LIGHT
+from pipeline.studies.common import svg_figure, svg_style, svg_text
 from pipeline.studies.kernel_precision.measure import Point
-from pipeline.studies.kernel_precision.pareto_front import on_front
+from pipeline.studies.kernel_precision.table import on_front
 from pipeline.studies.kernel_precision.variants import DEFAULT
-from pipeline.studies.output import svg_figure, svg_style, svg_text
 
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#b5519b", "#e69f00", "#56b4e9", "#7a7f87", "#882255", "#999933")
 _MARKERS = "osD^vPX*<"
@@ -23,76 +23,49 @@ _PANELS = (("image_max", "largest error of the image"), ("gradient_rms", "gradie
 _MARGINS = {"left": 0.06, "right": 0.985, "bottom": 0.11, "top": 0.76, "wspace": 0.16}
 
 
-def draw(points: Sequence[Point], title: str, theme: Theme = LIGHT) -> str:
+def draw(points: Sequence[Point], title: str) -> str:
     """SVG text; the same numbers give the same bytes. Points without a time are not drawn."""
     timed = [p for p in points if p.milliseconds == p.milliseconds]
     with svg_style("kernel_precision"):
         figure = svg_figure(12.6, 5.6)
         axes = figure.subplots(1, 2, gridspec_kw=_MARGINS)
         for axis, (name, label) in zip(axes, _PANELS, strict=True):
-            _panel(axis, timed, name, theme)
-            axis.set_title(label, loc="left", fontsize=10, color=theme.ink)
+            _panel(axis, timed, name)
+            axis.set_title(label, loc="left", fontsize=10)
         handles, labels = axes[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.05, 0.95), ncols=5, frameon=False)
-        figure.text(0.06, 0.96, title, fontsize=9, color=theme.ink)
-        return svg_text(figure)
+        return svg_text(figure, title)
 
 
-def _panel(axis: Axes, timed: Sequence[Point], name: str, theme: Theme) -> None:
-    """One error, `name` of Errors, against time."""
+def _panel(axis: Axes, timed: Sequence[Point], name: str) -> None:
+    """One error, `name` of Errors, against time. Variants slower than the edge are drawn there with an arrow."""
     default = next(p for p in timed if p.name == DEFAULT)
-    edge = _MAX_TIME * default.milliseconds
-    _trade_offs(axis, timed, name, edge)
-    points = sorted({(p.milliseconds, getattr(p.errors, name)) for p in timed})
-    front = [point for point, on in zip(points, on_front(*zip(*points, strict=True)), strict=True) if on]
-    times, errors = zip(*front, strict=True)
-    axis.plot(times, errors, color=theme.ink, lw=1.2, drawstyle="steps-post", zorder=0, label="Pareto front")
-    ring: dict[str, Any] = {"ms": 13, "mfc": "none", "mec": theme.ink, "mew": 1.6}
-    axis.plot(default.milliseconds, getattr(default.errors, name), "o", **ring, label="default")
-    _front_labels(axis, timed, name, set(front), getattr(default.errors, name))
-    axis.set(
-        yscale="log", xlim=(0.7 * points[0][0], 1.04 * edge), xlabel="forward and backward, CPU time of one thread, ms"
-    )
-    axis.grid(color=theme.faint, lw=0.7, which="both")
-    axis.set_axisbelow(True)
-
-
-def _trade_offs(axis: Axes, timed: Sequence[Point], name: str, edge: float) -> None:
-    """The points of each trade-off; those slower than `edge` (ms) are drawn there with an arrow."""
-    beyond = 0
+    edge, beyond = _MAX_TIME * default.milliseconds, 0
     trades = dict.fromkeys(p.trade for p in timed if p.name != DEFAULT)
+    small: dict[str, Any] = {"textcoords": "offset points", "ha": "right", "fontsize": 7.5}
     for trade, colour, marker in zip(trades, _COLOURS, _MARKERS, strict=False):
-        line = [p for p in timed if p.trade == trade]
-        times, errors = [min(p.milliseconds, edge) for p in line], [getattr(p.errors, name) for p in line]
-        width = 0 if trade in _UNORDERED else 0.8
-        axis.plot(times, errors, marker=marker, color=colour, ms=6, label=trade, lw=width)
-        for p in (p for p in line if p.milliseconds > edge):
-            beyond += 1
-            axis.annotate(
-                f"{p.label}: {p.milliseconds:.0f} ms →",
-                (edge, getattr(p.errors, name)),
-                xytext=(0, 11 * beyond),
-                textcoords="offset points",
-                ha="right",
-                fontsize=7.5,
-                color=colour,
-            )
-
-
-def _front_labels(
-    axis: Axes, timed: Sequence[Point], name: str, front: set[tuple[float, float]], default_error: float
-) -> None:
-    """Names the points of the front, except where another label is too close."""
-    labelled = [default_error]
-    for p in sorted(timed, key=lambda p: p.milliseconds):
-        point = p.milliseconds, getattr(p.errors, name)
-        if point in front and all(abs(math.log10(point[1] / other)) > _LABEL_SPACING for other in labelled):
+        line = [(p, min(p.milliseconds, edge), getattr(p.errors, name)) for p in timed if p.trade == trade]
+        times, errors = [time for _, time, _ in line], [error for *_, error in line]
+        axis.plot(times, errors, marker + "-", color=colour, ms=6, label=trade, lw=0 if trade in _UNORDERED else 0.8)
+        for p, time, error in line:
+            if p.milliseconds > edge:
+                beyond += 1
+                text = f"{p.label}: {p.milliseconds:.0f} ms →"
+                axis.annotate(text, (time, error), xytext=(0, 11 * beyond), color=colour, **small)
+    points = sorted((p.milliseconds, getattr(p.errors, name), p.label) for p in timed)
+    on = on_front([time for time, *_ in points], [error for _, error, _ in points])
+    front = {(time, error): label for (time, error, label), is_on in zip(points, on, strict=True) if is_on}
+    axis.plot(
+        *zip(*front, strict=True), color=LIGHT.ink, lw=1.2, drawstyle="steps-post", zorder=0, label="Pareto front"
+    )
+    at = default.milliseconds, getattr(default.errors, name)
+    labelled = [at[1]]
+    for point, label in front.items():
+        if all(abs(math.log10(point[1] / other)) > _LABEL_SPACING for other in labelled):
             labelled.append(point[1])
-            axis.annotate(
-                p.name if p.trade == "several at once" else p.label,
-                point,
-                xytext=(-7, -3),
-                textcoords="offset points",
-                ha="right",
-                fontsize=7.5,
-            )
+            axis.annotate(label, point, xytext=(-7, -3), **small)
+    axis.plot(*at, "o", ms=13, mfc="none", mec=LIGHT.ink, mew=1.6, label="default")
+    label = "forward and backward, CPU time of one thread, ms"
+    axis.set(yscale="log", xlim=(0.7 * points[0][0], 1.04 * edge), xlabel=label)
+    axis.grid(color=LIGHT.faint, lw=0.7, which="both")
+    axis.set_axisbelow(True)

@@ -2,21 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import asdict, dataclass
+from fractions import Fraction
 from typing import Any
 
 from rasterizer.reference.blend import Thresholds
-
-MACROS = {  # of rasterizer/src/numerical_choices.hpp
-    "min_marginal": "RASTERIZER_MIN_MARGINAL",
-    "min_alpha": "RASTERIZER_MIN_ALPHA",
-    "min_transmittance": "RASTERIZER_MIN_TRANSMITTANCE",
-    "exp_degree": "RASTERIZER_EXP_DEGREE",
-    "exact_culling": "RASTERIZER_EXACT_CULLING",
-    "block_masks": "RASTERIZER_BLOCK_MASKS",
-    "float64": "RASTERIZER_FLOAT64",
-    "sh_type": "RASTERIZER_SH_TYPE",
-}
 
 
 @dataclass(frozen=True)
@@ -33,9 +24,10 @@ class NumericalChoices:
     sh_type: str = "scalar"  # type of stored SH coefficients; scalar: the type of everything else
 
     def definitions(self) -> list[str]:
-        """MACRO=value of each choice that differs from the default."""
-        default = asdict(NumericalChoices())
-        return [f"{MACROS[name]}={_in_cpp(value)}" for name, value in asdict(self).items() if value != default[name]]
+        """MACRO=value (rasterizer/src/numerical_choices.hpp) of each choice that differs from the default."""
+        values, default = asdict(self), asdict(NumericalChoices())
+        changed = {name: value for name, value in values.items() if value != default[name]}
+        return [f"RASTERIZER_{name.upper()}={_in_cpp(value)}" for name, value in changed.items()]
 
     def thresholds(self) -> Thresholds:
         """The same thresholds for the reference implementation."""
@@ -77,73 +69,58 @@ DEFAULT = "default"
 AGAIN = "again"  # the default choices in a module of their own: its difference in time is noise
 
 
-def _digits(value: float) -> str:
-    return f"{value:g}".replace(".", "_").replace("-", "m")
-
-
 def _variant(trade: str, name: str, label: str, **values: Any) -> Variant:
     """Named DEFAULT where `values` are the defaults."""
     choices = NumericalChoices(**values)
     return Variant(DEFAULT if choices == NumericalChoices() else name, trade, label, choices)
 
 
-def _steps(trade: str, field: str, label: str, *values: float) -> list[Variant]:
+def _steps(trade: str, field: str, label: str, *values: float | Fraction) -> list[Variant]:
+    """One choice at several values."""
+    shown = [str(value) if isinstance(value, Fraction) else f"{value:g}" for value in values]
+    names = [re.sub(r"[./]", "_", text).replace("-", "m") for text in shown]
+    numbers = [float(value) if isinstance(value, Fraction) else value for value in values]
     return [
-        _variant(trade, f"{field}_{_digits(value)}", label.format(f"{value:g}"), **{field: value}) for value in values
+        _variant(trade, f"{field}_{name}", label.format(text), **{field: number})
+        for name, text, number in zip(names, shown, numbers)
     ]
 
 
 def all_variants() -> list[Variant]:
     """By trade-off, from coarse to fine; each contains the default."""
-    alphas = (("4/255", 4 / 255), ("2/255", 2 / 255), ("1/255", 1 / 255), ("1/510", 1 / 510), ("1/2550", 1 / 2550))
-    masks = (
-        ("bounding rectangle, whole tiles", False, False),
-        ("bounding rectangle, blocks", False, True),
-        ("exact, whole tiles", True, False),
-        ("exact, blocks", True, True),
-    )
+    alphas = [Fraction(4, 255), Fraction(2, 255), Fraction(1, 255), Fraction(1, 510), Fraction(1, 2550)]
+    masks = {
+        "bounding rectangle, whole tiles": (False, False),
+        "bounding rectangle, blocks": (False, True),
+        "exact, whole tiles": (True, False),
+        "exact, blocks": (True, True),
+    }
     several = (
-        ("coarse", 0.1, "2/255", 2 / 255, 1e-3, 3),
-        ("default", 0.05, "1/255", 1 / 255, 1e-4, 4),
-        ("fine", 0.01, "1/510", 1 / 510, 1e-5, 4),
-        ("finest", 1e-4, "1/25500", 1 / 25500, 1e-6, 5),
+        ("coarse", 0.1, Fraction(2, 255), 1e-3, 3),
+        ("default", 0.05, Fraction(1, 255), 1e-4, 4),
+        ("fine", 0.01, Fraction(1, 510), 1e-5, 4),
+        ("finest", 1e-4, Fraction(1, 25500), 1e-6, 5),
     )
-    precisions = (("bfloat16", "Bfloat16"), ("float16", "Float16"), ("float32", "scalar"))
-    return [
+    found = [
         *_steps("temporal cut-off", "min_marginal", "p(t) >= {}", 0.2, 0.1, 0.05, 0.02, 0.01, 1e-3, 1e-4),
-        *(
-            _variant("alpha cut-off", f"min_alpha_{label.replace('/', '_')}", f"α' >= {label}", min_alpha=value)
-            for label, value in alphas
-        ),
+        *_steps("alpha cut-off", "min_alpha", "α' >= {}", *alphas),
         *_steps("transmittance stop", "min_transmittance", "T >= {}", 1e-2, 1e-3, 1e-4, 1e-5, 1e-6),
         *_steps("exp degree", "exp_degree", "degree {}", 3, 4, 5),
-        *(
-            _variant(
-                "culling and masks", f"masks_{int(exact)}{int(blocks)}", label, exact_culling=exact, block_masks=blocks
-            )
-            for label, exact, blocks in masks
-        ),
-        *(
-            _variant("SH precision", f"sh_{name}", f"coefficients in {name}", sh_type=stored)
-            for name, stored in precisions
-        ),
-        _variant("floating point", "float32", "float32"),
-        _variant("floating point", "float64", "float64", float64=True),
-        *(
-            _variant(
-                "several at once",
-                name,
-                f"p >= {p:g}, α' >= {label}, T >= {stop:g}, degree {degree}",
-                min_marginal=p,
-                min_alpha=alpha,
-                min_transmittance=stop,
-                exp_degree=degree,
-            )
-            for name, p, label, alpha, stop, degree in several
-        ),
-        Variant(DEFAULT, "built again", "default, the package's own"),
-        Variant(AGAIN, "built again", "default, again: built as the other rows are"),
     ]
+    for label, (exact, blocks) in masks.items():
+        name = f"masks_{int(exact)}{int(blocks)}"
+        found.append(_variant("culling and masks", name, label, exact_culling=exact, block_masks=blocks))
+    for name, stored in (("bfloat16", "Bfloat16"), ("float16", "Float16"), ("float32", "scalar")):
+        found.append(_variant("SH precision", f"sh_{name}", f"coefficients in {name}", sh_type=stored))
+    found.append(_variant("floating point", "float32", "float32"))
+    found.append(_variant("floating point", "float64", "float64", float64=True))
+    for name, p, alpha, stop, degree in several:
+        values = dict(min_marginal=p, min_alpha=float(alpha), min_transmittance=stop, exp_degree=degree)
+        label = f"p >= {p:g}, α' >= {alpha}, T >= {stop:g}, degree {degree}"
+        found.append(_variant("several at once", name, label, **values))
+    found.append(Variant(DEFAULT, "built again", "default, the package's own"))
+    found.append(Variant(AGAIN, "built again", "default, again: built as the other rows are"))
+    return found
 
 
 def by_name(name: str) -> Variant:

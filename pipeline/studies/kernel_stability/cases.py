@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from pipeline.studies.kernel_stability.families import FAMILIES, Scene
+from pipeline.studies.kernel_stability.scenes import FAMILIES, Scene
 
 BOUND = 1e-3  # of full scale in images, of the largest in gradients
 STEPS_BOUND = 1e-2  # of the loss after the optimiser steps, relative to the loss before them

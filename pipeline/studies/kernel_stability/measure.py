@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
-from pipeline.studies.kernel_stability.base_scene import generator
+from pipeline.studies.kernel_stability.scenes import generator
 from rasterizer import Gaussians, Gradients, Rasterizer, RenderOutput, Request
 from rasterizer.reference import render as reference
 from rasterizer.reference.discontinuities import away_from_discontinuities, smooth_pixels

@@ -1,4 +1,4 @@
-"""Families of ill-conditioned scenes: functions of one parameter (and a seed) that return Gaussians and a request.
+"""Ill-conditioned scenes: families of one parameter (and a seed), all changes of one base scene.
 
 `cases.py` names parameter values, and the tests search over them at random. Gaussians are float64 with values that
 float32 represents exactly: the error of a case is that of the arithmetic alone.
@@ -7,28 +7,113 @@ float32 represents exactly: the error of a case is that of the arithmetic alone.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from torch import Tensor
 
-from pipeline.studies.kernel_stability.base_scene import (
-    DISTANCE,
-    base_gaussians,
-    base_request,
-    camera_at,
-    generator,
-    moving_quaternions,
-    uniform,
-    with_log_scale,
-    with_mean,
-)
-from rasterizer import Gaussians, Request
+from rasterizer import Camera, Gaussians, Request
 from rasterizer.reference.render import slice_in_time
 
 Scene = tuple[Gaussians, Request]
 COUNT = 24  # Gaussians, where they are not the parameter
+OUTPUTS = ("color", "alpha", "depth", "flow", "stats")
+DISTANCE = 3.0  # from the camera to the middle of the scene, world units
+
+
+def generator(seed: int) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+def uniform(shape: Sequence[int], low: float, high: float, rng: torch.Generator) -> Tensor:
+    return low + (high - low) * torch.rand(shape, generator=rng, dtype=torch.float64)
+
+
+def camera_at(
+    distance: float,
+    width: int = 32,
+    height: int = 24,
+    focal: float = 30.0,
+    target: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0),
+) -> Camera:
+    """A camera at `distance` from `target` that faces it, with no axis parallel to the world's; focal in pixels."""
+    away = np.array([0.2, -0.35, -1.0])
+    forward = -away / np.linalg.norm(away)
+    right = np.cross([0.1, 1.0, 0.2], forward)
+    right /= np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3, :3] = [right, np.cross(forward, right), forward]
+    pose[:3, 3] = -pose[:3, :3] @ (np.asarray(target) - distance * forward)
+    return Camera(width, height, focal, focal * 1.1, 0.48 * width, 0.53 * height, pose)
+
+
+def base_gaussians(count: int, seed: int, sh_degree: int = 3, fourier_order: int = 2) -> Gaussians:
+    """Slow Gaussians of scale 0.05 to 0.25 in the cube [-0.8, 0.8]³, at times about [0, 1]; float64."""
+    rng = generator(seed)
+    normal = lambda *shape: torch.randn(shape, generator=rng, dtype=torch.float64)  # noqa: E731
+    mean = torch.cat([uniform((count, 3), -0.8, 0.8, rng), uniform((count, 1), 0.2, 0.8, rng)], dim=1)
+    scale = torch.cat([uniform((count, 3), -3.0, -1.4, rng), uniform((count, 1), -1.5, -0.5, rng)], dim=1)
+    left = normal(count, 4)
+    right = left * torch.tensor([1, -1, -1, -1]) + 0.2 * normal(count, 4)
+    sh = 0.15 * normal(count, fourier_order + 1, (sh_degree + 1) ** 2, 3)
+    sh[:, 0, 0] = normal(count, 3).abs()
+    return Gaussians(mean, scale, left, right, uniform((count,), -1.5, 2.0, rng), sh.flatten(1, 2))
+
+
+def base_request(**changes) -> Request:
+    """All outputs at the middle of a duration of 1; flow over 0.01."""
+    request = Request(camera_at(DISTANCE), time=0.5, background=(0.2, 0.4, 0.1), outputs=OUTPUTS, flow_dt=0.01)
+    return replace(request, **changes)
+
+
+def quaternion_product(a: Tensor, b: Tensor) -> Tensor:
+    """Hamilton's a b of quaternions (…, 4), w first."""
+    (aw, ax, ay, az), (bw, bx, by, bz) = a.unbind(-1), b.unbind(-1)
+    return torch.stack(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ],
+        dim=-1,
+    )
+
+
+def moving_quaternions(speed: Tensor, space: Tensor) -> tuple[Tensor, Tensor]:
+    """(ql, qr), (N, 4) each: a rotation from x towards t by θ = atan(1/speed), then a rotation of space by `space`.
+
+    A Gaussian that is long in x and short in time then moves at about `speed` (N,). The rotation v → l v r of
+    v = x + yi + zj + tk keeps the time axis when l k r = k, that is r = -k l* k.
+    """
+    half = 0.5 * torch.atan2(torch.ones_like(speed), speed)
+    zero = torch.zeros_like(half)
+    tilt = torch.stack([half.cos(), zero, zero, half.sin()], dim=-1)
+    left = space / space.norm(dim=-1, keepdim=True)
+    k = left.new_tensor([0, 0, 0, 1])
+    right = -quaternion_product(quaternion_product(k, left * left.new_tensor([1, -1, -1, -1])), k)
+    return quaternion_product(left, tilt), quaternion_product(tilt, right)
+
+
+def with_log_scale(gaussians: Gaussians, *scales: float | None) -> Gaussians:
+    """The Gaussians with these standard deviations (x, y, z in world units, then time); None keeps one."""
+    log_scale = gaussians.log_scale.clone()
+    for axis, scale in enumerate(scales):
+        if scale is not None:
+            log_scale[:, axis] = math.log(scale)
+    return replace(gaussians, log_scale=log_scale)
+
+
+def with_mean(gaussians: Gaussians, space: Tensor | None = None, time: Tensor | None = None) -> Gaussians:
+    """The Gaussians at positions `space` (N, 3), world units, and times `time` (N,); None keeps them."""
+    mean = gaussians.mean.clone()
+    if space is not None:
+        mean[:, :3] = space
+    if time is not None:
+        mean[:, 3] = time
+    return replace(gaussians, mean=mean)
 
 
 @dataclass(frozen=True)
@@ -58,7 +143,7 @@ def family(low: float, high: float, parameter: str) -> Callable[[Callable], Call
     return register
 
 
-# ---- Shape -------------------------------------------------------------------------------------------------
+# ---- Shape ----
 
 
 @family(1, 1e8, "axis ratio, the long axis 0.4")
@@ -86,29 +171,25 @@ def size(scale: float, seed: int) -> Scene:
 @family(1e-40, 1e37, "length of the quaternions")
 def quaternion_length(length: float, seed: int) -> Scene:
     gaussians = base_gaussians(COUNT, seed)
-    assert gaussians.quat_right is not None  # base_gaussians are full 4D
-    unit = lambda q: q / q.norm(dim=-1, keepdim=True)  # noqa: E731
-    return replace(
-        gaussians, quat_left=unit(gaussians.quat_left) * length, quat_right=unit(gaussians.quat_right) * length
-    ), base_request()
+    quaternions = {name: tensor for name, tensor in gaussians.tensors().items() if name.startswith("quat")}
+    scaled = {name: q / q.norm(dim=-1, keepdim=True) * length for name, q in quaternions.items()}
+    return replace(gaussians, **scaled), base_request()
 
 
 @family(0, 2, "0: both quaternions zero, 1: the left one, 2: the left one antipodal to its neighbour's")
 def quaternion_sign(which: float, seed: int) -> Scene:
-    gaussians = base_gaussians(COUNT, seed)
-    assert gaussians.quat_right is not None  # base_gaussians are full 4D
-    right = gaussians.quat_right.clone()
-    if which < 0.5:
-        gaussians = replace(gaussians, quat_right=torch.zeros_like(right))
+    gaussians = base_gaussians(COUNT, seed).tensors()
+    left, right = gaussians["quat_left"], gaussians["quat_right"]
     if which < 1.5:
-        return replace(gaussians, quat_left=torch.zeros_like(gaussians.quat_left)), base_request()
-    left, mean = gaussians.quat_left.clone(), gaussians.mean.clone()
-    left[1::2] = -left[::2]
-    right[1::2] = right[::2]
-    return replace(gaussians, quat_left=left, quat_right=right, mean=mean), base_request()
+        left.zero_()
+    else:
+        left[1::2], right[1::2] = -left[::2], right[::2]
+    if which < 0.5:
+        right.zero_()
+    return Gaussians.from_tensors(gaussians), base_request()
 
 
-# ---- Time --------------------------------------------------------------------------------------------------
+# ---- Time ----
 
 
 @family(1e-3, 1e6, "speed, world units a duration")
@@ -140,10 +221,8 @@ def time_scale_separable(st: float, seed: int) -> Scene:
 
 @family(0.9, 1.1, "(t - μt) in units of where p(t) = 0.05")
 def cut_off(part: float, seed: int) -> Scene:
-    gaussians = base_gaussians(COUNT, seed)
-    axes = gaussians.log_scale.exp()
-    gaussians = replace(gaussians, quat_right=None)
-    reach = math.sqrt(-2 * math.log(0.05)) * axes[:, 3]
+    gaussians = replace(base_gaussians(COUNT, seed), quat_right=None)
+    reach = math.sqrt(-2 * math.log(0.05)) * gaussians.log_scale[:, 3].exp()
     side = torch.where(torch.arange(COUNT) % 2 == 0, 1.0, -1.0)
     return with_mean(gaussians, time=0.5 - side * part * reach), base_request()
 
@@ -170,7 +249,7 @@ def _keeping_time(left: torch.Tensor, fallback: torch.Tensor) -> torch.Tensor:
     return torch.where(torch.isfinite(right), right, fallback)
 
 
-# ---- Opacity -----------------------------------------------------------------------------------------------
+# ---- Opacity ----
 
 
 @family(-100, 100, "opacity logit")
@@ -186,7 +265,7 @@ def stack(logit: float, seed: int) -> Scene:
     return gaussians, base_request(camera=camera_at(DISTANCE, 14, 10, 13.0))
 
 
-# ---- Position -------------------------------------------------------------------------------------------------
+# ---- Position ----
 
 
 @family(-1, 1, "depth less the near plane, world units")
@@ -255,20 +334,15 @@ def scaled_scene(scale: float, seed: int) -> Scene:
     return gaussians, base_request(camera=camera_at(DISTANCE * scale), near=0.2 * scale)
 
 
-# ---- Counts and image sizes -------------------------------------------------------------------------------------
+# ---- Counts and image sizes ----
 
 
 @family(1, 10_000, "number of exactly coincident Gaussians")
 def coincident(count: float, seed: int) -> Scene:
     gaussians = base_gaussians(round(count), seed, sh_degree=0, fourier_order=0)
-    one = lambda t: t[:1].expand_as(t).clone()  # noqa: E731
-    gaussians = replace(
-        gaussians,
-        mean=one(gaussians.mean) * 0.2,
-        log_scale=one(gaussians.log_scale),
-        quat_left=one(gaussians.quat_left),
-        quat_right=one(gaussians.quat_right),
-    )
+    one = {name: getattr(gaussians, name)[:1] for name in ("mean", "log_scale", "quat_left", "quat_right")}
+    one["mean"] = one["mean"] * 0.2
+    gaussians = replace(gaussians, **{name: t.repeat(len(gaussians), 1) for name, t in one.items()})
     gaussians = with_mean(gaussians, time=torch.full((len(gaussians),), 0.5, dtype=torch.float64))
     camera = camera_at(DISTANCE, *((9, 7, 9.0) if count > 100 else (32, 24, 30.0)))
     return gaussians, base_request(camera=camera)
@@ -281,11 +355,11 @@ def count(number: float, seed: int) -> Scene:
 
 @family(1, 8192, "columns of an image of one row")
 def wide(columns: float, seed: int) -> Scene:
-    width = round(columns)
-    return base_gaussians(COUNT, seed), base_request(camera=camera_at(DISTANCE, width, 1, max(1.0, 0.9 * width)))
+    camera = camera_at(DISTANCE, round(columns), 1, max(1.0, 0.9 * round(columns)))
+    return base_gaussians(COUNT, seed), base_request(camera=camera)
 
 
 @family(1, 8192, "rows of an image of one column")
 def tall(rows: float, seed: int) -> Scene:
-    height = round(rows)
-    return base_gaussians(COUNT, seed), base_request(camera=camera_at(DISTANCE, 1, height, max(1.0, 0.9 * height)))
+    camera = camera_at(DISTANCE, 1, round(rows), max(1.0, 0.9 * round(rows)))
+    return base_gaussians(COUNT, seed), base_request(camera=camera)

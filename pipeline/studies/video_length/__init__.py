@@ -1,0 +1,1 @@
+"""Number of Gaussians against the length of a video."""

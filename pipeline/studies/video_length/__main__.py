@@ -1,0 +1,172 @@
+"""Video length: Gaussians of trained models against the number of frames.
+
+Reads runs that differ in scene.frames and seed only (python -m pipeline experiment=video_length trains them). The size
+of a model grows with its Gaussians, the cost of a frame with those that are active in the frame. Exponents e are of
+N = c · frames^e. Writes video_length.md, .csv and .svg.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from pipeline.presentation.theme import LIGHT
+from pipeline.runs.run_identity import FREE_KEYS
+from pipeline.studies.common import (
+    StudyParser,
+    csv_text,
+    markdown_table,
+    svg_figure,
+    svg_style,
+    svg_text,
+    write_results,
+)
+from pipeline.terminal.command_line import command
+
+NAME = "video_length"
+COLUMNS = {"gaussians": "Gaussians", "alive": "active in a frame", "psnr": "PSNR, dB", "seconds": "train s"}
+_LINES = ("gaussians", "alive")
+_KEY = "scene.frames"
+
+Lengths = dict[int, dict[str, np.ndarray]]  # frames, ascending → the values of COLUMNS over the seeds; NaN: missing
+
+
+def read_lengths(folder: Path) -> Lengths:
+    """ValueError, one line, where the runs differ in more than frames and seed, or do not in frames."""
+    runs = {path.parent: json.loads(path.read_text()) for path in sorted(folder.rglob("metrics.json"))}
+    if not runs:
+        raise ValueError(f"{folder}: expected folders of finished runs, found none")
+    settings = {run: _flat(yaml.safe_load((run / "config.yaml").read_text())) for run in runs}
+    first, frames = next(iter(runs)), {}
+    for run, keys in settings.items():
+        name = run.relative_to(folder)
+        if not isinstance(count := keys.get(_KEY), int):
+            raise ValueError(f"{name}: expected a config.yaml with {_KEY}, found none")
+        frames[run] = count
+        for key in sorted(keys.keys() | settings[first].keys()):
+            free = key in (_KEY, "seed") or key.startswith(FREE_KEYS)
+            if not free and keys.get(key) != settings[first].get(key):
+                raise ValueError(
+                    f"{name}: expected the settings of {first.relative_to(folder)} except {_KEY} and seed, found "
+                    f"another {key}"
+                )
+    if len(set(frames.values())) < 2:
+        raise ValueError(f"{_KEY}: expected runs of at least two lengths, found only {frames[first]}")
+    found: Lengths = {}
+    for count in sorted(set(frames.values())):
+        values = [
+            (m["n_gaussians"], m.get("n_alive_mean"), m["final"]["psnr"], m["train_seconds"])
+            for run, m in runs.items()
+            if frames[run] == count
+        ]
+        found[count] = dict(zip(COLUMNS, np.array(values, dtype=float).T))
+    return found
+
+
+def _flat(tree: Mapping, prefix: str = "") -> dict[str, object]:
+    """Values by dotted key."""
+    flat: dict[str, object] = {}
+    for key, value in tree.items():
+        flat |= _flat(value, f"{prefix}{key}.") if isinstance(value, Mapping) else {f"{prefix}{key}": value}
+    return flat
+
+
+def exponent(lengths: Lengths, column: str) -> float:
+    """e of `column` = c · frames^e, by least squares of the logarithms; NaN where a length lacks the value."""
+    means = [values[column].mean() for values in lengths.values()]
+    return float(np.polyfit(np.log(list(lengths)), np.log(means), 1)[0])
+
+
+def _std(values: np.ndarray) -> float:
+    """Over the seeds; NaN for one."""
+    return float(values.std(ddof=1)) if len(values) > 1 else np.nan
+
+
+def _cell(column: str, values: np.ndarray) -> str:
+    if np.isnan(values.mean()):
+        return "n/a"
+    decimals = 2 if column == "psnr" else 0
+    return f"{values.mean():,.{decimals}f}" + (f" ± {_std(values):,.{decimals}f}" if len(values) > 1 else "")
+
+
+def markdown(lengths: Lengths, heading: str) -> str:
+    rows = [
+        [
+            f"{frames:,}",
+            *(_cell(column, v[column]) for column in COLUMNS),
+            f"{v['alive'].mean() / v['gaussians'].mean():.2f}",
+        ]
+        for frames, v in lengths.items()
+    ]
+    exponents = "; ".join(f"{COLUMNS[line]} {exponent(lengths, line):z.2f}" for line in _LINES)
+    return (
+        f"### Gaussians against the length of a video\n\n{heading}\n\n"
+        f"{markdown_table(['frames', *COLUMNS.values(), 'active fraction'], rows)}\n\n"
+        f"- Exponents e of N = c · frames^e: {exponents}. ±: standard deviation over seeds; no ±: one seed.\n"
+    )
+
+
+def comma_separated(lengths: Lengths) -> str:
+    """One line for each run."""
+    rows = [[frames, *run] for frames, values in lengths.items() for run in zip(*(values[c].tolist() for c in COLUMNS))]
+    return csv_text(["frames", *COLUMNS], rows)
+
+
+def draw(lengths: Lengths, title: str) -> str:
+    """SVG text, both axes logarithmic; the same numbers give the same bytes."""
+    with svg_style(NAME):
+        figure = svg_figure(7.2, 4.4)
+        axis = figure.subplots(gridspec_kw={"left": 0.1, "right": 0.97, "bottom": 0.12, "top": 0.86})
+        for line, colour in zip(_LINES, LIGHT.ablations):
+            values = [v[line] for v in lengths.values()]
+            axis.errorbar(
+                list(lengths),
+                [v.mean() for v in values],
+                yerr=np.nan_to_num([_std(v) for v in values]),
+                marker="o",
+                color=colour,
+                capsize=3,
+                label=f"{COLUMNS[line]}: exponent {exponent(lengths, line):z.2f}",
+            )
+        axis.set(xscale="log", yscale="log", xlabel="frames")
+        axis.set_xticks(list(lengths), [str(frames) for frames in lengths])
+        axis.set_xticks([], minor=True)
+        axis.set_title("Gaussians of the trained model; ± one standard deviation over seeds", loc="left", fontsize=10)
+        axis.grid(color=LIGHT.faint, which="both", lw=0.7)
+        axis.legend(frameon=False)
+        return svg_text(figure, title)
+
+
+@command
+def main(arguments: list[str]) -> int:
+    parser = StudyParser(NAME, __doc__)
+    default = Path("results/runs") / NAME
+    parser.add_argument(
+        "runs", type=Path, nargs="?", default=default, metavar="RUNS", help=f"folder of the runs (default: {default})"
+    )
+    options = parser.parse_args(arguments)
+    lengths = read_lengths(options.runs)
+    scene = json.loads(next(options.runs.rglob("metrics.json")).read_text())["scene"]
+    made = json.loads(next(options.runs.rglob("environment.json")).read_text())
+    machine, date, commit = made["machine"], made["date"], made["git_commit"][:10]
+    table = markdown(lengths, f"{scene}. {machine}; {date[:16]}; commit {commit}; `{made['command']}` and its sweep.")
+    written = write_results(
+        options.out,
+        {
+            f"{NAME}.csv": comma_separated(lengths),
+            f"{NAME}.md": table,
+            f"{NAME}.svg": draw(lengths, f"{scene}, {machine}, {date[:10]}"),
+        },
+    )
+    print(table)
+    print(written)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
