@@ -1,15 +1,13 @@
-"""Studies beyond the metrics of a single run: `python -m pipeline.studies.<name> [RUN …] [--out DIR]`.
+"""Studies: questions beyond one run, a folder each: `python -m pipeline.studies.<name> [RUN …] [--out DIR]`.
 
-| name              | question                                             | input          | output                   |
-|:------------------|:-----------------------------------------------------|:---------------|:-------------------------|
-| compression       | How does PSNR fall with the size of a trained model? | RUN            | table, plot, safetensors |
-| overfitting       | How far do training and held-out views differ?       | RUN [RUN …]    | plot, image grid         |
-| video_length      | How many Gaussians does a longer video need?         | RUNS, a folder | table, CSV, plot         |
-| gradient_clipping | Does gradient clipping improve training?             | – (trains)     | table                    |
-| cost_scaling      | How does time grow with scene, batch and length?     | –              | table, CSV, plot         |
-| kernel_precision  | What error and time does each numerical choice cost? | RUN, or –      | table, CSV, plot         |
-| kernel_stability  | Is the kernel accurate in ill-conditioned scenes?    | –              | table, two CSV files     |
+| name             | question                                             | input          | output                   |
+|:-----------------|:-----------------------------------------------------|:---------------|:-------------------------|
+| compression      | How does PSNR fall with the size of a trained model? | RUN            | table, plot, safetensors |
+| video_length     | How many Gaussians does a longer video need?         | RUNS, a folder | table, CSV, plot         |
+| kernel_precision | What error and time does each numerical choice cost? | RUN, or –      | table, CSV, plot         |
+| kernel_stability | Is the kernel accurate in ill-conditioned scenes?    | –              | table, CSV               |
 
-Output goes to results/<name>/, files are called <name>.md, .csv and .svg, and the table is printed too. A wrong option
-is one line and exit status 2; input that cannot be used is one line and exit status 1.
+A study's README.md has its question, its answer and its command. Nothing outside imports a study. Output goes to
+results/<name>/, files are called <name>.md, .csv and .svg, and the table is printed too. A wrong option is one line and
+exit status 2; input that cannot be used is one line and exit status 1.
 """

@@ -6,7 +6,14 @@ import re
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "results" / "measured").rglob("*.md")])
+PAGES = sorted(
+    [
+        *ROOT.glob("*.md"),
+        *(ROOT / "docs").glob("*.md"),
+        *(ROOT / "results" / "measured").rglob("*.md"),
+        *(ROOT / "pipeline").rglob("*.md"),
+    ]
+)
 CODE = sorted(
     path
     for folder in ("conf", "datasets", "pipeline", "rasterizer", "tests", "tools")
