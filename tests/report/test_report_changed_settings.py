@@ -93,7 +93,7 @@ def test_one_seed_has_no_standard_error() -> None:
 
 
 def test_changes_of_the_scene_are_not_changes_of_the_schedule() -> None:
-    small = "background_model=none, scene.downscale=4, scene.test_cameras=[5, 6]"
+    small = "scene.background_model=none, scene.downscale=4, scene.test_cameras=[5, 6]"
     (table,) = changed_settings(
         collection(
             rows("fast", "dnerf/lego", [20.0]),

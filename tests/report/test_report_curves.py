@@ -97,8 +97,8 @@ def test_every_curve_is_in_a_figure_of_its_scene(tmp_path: Path) -> None:
 
 def test_titles_and_slugs_are_unique(tmp_path: Path) -> None:
     for batch in (1, 4):
-        for sampler in ("pairs", "views_at_one_time"):
-            write_variant(tmp_path, f"{sampler}{batch}", batch=str(batch), sampler=sampler)
+        for optimiser in ("adam", "sparse_adam"):
+            write_variant(tmp_path, f"{optimiser}{batch}", batch=str(batch), optimiser=optimiser)
     found = curve_figures(name_variants(collect(tmp_path)))
     assert len({c.slug for c in found}) == len({c.title for c in found}) == len(found) == 4
     assert all(re.fullmatch(r"[\w.-]+", c.slug) for c in found)

@@ -77,13 +77,6 @@ def test_label_of_the_trained_model(tmp_path, requested: str, settings: str, met
     assert labels(tmp_path) == [label] * 2
 
 
-def test_a_scene_without_a_use_for_time_varying_colour_removes_none(tmp_path) -> None:
-    """Driving logs have scene.fourier_order=0: nothing was selected, and nothing of `ablation` changed."""
-    for ablation, kind in (("full", "full"), ("no_4drot", "separable")):
-        write_run(tmp_path, "kitti/04", ablation, scene_settings="  fourier_order: 0\n", **model(kind, fourier_order=0))
-    assert labels(tmp_path) == ["full", "no_4drot"]
-
-
 def test_selection_may_differ_between_seeds(tmp_path) -> None:
     write_run(tmp_path, "synthetic/lamp", seed=0, psnr=30.0, **KEPT)
     write_run(tmp_path, "synthetic/lamp", seed=1, psnr=20.0, **LEFT_OUT)

@@ -49,14 +49,14 @@ def test_parts_are_differences_of_common_seeds_with_two_standard_errors(tmp_path
             write_run(tmp_path, "kitti/04", ablation, psnr=psnr + spread * seed, seed=seed, out=out, **quality, **more)
 
     write(range(3), "unchanged", 25.0, 1.0, 0.03)  # 25, 26, 27: mean 26, standard error 1 / √3
-    write(range(3), "no_cube_map", 23.0, 0.0, 0.04, overrides=["background_model=none"])
+    write(range(3), "no_cube_map", 23.0, 0.0, 0.04, overrides=["scene.background_model=none"])
     write(range(1, 3), "no_4drot", 20.0, 1.0, 0.03)
     write(range(1, 3), "no_depth", 20.0, 1.0, 0.05, overrides=["train.depth.lidar=0"])  # 21, 22 of 26, 27
     (table,) = urban_parts(name_variants(collect(tmp_path)))
     rows = {row.cells["change"].text: row.cells for row in table.rows}
     assert rows["none"]["psnr"].text == "26.00 ± 1.15" and rows["none"]["lidar_error"].text == "3.00 ± 0.00"
-    assert rows["background_model=none"]["psnr"].text == "-3.00 ± 1.15"
-    assert rows["background_model=none"]["lidar_error"].text == "+1.00 ± 0.00"
+    assert rows["scene.background_model=none"]["psnr"].text == "-3.00 ± 1.15"
+    assert rows["scene.background_model=none"]["lidar_error"].text == "+1.00 ± 0.00"
     assert rows["depth.lidar=0"]["psnr"].text == "-5.00 ± 1.41" and rows["depth.lidar=0"]["seeds"].text == "2"
     assert rows["no_4drot"]["psnr"].text == "-5.00 ± 1.41"
     assert rows["no_4drot"]["flow_error"].text == "n/a"

@@ -1,4 +1,4 @@
-"""Multi-view video scenes in the report: the paper's Tables 1 and 3, flicker, batch sampling, structure from motion."""
+"""Multi-view video scenes in the report: the paper's Tables 1 and 3, flicker, structure from motion."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import base64
 import io
 import re
 import statistics
-from pathlib import Path
 
 import pytest
 from PIL import Image
@@ -14,7 +13,6 @@ from report_runs import write_run, write_sfm
 
 from pipeline.report.__main__ import main
 from pipeline.report.read import scenes
-from pipeline.report.tables.batch_sampling import batch_sampling, without_batch
 from pipeline.report.tables.paper_tables import ablation, plenoptic, plenoptic_per_scene
 from pipeline.report.tables.run_tables import all_runs
 from pipeline.report.tables.scene_tables import scene_table
@@ -92,7 +90,10 @@ def test_runs_of_two_scenes_fill_table_3(tmp_path) -> None:
     [
         (("scene.path=/elsewhere/salmon", "scene.cache=/tmp/x", "scene=plenoptic/flame_salmon"), "paper"),
         (("scene.frames=30", "train.batch=1"), "paper (scene.frames=30, batch=1)"),
-        (("background_model=sphere", "init.source=random"), "paper (background_model=sphere, init.source=random)"),
+        (
+            ("scene.background_model=sphere", "init.source=random"),
+            "paper (init.source=random, scene.background_model=sphere)",
+        ),
     ],
 )
 def test_overrides_of_the_scene_are_in_the_name(tmp_path, overrides: tuple[str, ...], name: str) -> None:
@@ -123,116 +124,28 @@ def test_no_column_without_flicker(tmp_path) -> None:
         assert not any("Flicker" in note for _, note in table.notes)
 
 
-# --- batches ----------------------------------------------------
-
-
-def sampled(
-    root: Path, sampler: str, batch: int, seed: int, psnr: float, flicker: float | None, named: bool = True, **keys
-) -> None:
-    """A run with this sampler and batch size. named: by overrides; otherwise the schedule has them."""
-    write_run(
-        root,
-        SALMON,
-        train="fast",
-        seed=seed,
-        psnr=psnr,
-        out=f"{sampler}/{batch}/{seed}/{len(keys)}",
-        settings=f"  sampler: {sampler}\n  batch: {batch}\n",
-        overrides=(f"train.sampler={sampler}", f"train.batch={batch}") if named else (),
-        **({"final.flicker": flicker} | keys),
-    )
-
-
-def test_row_per_sampler_and_batch_size(tmp_path) -> None:
-    for seed in (0, 1):
-        sampled(tmp_path, "pairs", 1, seed, 25.0 + seed, 0.02, named=False)  # the unchanged schedule
-        sampled(tmp_path, "pairs", 4, seed, 26.0 + seed, 0.01 + 0.004 * seed)
-        sampled(tmp_path, "views_at_one_time", 4, seed, 24.0 + seed, 0.03)
-    write_run(tmp_path, BEEF, settings="  sampler: pairs\n  batch: 1\n")  # a scene with a single sampler
-    write_run(tmp_path, "synthetic/wheel")  # a run without a recorded sampler
-    rows = ours(batch_sampling(name_variants(collect(tmp_path))))
-    assert [(row["scene"], row["train"], row["sampler"], row["batch"], row["seeds"]) for row in rows] == [
-        (SALMON, "fast", "pairs", "1", "2"),
-        (SALMON, "fast", "pairs", "4", "2"),
-        (SALMON, "fast", "views_at_one_time", "4", "2"),
-    ]
-    assert [row["final_psnr"] for row in rows] == ["25.50 ± 0.71", "26.50 ± 0.71", "24.50 ± 0.71"]
-    assert [row["final_flicker"] for row in rows] == [
-        "5.10 ± 0.00",
-        f"{255 * 0.012:.2f} ± {255 * 0.004 / 2**0.5:.2f}",
-        "7.65 ± 0.00",
-    ]
-
-
-def test_flicker_is_compared_with_the_papers_batches(tmp_path) -> None:
-    """Three seeds each, with a standard deviation of 0.001, or 0.255 levels."""
-    for seed, off in enumerate((-0.001, 0.0, 0.001)):
-        sampled(tmp_path, "pairs", 2, seed, 25.0, 0.0101 + off)
-        sampled(tmp_path, "pairs", 4, seed, 25.0, 0.01 + off)
-        sampled(tmp_path, "times_of_one_view", 4, seed, 25.0, 0.008 + off)
-        sampled(tmp_path, "views_at_one_time", 4, seed, 25.0, 0.014 + off)
-    rows = ours(batch_sampling(name_variants(collect(tmp_path))))
-    assert [(row["sampler"], row["batch"], row["more_flicker"], row["verdict"]) for row in rows] == [
-        ("pairs", "2", f"{255 * 0.0001:.2f}", "no difference shown"),
-        ("pairs", "4", "·", "·"),
-        ("times_of_one_view", "4", f"{-255 * 0.002:.2f}", "better"),
-        ("views_at_one_time", "4", f"{255 * 0.004:.2f}", "worse"),
-    ]
-    assert rows[0]["two_se"] == f"{2 * (2 * 0.255**2 / 3) ** 0.5:.2f}"
-
-
-def test_no_mean_of_flicker_if_a_seed_lacks_it(tmp_path) -> None:
-    sampled(tmp_path, "pairs", 1, 0, 25.0, 0.02)
-    sampled(tmp_path, "pairs", 1, 1, 25.0, None)
-    sampled(tmp_path, "pairs", 4, 0, 25.0, None)
-    assert [row["final_flicker"] for row in ours(batch_sampling(name_variants(collect(tmp_path))))] == ["n/a", "n/a"]
-
-
-def test_runs_that_differ_in_other_settings_are_not_compared(tmp_path) -> None:
-    sampled(tmp_path, "pairs", 1, 0, 25.0, 0.02)
-    sampled(tmp_path, "pairs", 4, 0, 25.0, 0.02, iterations=600)
-    assert batch_sampling(name_variants(collect(tmp_path))) is None
-
-
-@pytest.mark.parametrize(
-    "name, expected",
-    [
-        ("fast", "fast"),
-        ("fast (batch=1)", "fast"),
-        ("fast (sampler=pairs, batch=4)", "fast"),
-        ("fast (batch=1, iterations=600)", "fast (iterations=600)"),
-        ("fast (fourier_at=[30, 40], sampler=times_of_one_view)", "fast (fourier_at=[30, 40])"),
-    ],
-)
-def test_name_of_a_schedule_without_sampler_and_batch(name: str, expected: str) -> None:
-    assert without_batch(name) == expected
-
-
 # --- the whole report --------------------------------------------------
 
-SECTIONS = ("Structure from motion", "Batch sampling and flicker")
+SECTION = "Structure from motion"
 
 
-def test_report_has_sections_on_batches_and_sfm(tmp_path, capsys) -> None:
-    for batch in (1, 4):
-        sampled(tmp_path / "runs", "pairs", batch, 0, 25.0, 0.02)
-    write_sfm(tmp_path / "runs/pairs/4/0/0")
+def test_report_has_a_section_on_sfm(tmp_path, capsys) -> None:
+    write_sfm(write_run(tmp_path / "runs", SALMON))
     assert main([str(tmp_path / "runs")]) == 0
     out, page, markdown = (
         capsys.readouterr().out,
         *((tmp_path / "report" / name).read_text() for name in ("report.html", "report.md")),
     )
-    assert all(section in text for section in SECTIONS for text in (page, markdown))
-    assert "Batch sampling and flicker" in out and "Points and camera poses from COLMAP" in out
+    assert all(SECTION in text for text in (page, markdown))
+    assert "Points and camera poses from COLMAP" in out
     assert "![points and cameras of plenoptic/flame_salmon](strips/plenoptic_flame_salmon__sfm.webp)" in markdown
     pictures = [
         Image.open(io.BytesIO(base64.b64decode(code))) for code in re.findall(r"data:image/webp;base64,([^\"]+)", page)
     ]
     assert [picture.size for picture in pictures] == [(80, 60)]
     anchors = set(re.findall(r'href="#([^"]+)"', page))
-    assert {"sfm", "comparisons"} <= anchors <= set(re.findall(r'id="([^"]+)"', page))
-    for name in ("batches", "structure"):
-        assert {path.suffix for path in (tmp_path / "report/tables").glob(f"{name}.*")} == {".md", ".csv"}
+    assert "sfm" in anchors and anchors <= set(re.findall(r'id="([^"]+)"', page))
+    assert {path.suffix for path in (tmp_path / "report/tables").glob("structure.*")} == {".md", ".csv"}
 
 
 def test_no_pictures_also_excludes_sfm_pictures(tmp_path) -> None:
@@ -244,10 +157,10 @@ def test_no_pictures_also_excludes_sfm_pictures(tmp_path) -> None:
 
 
 def test_empty_sections_are_left_out(tmp_path, capsys) -> None:
-    write_run(tmp_path / "runs", "synthetic/wheel", settings="  sampler: pairs\n  batch: 1\n")
+    write_run(tmp_path / "runs", "synthetic/wheel")
     main([str(tmp_path / "runs")])
     for text in (
         capsys.readouterr().out,
         *((tmp_path / "report" / name).read_text() for name in ("report.html", "report.md")),
     ):
-        assert not any(section in text for section in (*SECTIONS, "licker", "COLMAP"))
+        assert not any(section in text for section in (SECTION, "licker", "COLMAP"))

@@ -20,7 +20,6 @@ from pipeline.runs.read.variants import schedule_settings
 # Factor -> its keys. All other keys of schedule and initialisation together are the factor "schedule".
 _FACTORS = {
     "batch": ("train.batch",),
-    "sampler": ("train.sampler",),
     "resolution": ("train.resolution_steps", "train.resolution_scale"),
     "optimiser": ("train.optimiser",),
 }

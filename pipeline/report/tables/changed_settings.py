@@ -22,7 +22,7 @@ from pipeline.runs.read.run_names import file_name, parts_of, with_parts
 
 STUDY = "study_"  # prefix of the tables' slugs
 MIN_VARIANTS = 2  # a single variant is compared in other tables
-_SCENE_KEYS = ("scene.", "init.", "background_model=")
+_SCENE_KEYS = ("scene.", "init.")
 _MOVING, _FOREGROUND = "final.psnr_moving", "final.psnr_foreground"  # columns that runs without such pixels lack
 _RATIOS = {"train_seconds": "Train s ×", "n_gaussians": "N ×", "model_mb": "MB ×", "final.fps_render": "FPS ×"}
 NOTE = (

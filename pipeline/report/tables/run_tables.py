@@ -9,7 +9,6 @@ import pandas as pd
 
 from pipeline.presentation.table import Cell, Column, Row, Table, number, text
 from pipeline.report.tables.ablation_verdicts import ablation_verdicts
-from pipeline.report.tables.batch_sampling import batch_sampling
 from pipeline.report.tables.changed_settings import changed_settings
 from pipeline.report.tables.equal_time import equal_time
 from pipeline.report.tables.footnotes import held_out_notes, left_out_notes, missing_metric_notes
@@ -33,7 +32,7 @@ def run_tables(collection: Collection, levels: tuple[float, ...] = ()) -> list[T
     levels: dB, see time_to_psnr.
     """
     runs = collection.runs
-    compared = equal_time(collection), time_to_psnr(collection, levels), batch_sampling(collection)
+    compared = equal_time(collection), time_to_psnr(collection, levels)
     found = [
         ablation_verdicts(runs),
         *scene_tables(collection),

@@ -1,6 +1,6 @@
 """What each part of an urban model is worth: runs with one change beside the unchanged ones, per driving log.
 
-A change is a setting (`background_model=none`) or a model of conf/ablation (`static`, with the schedule's static
+A change is a setting (`scene.background_model=none`) or a model of conf/ablation (`static`, with the schedule's static
 overrides). Changes of the scene belong to the scene, as in changed_settings.py. Only common seeds are compared.
 """
 
@@ -20,7 +20,7 @@ from pipeline.runs.read.run_names import file_name, parts_of, with_parts
 from pipeline.runs.read.variants import VALIDATION
 
 UNCHANGED, MODEL = "none", "full"  # of the changes; of the ablations
-OF_STATIC = ("scene.", "init.", "background_model=", "depth.")  # what the static overrides of schedules never change
+OF_STATIC = ("scene.", "init.", "depth.")  # what the static overrides of schedules never change
 MIN_CHANGES = 2  # a single one is compared in other tables
 METRICS = {  # column -> (metric, header, decimals)
     "psnr": ("final.psnr", "PSNR ↑", 2),
@@ -57,7 +57,7 @@ def _with_changes(runs: pd.DataFrame) -> pd.DataFrame:
         parts = [part for part in parts if not part.startswith(f"{VALIDATION}=")]  # a note says so
         if run["model.motion"] == "static":
             parts = [part for part in parts if part.startswith(OF_STATIC)]
-        of_scene = [part for part in parts if part.startswith("scene.")]
+        of_scene = [part for part in parts if part.startswith("scene.") and "background_model" not in part]
         changes = [part for part in parts if part not in of_scene]
         changes += [] if run["ablation"] == MODEL else [run["ablation"]]
         rows.append((schedule, with_parts(run["scene"], of_scene), ", ".join(changes) or UNCHANGED))

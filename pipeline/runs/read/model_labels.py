@@ -89,9 +89,6 @@ def trained_model(ablation: str, settings: Mapping[str, Any], run: Mapping[str, 
     if math.isnan(order):
         return TrainedModel(found, False)
     requested_order = found.pop("fourier_order", (settings_of(ablation) or {}).get("fourier_order", 0))
-    of_scene = settings.get("scene.fourier_order")  # the most that the scene has a use for; driving logs: 0
-    if of_scene is not None and order == of_scene < requested_order:
-        return TrainedModel(found, False)
     if order == 0 and requested_order != 0:
         return TrainedModel(found, True)
     return TrainedModel(found | {"fourier_order": int(order)}, False)

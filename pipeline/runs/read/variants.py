@@ -28,8 +28,8 @@ from pipeline.runs.read.run_names import parts_of, with_parts
 from pipeline.runs.run_identity import FREE_KEYS
 
 # Keys that do not affect the trained model, and the seed.
-_IGNORED = (*FREE_KEYS, "seed", "train.checkpoint_every", "train.checkpoint_keep_moments", "hydra")
-_NAMED = ("train.", "scene.", "init.", "background_model=")  # overrides that become part of the name
+_IGNORED = (*FREE_KEYS, "seed", "train.checkpoint_every", "hydra")
+_NAMED = ("train.", "scene.", "init.")  # overrides that become part of the name
 VALIDATION = "scene.validation_every"
 _MAX_KEYS = 3  # differing keys in a name
 

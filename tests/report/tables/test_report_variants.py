@@ -28,7 +28,6 @@ def names(root: Path) -> list[str]:
         (("train.checkpoint_every=10", "scene.cache=/tmp/x", "threads=1"), "fast"),  # without effect on the result
         # Keys that have been renamed since
         (("train.rate.means=0.1",), "fast (lr.means=0.1)"),
-        (("background=sphere",), "fast (background_model=sphere)"),
         (("train.densify.leave_out=0.1",), "fast (densify.prune_sensitivity=0.1)"),
     ],
 )
