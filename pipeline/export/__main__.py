@@ -15,9 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.export.formats import FORMATS, CheckpointFormat
+from pipeline.export.formats import FORMATS, CheckpointFormat, write_files
 from pipeline.export.source import Source, open_source
-from pipeline.export.write_files import write_files
 from pipeline.terminal.command_line import CommandParser, command, log
 
 SEQUENCE = 30  # frames

@@ -16,20 +16,23 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+
 from datasets.files.atomic_write import atomic_file, write_json, write_text
+from pipeline.evaluation.pictures.camera_path import bullet_time
+from pipeline.evaluation.pictures.view_pictures import path_of, write_bullet_time
 from pipeline.evaluation.renderer import Renderer
-from pipeline.figures.figure import FILE, Figure
-from pipeline.figures.film import film_figure
-from pipeline.figures.growth import growth_figure
-from pipeline.figures.lifetimes import lifetimes_figure
-from pipeline.figures.motion import flow_figure
-from pipeline.figures.moving_view import most_moving
+from pipeline.figures.figure import FILE, Figure, panels, png_of
+from pipeline.figures.motion import flow_figure, most_moving
 from pipeline.figures.slices import slices_figure
-from pipeline.figures.time_maps import time_maps_figure
+from pipeline.figures.time_distribution import growth_figure, lifetimes_figure, time_maps_figure
 from pipeline.terminal.command_line import CommandParser, command, log
 from pipeline.trained.open_run import open_run
 from rasterizer import Rasterizer
 from rasterizer.cores import thread_count
+
+FILM = "bullet_time.mp4"
+FILM_FRAMES = 5  # of its strip, of each turn
 
 
 @command
@@ -67,6 +70,21 @@ def figures_of(renderer: Renderer, folder: Path) -> Iterator[Figure]:
         yield slices_figure(renderer, view)
         yield growth_figure(renderer)
     yield film_figure(renderer, folder)
+
+
+def film_figure(renderer: Renderer, folder: Path) -> Figure:
+    """Also writes the film into `folder`."""
+    scene = renderer.scene
+    write_bullet_time(folder / FILM, renderer)
+    ellipse, intrinsics = path_of(renderer)
+    path = bullet_time(ellipse, intrinsics, scene.time_start, scene.duration)
+    chosen = [path[i] for i in np.linspace(0, len(path), 2 * FILM_FRAMES, endpoint=False).astype(int)]
+    images = [(f"t = {frame.time:.2f}", renderer.image(frame.camera, frame.time)) for frame in chosen]
+    seen = (
+        f"{FILM}: once round among the training cameras while time stands still (above), then once more while it runs "
+        "(below)."
+    )
+    return Figure("film", "New views", seen, png_of(panels(images, FILM_FRAMES)))
 
 
 def markdown(title: str, figures: list[Figure]) -> str:

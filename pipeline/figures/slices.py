@@ -8,7 +8,7 @@ from datasets.scene import View
 from pipeline.data.training_views import target_of
 from pipeline.evaluation.renderer import Renderer
 from pipeline.figures.figure import Figure, canvas, png_of
-from pipeline.figures.moving_view import MovingView
+from pipeline.figures.motion import MovingView
 
 STEPS = 200  # times of a rendered slice, at most 4 for each of the scene's
 

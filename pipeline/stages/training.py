@@ -18,10 +18,8 @@ from pipeline.runs.run_folder import RunFolder
 from pipeline.stages.decisions import as_decided, motion_of, time_colour_of
 from pipeline.stages.stage import Log
 from pipeline.training.loop import Progress, TrainResult, train
-from pipeline.view.live.address import address_of
-from pipeline.view.live.feed import Feed
-from pipeline.view.live.server import LiveServer
-from pipeline.view.live.training_view import TrainingView
+from pipeline.view.live.feed import Feed, TrainingView
+from pipeline.view.live.server import LiveServer, address_of
 from pipeline.view.viewer import live_page
 from rasterizer import Rasterizer
 from rasterizer.cores import thread_count

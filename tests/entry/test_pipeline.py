@@ -13,8 +13,8 @@ import pytest
 import yaml
 from shell import TINY, Shell, result
 
-from pipeline.view.live.address import Address
 from pipeline.view.live.followed_run import serve_run
+from pipeline.view.live.server import Address
 
 
 @pytest.fixture(scope="module")

@@ -17,10 +17,9 @@ from tiny_film import tiny_film
 from datasets.scene import Scene
 from pipeline.evaluation.renderer import Renderer
 from pipeline.figures.__main__ import figures_of, markdown
-from pipeline.figures.growth import counts
-from pipeline.figures.motion import flow_figure
-from pipeline.figures.moving_view import MEASURED, TRUE, most_moving
+from pipeline.figures.motion import MEASURED, TRUE, flow_figure, most_moving
 from pipeline.figures.slices import slices_figure
+from pipeline.figures.time_distribution import counts
 from pipeline.model.model import Model, ModelKind
 from rasterizer import Rasterizer
 from rasterizer.reference.render import slice_in_time

@@ -18,10 +18,8 @@ from viewed import opened, viewed_model, viewed_scene
 
 from pipeline.model.initialise import initialise
 from pipeline.training.loop import train
-from pipeline.view.live.address import Address, address_of
-from pipeline.view.live.feed import Feed
-from pipeline.view.live.server import LiveServer
-from pipeline.view.live.training_view import TrainingView
+from pipeline.view.live.feed import Feed, TrainingView
+from pipeline.view.live.server import Address, LiveServer, address_of
 from pipeline.view.pack import pack
 from pipeline.view.viewer import live_page
 
@@ -189,7 +187,7 @@ def test_a_page_that_goes_away_prints_nothing(server: LiveServer, capfd: pytest.
 
 
 def test_a_run_of_another_process_is_followed(tmp_path: Path) -> None:
-    from pipeline.view.live.log_tail import LogTail
+    from pipeline.view.live.followed_run import LogTail
 
     log = tmp_path / "log.jsonl"
     tail = LogTail(log, 100)

@@ -13,8 +13,7 @@ from scipy.spatial.transform import Rotation
 from viewed import over_environment_map, viewed_model, viewed_scene
 
 from pipeline.model.model import Model
-from pipeline.view.columns import quantised
-from pipeline.view.pack import ENVIRONMENT_STEP, LOGIT_STEP, POSITION_PX, SCALE_STEP, SH_STEP, Packed, pack
+from pipeline.view.pack import ENVIRONMENT_STEP, LOGIT_STEP, POSITION_PX, SCALE_STEP, SH_STEP, Packed, pack, quantised
 from pipeline.view.trajectories import LIFETIME, trajectories
 from rasterizer.reference.render import slice_in_time
 
@@ -51,7 +50,7 @@ def test_gaussians_that_are_never_drawn_are_left_out() -> None:
 
 
 def unpacked(packed: Packed) -> dict[str, np.ndarray]:
-    """As payload.js does: column name -> (N, C) float64."""
+    """As model.js does: column name -> (N, C) float64."""
     data, place, found = np.frombuffer(zlib.decompress(packed.data), np.uint8), 0, {}
     for column in packed.header["columns"]:
         rows = math.prod(packed.header["environment"]) if column["name"] == "environment" else packed.header["count"]

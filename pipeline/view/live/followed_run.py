@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -12,11 +13,8 @@ from pipeline.model.ply import load_ply
 from pipeline.model.scene_settings import resolved
 from pipeline.trained.open_run import stored_config
 from pipeline.training import checkpoint as checkpoints
-from pipeline.view.live.address import Address
-from pipeline.view.live.feed import Feed
-from pipeline.view.live.log_tail import LogTail
-from pipeline.view.live.server import LiveServer
-from pipeline.view.live.training_view import COMPRESSION
+from pipeline.view.live.feed import COMPRESSION, Feed
+from pipeline.view.live.server import Address, LiveServer
 from pipeline.view.pack import pack
 from pipeline.view.viewer import live_page
 
@@ -64,3 +62,36 @@ def _load(path: Path) -> tuple[Model, int]:
     if path.name == checkpoints.FILE_NAME:
         return checkpoints.load_model(path), checkpoints.saved_iteration(path)
     return load_ply(path), 0
+
+
+class LogTail:
+    """The newest numbers in a log.jsonl that grows; reads only what was added since the last time."""
+
+    def __init__(self, path: Path, iterations: int) -> None:
+        self._path, self._iterations = path, iterations
+        self._place = 0
+        self._held_out: float | None = None
+
+    def newest(self) -> dict | None:
+        """The numbers of the newest iteration, as TrainingView.see takes them; None without a newer one."""
+        if not self._path.exists():
+            return None
+        with open(self._path, "rb") as file:
+            file.seek(0, 2)
+            if file.tell() < self._place:  # the run was started anew
+                self._place = 0
+            file.seek(self._place)
+            text = file.read()
+        whole = text[: text.rfind(b"\n") + 1]
+        self._place += len(whole)
+        found = None
+        for line in whole.splitlines():
+            try:
+                row = json.loads(line)
+                if row["event"] == "evaluate":
+                    self._held_out = row["psnr"]
+                elif row["event"] == "train":
+                    found = {name: row[name] for name in ("iteration", "loss", "psnr", "n_gaussians")}
+            except (ValueError, KeyError, TypeError):
+                continue
+        return found and {**found, "iterations": self._iterations, "held_out": self._held_out}

@@ -10,19 +10,22 @@ A page from elsewhere that a browser on this machine shows can send requests her
 from __future__ import annotations
 
 import errno
+import ipaddress
 import json
+import socket
 import sys
 import threading
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
-from pipeline.view.live.address import PORTS_TRIED, Address
 from pipeline.view.live.feed import Feed
 
+DEFAULT_ADDRESS = "127.0.0.1:8080"
+PORTS_TRIED = 20  # from the wanted one on, where others are taken
 WAIT_S = 10.0  # of a request for a newer model; then the page asks again
 EVENT_S = 0.5  # between events
 HEADERS = {
@@ -33,6 +36,32 @@ HEADERS = {
     "Content-Security-Policy": "frame-ancestors 'none'",
     "Referrer-Policy": "no-referrer",
 }
+
+
+@dataclass(frozen=True)
+class Address:
+    host: str
+    port: int  # 0: any
+
+    def __str__(self) -> str:
+        return f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"
+
+    @property
+    def is_local(self) -> bool:
+        """Whether only this machine reaches it."""
+        try:
+            return ipaddress.ip_address(self.host).is_loopback
+        except ValueError:
+            return self.host == "localhost"
+
+
+def address_of(text: str, where: str) -> Address:
+    """From HOST:PORT. ValueError, naming `where`, for anything else."""
+    host, _, port = text.rpartition(":")
+    host = host.removeprefix("[").removesuffix("]")
+    if not host or not port.isascii() or not port.isdigit() or int(port) > 65535:
+        raise ValueError(f"{where}: expected HOST:PORT such as {DEFAULT_ADDRESS}, found {text}")
+    return Address(host, int(port))
 
 
 class LiveServer:
@@ -142,8 +171,6 @@ def _listening(address: Address, handler: type[BaseHTTPRequestHandler]) -> Threa
 
 
 def _server_class(address: Address) -> type[ThreadingHTTPServer]:
-    import socket
-
     class Server(ThreadingHTTPServer):
         address_family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
         daemon_threads = True  # an open page does not keep the run from ending

@@ -1,8 +1,8 @@
 // While a run is trained: the newest model every few seconds, and its numbers as they come.
 
-import { $ } from "./dom.js";
 import { readModel } from "./model.js";
 import { writeList } from "./panel.js";
+import { $ } from "./state.js";
 
 const PAUSE_MS = 500;
 const LOST_PAUSE_MS = 3000; // between attempts, while the server does not answer

@@ -2,17 +2,15 @@
 
 import { poseOf } from "./camera.js";
 import { Comparison } from "./comparison.js";
-import { $ } from "./dom.js";
 import { listenToKeys } from "./keys.js";
 import { linkOf, stateOf } from "./link.js";
 import { followTraining } from "./live.js";
-import { readModel } from "./model.js";
+import { bytesOfBase64, readModel } from "./model.js";
 import { Navigation } from "./navigation.js";
 import { Pane } from "./pane.js";
 import { Panel } from "./panel.js";
-import { bytesOfBase64 } from "./payload.js";
 import { Stage } from "./stage.js";
-import { initialState } from "./state.js";
+import { $, initialState } from "./state.js";
 import { Transport } from "./transport.js";
 import { Truths } from "./truth.js";
 

@@ -1,6 +1,5 @@
-// One model: what its data mean, as the arrays that the worker and the textures take.
-
-import { inflated, unpackColumns } from "./payload.js";
+// One model: unpacks what pack.py packed (deflate, then columns of whole numbers) into the arrays that the worker and
+// the textures take.
 
 // seen: { start, end } of the scene's time; lifetime: half of a Gaussian's, in standard deviations.
 export async function readModel(header, packed, scene) {
@@ -99,4 +98,34 @@ function quantiles(values, of) {
     const [low, high] = [at(0.05), at(0.95)];
     if (!Number.isFinite(low + high)) return [0, 1]; // a model without time beside one that has it
     return high > low ? [low, high] : [low, low + 1];
+}
+
+export function bytesOfBase64(text) {
+    if (Uint8Array.fromBase64) return Uint8Array.fromBase64(text);
+    const binary = atob(text.trim());
+    const bytes = new Uint8Array(binary.length);
+    for (let i = 0; i < bytes.length; ++i) bytes[i] = binary.charCodeAt(i);
+    return bytes;
+}
+
+async function inflated(bytes) {
+    const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
+    return new Uint8Array(await new Response(stream).arrayBuffer());
+}
+
+// Column name -> { step, components: Int32Array of each component }: value = step · number.
+function unpackColumns(header, bytes) {
+    const columns = {};
+    let place = 0;
+    for (const column of header.columns) {
+        const rows = column.name === "environment" ? header.environment[0] * header.environment[1] : header.count;
+        const components = column.low.map((low, c) => {
+            const numbers = new Int32Array(rows).fill(low);
+            for (let byte = 0; byte < column.bytes[c]; ++byte, place += rows)
+                for (let i = 0; i < rows; ++i) numbers[i] += bytes[place + i] << (8 * byte);
+            return numbers;
+        });
+        columns[column.name] = { step: column.step, components };
+    }
+    return columns;
 }

@@ -1,6 +1,6 @@
 // The panel at the side: camera, colours, background, what is measured while it plays.
 
-import { $ } from "./dom.js";
+import { $ } from "./state.js";
 
 const format = new Intl.NumberFormat("en");
 

@@ -1,5 +1,8 @@
 // What the viewer shows, in one place: controls change it, and whoever listens follows.
 
+// The page's element with this id.
+export const $ = (id) => document.getElementById(id);
+
 export class State {
     constructor(values) {
         Object.assign(this, values);

@@ -1,3 +1,0 @@
-// Elements by their id.
-
-export const $ = (id) => document.getElementById(id);
