@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -14,30 +15,31 @@ from PIL import Image
 def write_run(
     root: Path,
     scene: str,
-    ablation: str = "full",
-    train: str = "fast",
+    model: str = "full",
+    recipe: str = "fast",
     seed: int = 0,
     psnr: float = 25.0,
     out: str | None = None,
     iterations: int = 1000,
     images: int = 0,
     settings: str = "",
-    ablation_settings: str = "",
     scene_settings: str = "",
-    overrides: Sequence[str] | None = (),
-    **changes,
+    changes: Mapping[str, Any] | None = None,
+    **values,
 ) -> Path:
-    """A run folder. `changes` replace keys of metrics.json; dotted keys are nested.
+    """A run folder. `values` replace keys of metrics.json; dotted keys are nested.
 
-    settings, ablation_settings, scene_settings: YAML lines for `train`, `ablation` and `scene` in config.yaml, indented
-    by two spaces. overrides: as recorded in environment.json; None: not recorded, as in runs up to version 0.1.
+    changes: as the run declares them. settings, scene_settings: YAML lines for `train` and `scene` in config.yaml,
+    indented by two spaces.
     """
-    folder = root / (out or f"{scene}/{ablation}/{train}/seed{seed}")
+    folder = root / (out or f"{scene}/{model}/{recipe}/seed{seed}")
+    assert folder.is_relative_to(root), f"{out}: expected a path below {root}"
     (folder / "renders").mkdir(parents=True)
     quality = {
         "psnr": psnr,
         "ssim": 0.9,
         "ms_ssim": 0.96,
+        "dssim": 0.02,
         "dssim1": 0.05,
         "dssim2": 0.04,
         "lpips_alex": None,
@@ -57,11 +59,15 @@ def write_run(
         "model_with_optimiser_mb": 22.5,
         "iterations": iterations,
         "scene": scene,
-        "ablation": ablation,
-        "train": train,
+        "recipe": recipe,
+        "model": model,
+        "changes": dict(changes or {}),
         "seed": seed,
+        "capture": "monocular",
+        "kind": {"motion": "full", "fourier_order": 2, "sh_degree": 3},
+        "decided": {},
     }
-    for key, value in changes.items():
+    for key, value in values.items():
         *path, last = key.split(".")
         part = metrics
         for name in path:
@@ -70,15 +76,15 @@ def write_run(
     (folder / "metrics.json").write_text(json.dumps(metrics))
     (folder / "config.yaml").write_text(
         f"seed: {seed}\nthreads: 2\nscene:\n  name: {scene}\n  path: null\n{scene_settings}"
-        f"ablation:\n  name: {ablation}\n{ablation_settings}"
-        f"train:\n  name: {train}\n  iterations: {iterations}\n{settings}"
+        f"ablation:\n  name: {model}\n"
+        f"train:\n  name: {recipe}\n  iterations: {iterations}\n{settings}"
     )
     rows = ["train_seconds,iteration,psnr,ssim,test_loss,n_gaussians"]
     rows += [
         f"{(60 + seed) * k / 4},{iterations * k // 4},{psnr - 8 / k + 2},{0.8},{0.1},{3000 * k}" for k in (1, 2, 3, 4)
     ]
     (folder / "error_vs_time.csv").write_text("\n".join(rows) + "\n")
-    arguments = [f"scene={scene}", f"seed={seed}", *(overrides or ())]
+    arguments = [f"scene={scene}", f"seed={seed}", *(f"{key}={value}" for key, value in (changes or {}).items())]
     environment = {
         "machine": "Test CPU, 2 cores",
         "date": f"2025-01-0{seed + 1}T10:00:00Z",
@@ -86,8 +92,6 @@ def write_run(
         "command": shlex.join(["python", "-m", "pipeline", *arguments]),
         "versions": {},
     }
-    if overrides is not None:
-        environment["overrides"] = arguments
     (folder / "environment.json").write_text(json.dumps(environment))
     per_image = ["view,psnr"]
     for i in range(images):

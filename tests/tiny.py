@@ -50,10 +50,17 @@ def tiny_scene(views: int = 8, static: bool = False) -> Scene:
     )
 
 
-def tiny_config(iterations: int = 60, background_model: str = "none", **train_keys) -> Config:
-    """60 iterations include every event of a schedule."""
+def tiny_config(iterations: int = 60, background_model: str = "auto", **train_keys) -> Config:
+    """60 iterations include every event of a schedule; a background model is frozen after 20."""
     densify = DensifyConfig(
-        start=5, stop=50, every=10, space_gradient=1e-5, opacity_reset_every=25, prune_big_after=30, max_gaussians=400
+        start=5,
+        stop=50,
+        every=10,
+        space_gradient=1e-5,
+        opacity_reset_every=25,
+        prune_big_after=30,
+        prune_radius_px=20,
+        max_gaussians=400,
     )
     keys = dict(
         iterations=iterations,
@@ -64,13 +71,17 @@ def tiny_config(iterations: int = 60, background_model: str = "none", **train_ke
         fourier_at=[30, 40],
         densify=densify,
         init_points=200,
+        sphere_freeze_after=20,
+        envmap_until=20,
+        envmap_height=12,
     )
     return Config(
-        scene=SceneConfig(background_model=background_model),
-        init=InitConfig(sphere_points=300),
+        scene=SceneConfig(init_points=200),
+        init=InitConfig(sphere_points=300, sphere_radius=2.0),
         ablation=AblationConfig(),
         train=TrainConfig(**(keys | train_keys)),
         threads=1,
+        background_model=background_model,
     )
 
 

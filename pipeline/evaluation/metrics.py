@@ -133,7 +133,7 @@ _DSSIM = (
     "DSSIM = (1 − MS-SSIM)/2, as in the paper. DSSIM1 and DSSIM2 = (1 − SSIM)/2 with data range 1 and 2. The "
     "literature uses all three under one name."
 )
-_FPS = "FPS: whole renderer, from 4D Gaussians to the image, on a CPU. FPS, blending: that stage alone."
+_FPS = "FPS: the whole renderer, from 4D Gaussians to the image. FPS, blending: that stage alone."
 
 METRICS: dict[str, Metric] = {
     metric.key: metric

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from pipeline.presentation.seed_statistics import Estimate
+from pipeline.presentation.statistics import STANDARD_ERRORS, Difference, Estimate
 
 EMPTY_NOTE = "Empty cell: no run."
 NOT_REPORTED_NOTE = "–: not reported."
@@ -14,7 +14,7 @@ SEEDS_NOTE = "±: standard deviation over seeds (n − 1); no ±: one seed."
 
 @dataclass(frozen=True)
 class Column:
-    """A column. `key` heads the CSV (its std goes to `key_std`), `header` the other formats.
+    """A column. `key` heads the CSV (the error goes to `key_ERROR`), `header` the other formats.
 
     CSV and LaTeX have all columns. `fold`, `group` and `ours_only` control table_layout.py.
     """
@@ -25,6 +25,7 @@ class Column:
     fold: bool = False  # moved to the caption where all rows have the same text
     group: str = ""  # a wide table is split between groups; "": repeated in each part
     ours_only: bool = False  # hidden where no row of ours has a number
+    error: str = "std"  # what follows ±: std, or 2se for two standard errors
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,7 @@ class Cell:
 
     text: str = ""
     value: float | None = None
-    std: float | None = None
+    error: float | None = None  # what follows ±
 
 
 NO_RUN = Cell("")
@@ -62,6 +63,7 @@ class Table:
     caption: str = ""
     notes: tuple[tuple[str, str], ...] = ()
     over_seeds: bool = True  # whether our numbers are means over seeds
+    section: str = "comparisons"  # of the report
 
     def cell(self, row: Row, column: Column) -> Cell:
         """The cell of `row` under `column`."""
@@ -91,11 +93,6 @@ def number(value: float, decimals: int = 2) -> Cell:
     return NOT_MEASURED if value != value else Cell(f"{value:,.{decimals}f}", float(value))
 
 
-def uncertainty(value: float) -> Cell:
-    """The standard error of one of our differences; NaN (one seed): not applicable."""
-    return NOTHING if value != value else number(value)
-
-
 def measured(estimate: Estimate | None, decimals: int = 2) -> Cell:
     """mean ± std over seeds; None: not measured."""
     if estimate is None:
@@ -105,6 +102,17 @@ def measured(estimate: Estimate | None, decimals: int = 2) -> Cell:
     return Cell(f"{estimate.mean:,.{decimals}f} ± {estimate.std:,.{decimals}f}", estimate.mean, estimate.std)
 
 
+def signed(found: Difference, decimals: int = 2) -> Cell:
+    """difference ± two standard errors; with one seed without ±."""
+    if found.standard_error != found.standard_error:
+        return Cell(f"{found.mean:+,.{decimals}f}", found.mean)
+    error = STANDARD_ERRORS * found.standard_error
+    return Cell(f"{found.mean:+,.{decimals}f} ± {error:,.{decimals}f}", found.mean, error)
+
+
 def printed(value: str) -> Cell:
-    """A number exactly as printed in the paper; an empty string: not reported."""
-    return Cell(value, float(value)) if value else NOT_REPORTED
+    """A number exactly as printed in the paper, or a range of them; an empty string: not reported."""
+    try:
+        return Cell(value, float(value))
+    except ValueError:
+        return Cell(value) if value else NOT_REPORTED

@@ -15,6 +15,7 @@ _LATEX = {
     "±": r"$\pm$", "×": r"$\times$", "−": r"$-$", "–": r"--", "·": r"$\cdot$", "…": r"\ldots{}",
     "↑": r"$\uparrow$", "↓": r"$\downarrow$", "√": r"$\surd$", "≥": r"$\geq$",
     "¹": r"$^{1}$", "²": r"$^{2}$", "³": r"$^{3}$", "⁴": r"$^{4}$", "⁵": r"$^{5}$", "⁶": r"$^{6}$",
+    "⁷": r"$^{7}$", "⁸": r"$^{8}$", "₁": r"$_{1}$", "₂": r"$_{2}$",
 }
 # fmt: on
 
@@ -52,9 +53,9 @@ def _grid(table: Table, columns: tuple[Column, ...]) -> list[str]:
 
 
 def comma_separated(table: Table) -> str:
-    """CSV at full precision, one number per cell: std in columns of their own, footnote marks in `note`."""
-    with_std = {c.key for c in table.columns if any(table.cell(row, c).std is not None for row in table.rows)}
-    head = [name for c in table.columns for name in ([c.key, f"{c.key}_std"] if c.key in with_std else [c.key])]
+    """CSV at full precision, one number per cell: errors in columns of their own, footnote marks in `note`."""
+    with_error = {c.key for c in table.columns if any(table.cell(row, c).error is not None for row in table.rows)}
+    head = [name for c in table.columns for name in ([c.key, f"{c.key}_{c.error}"] if c.key in with_error else [c.key])]
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(["kind", *head, "note"])
@@ -63,8 +64,8 @@ def comma_separated(table: Table) -> str:
         for column in table.columns:
             cell = table.cell(row, column)
             line.append(_csv_cell(cell, row))
-            if column.key in with_std:
-                line.append(_plain(cell.std) if cell.std is not None else "")
+            if column.key in with_error:
+                line.append(_plain(cell.error) if cell.error is not None else "")
         writer.writerow([*line, row.mark])
     return buffer.getvalue()
 
@@ -72,7 +73,7 @@ def comma_separated(table: Table) -> str:
 def _csv_cell(cell: Cell, row: Row) -> str:
     if cell in (NOT_REPORTED, NOT_MEASURED, NOTHING):
         return ""
-    as_printed = row.kind != "ours" and cell.std is None  # the paper's numbers keep their digits
+    as_printed = row.kind != "ours" and cell.error is None  # the paper's numbers keep their digits
     return cell.text if cell.value is None or as_printed else _plain(cell.value)
 
 

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from pipeline.report.build import build_report
-from pipeline.report.write.output_folder import replace_report
+from pipeline.report.output_folder import replace_report
 from pipeline.terminal.closed_pipe import quiet_on_closed_pipe
 
 _DESCRIPTION = """\

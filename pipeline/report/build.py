@@ -7,18 +7,16 @@ from pathlib import Path
 
 from pipeline.presentation.table_files import files_of
 from pipeline.presentation.theme import DARK
-from pipeline.report.compare.curve_figures import curve_figures
-from pipeline.report.tables.paper_tables import paper_tables
-from pipeline.report.tables.run_tables import run_tables
-from pipeline.report.tables.summary import summarise
-from pipeline.report.write.html_page import render_page
-from pipeline.report.write.image_strips import make_strips
-from pipeline.report.write.plots import plot
-from pipeline.report.write.run_figures import run_figures
-from pipeline.report.write.sections import Content, CurvePlot, report_markdown, terminal_text
-from pipeline.report.write.sfm_section import sfm_section
-from pipeline.runs.read.collect import Collection, collect
-from pipeline.runs.read.variants import name_variants
+from pipeline.report import tables
+from pipeline.report.content import Content, CurvePlot, report_markdown, terminal_text
+from pipeline.report.curve_figures import curve_figures
+from pipeline.report.page import render_page
+from pipeline.report.plots import plot, recoloured
+from pipeline.report.run_figures import RunFigure, run_figures
+from pipeline.report.runs import Collection, collect
+from pipeline.report.sfm import SfmPicture, sfm_section
+from pipeline.report.strips import Strip, make_strips
+from pipeline.report.time_to_psnr import TimeToPsnr
 
 
 @dataclass(frozen=True)
@@ -42,36 +40,32 @@ def build_report(
     no_pictures: scenes or families of scenes without images. levels: dB, of the table of training time to a PSNR.
     with_latex: whether to write each table as .tex too. out: the folder that the files will be in.
     """
-    collection = name_variants(collect(runs_dir))
-    strips, strip_warnings = make_strips(collection.runs, no_pictures)
-    sfm, sfm_warnings = sfm_section(collection.runs, no_pictures)
-    figures, figure_warnings = run_figures(collection.runs, no_pictures)
-    summary = summarise(collection, strip_warnings + figure_warnings + sfm_warnings)
-    content = Content(
-        summary, paper_tables(collection), run_tables(collection, levels), sfm, strips, figures, _plots(collection)
-    )
-    files = _table_files(content, with_latex) | _image_files(content)
+    collection = collect(runs_dir)
+    content = content_of(collection, no_pictures, levels, _plots(collection))
+    files = {f"tables/{name}": data for table in content.tables for name, data in files_of(table, with_latex).items()}
+    files |= {f"plots/{plot.slug}.svg": plot.light.encode() for plot in content.plots}
+    pictures: list[Strip | RunFigure | SfmPicture] = [*content.strips, *content.figures, *content.sfm_pictures]
+    files |= {f"strips/{picture.filename}": picture.webp for picture in pictures}
     files |= {"report.md": report_markdown(content).encode(), "report.html": render_page(content, out).encode()}
-    return Report(files, (*summary.left_out, *summary.warnings), terminal_text(content))
+    return Report(files, (*content.left_out, *content.warnings), terminal_text(content))
+
+
+def content_of(
+    collection: Collection,
+    no_pictures: tuple[str, ...] = (),
+    levels: tuple[float, ...] = (),
+    plots: list[CurvePlot] | None = None,
+) -> Content:
+    """Tables and pictures of the runs, and `plots`."""
+    strips, strip_warnings = make_strips(collection.runs, no_pictures)
+    figures, figure_warnings = run_figures(collection.runs, no_pictures)
+    sfm_table, sfm_pictures, sfm_warnings = sfm_section(collection.runs, no_pictures)
+    built = [spec.build(collection) for spec in (*tables.TABLES, TimeToPsnr(levels))]
+    warnings = (*collection.warnings, *strip_warnings, *figure_warnings, *sfm_warnings)
+    found = [table for table in (*built, sfm_table) if table is not None]
+    return Content(collection.runs, collection.left_out, warnings, found, strips, figures, plots or [], sfm_pictures)
 
 
 def _plots(collection: Collection) -> list[CurvePlot]:
-    return [
-        CurvePlot(figure.title, figure.slug, plot(collection, figure), plot(collection, figure, DARK))
-        for figure in curve_figures(collection)
-    ]
-
-
-def _table_files(content: Content, with_latex: bool) -> dict[str, bytes]:
-    return {
-        f"tables/{name}": written for table in content.tables for name, written in files_of(table, with_latex).items()
-    }
-
-
-def _image_files(content: Content) -> dict[str, bytes]:
-    files = {f"plots/{plot.slug}.svg": plot.light.encode() for plot in content.plots}
-    files |= {f"strips/{strip.filename}": strip.webp for strip in content.strips}
-    files |= {f"strips/{figure.filename}": figure.webp for figure in content.figures}
-    if content.sfm:
-        files |= {f"strips/{picture.filename}": picture.webp for picture in content.sfm.pictures}
-    return files
+    drawn = {figure: plot(collection, figure) for figure in curve_figures(collection)}
+    return [CurvePlot(figure.title, figure.slug, svg, recoloured(svg, DARK)) for figure, svg in drawn.items()]

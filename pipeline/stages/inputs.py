@@ -23,7 +23,7 @@ def stage_inputs(cfg: Config, data: Prepared) -> dict[str, str]:
     """
     config, found = with_first_names(asdict(cfg)), {}
     initial = {key: value for key, value in config["train"].items() if key.startswith("init_")}
-    beginning = [fingerprint(data.scene), config["ablation"], initial, cfg.seed]
+    beginning = [fingerprint(data.scene), config["ablation"], initial, config["scene"]["init_points"], cfg.seed]
     if not data.canonical.is_identity:  # a model must not continue in other coordinates
         beginning.append(asdict(data.canonical))
     if data.cloud is not None and data.sfm_folder is None:  # points that came with the data
@@ -32,9 +32,9 @@ def stage_inputs(cfg: Config, data: Prepared) -> dict[str, str]:
         found["sfm"] = _hash(data.sfm_folder.name)
         beginning.append(found["sfm"])
     if data.scene.capture == "drive":
-        beginning += [asdict(cfg.init), config["train"]["densify"]["max_gaussians"]]
-    if cfg.scene.background_model != "none":
-        beginning += [cfg.scene.background_model, cfg.init.sphere_points]
+        beginning += [asdict(cfg.init), cfg.effective_fourier_order, config["train"]["densify"]["max_gaussians"]]
+    if cfg.effective_background_model != "none":
+        beginning += [cfg.effective_background_model, cfg.init.sphere_points, cfg.init.sphere_radius]
     if motion.due(cfg, data.scene):
         found[MOTION] = _hash("motion", *beginning, config["train"], config["scene"]["near"])
         beginning.append(found[MOTION])

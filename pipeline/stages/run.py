@@ -68,7 +68,7 @@ def run(cfg: Config, overrides: Sequence[str], log: Log) -> dict:
     data = prepare(cfg, log)
     unresolved, cfg = cfg, resolved(cfg, data.scene)
     refuse_small_images(data.scene, cfg.train.resolution_scale)  # before hours of training
-    refuse_large_batch(len(data.scene.train), cfg.train.batch)
+    refuse_large_batch(len(data.scene.train), cfg.train.sampler, cfg.train.batch)
     if data.poses_estimated and not (cfg.resume and "train" in read_stages(path)):
         log(training_minutes(cfg, data.scene))
     group = overrides_for(data.scene, cfg)

@@ -33,7 +33,7 @@ def test_they_are_put_in_where_nothing_moves() -> None:
     assert (found.init_points, found.lr.sh_rest) == (70, 1e-3)
     assert found.resolution_steps == [ResolutionStep(0.5, 0.5)]  # a whole list, not its items
     plain = config().train
-    back = replace(found, init_points=100_000, lr=plain.lr, resolution_steps=[])
+    back = replace(found, init_points=None, lr=plain.lr, resolution_steps=[])
     assert back == replace(
         plain, static_overrides=None, multi_view_overrides=None, clip_overrides=None
     )  # and nothing else
@@ -72,7 +72,7 @@ def test_cameras_that_are_not_synchronised_are_a_multi_view_video() -> None:
 def test_a_model_that_selection_makes_static_has_the_static_ones() -> None:
     scene, undecided = tiny_scene(), replace(config(), train=replace(config().train, select_motion=0.1))
     once = resolved(undecided, scene)
-    assert (once.train.init_points, without_time(once, scene).train.init_points) == (100_000, 70)
+    assert (once.train.init_points, without_time(once, scene).train.init_points) == (None, 70)
     assert resolved(once, scene) == once
 
 
@@ -91,7 +91,7 @@ def test_it_is_the_model_that_moves_or_does_not() -> None:
     no_time = replace(config(), ablation=AblationConfig(static=True))
     assert resolved(no_time, tiny_scene()).train.init_points == 70
     time = replace(config(), ablation=AblationConfig(static=False))
-    assert resolved(time, tiny_scene(static=True)).train.init_points == 100_000
+    assert resolved(time, tiny_scene(static=True)).train.init_points is None
 
 
 @pytest.mark.parametrize(

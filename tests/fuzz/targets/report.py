@@ -12,18 +12,13 @@ from fuzz.edits.bytes import changed_files, edit_text
 from fuzz.edits.json import edit_json
 from fuzz.target import REFUSED, VALID, Changes, Files, Target, check_message, require, valid_or_refused
 from fuzz.targets.data.dnerf import png
-from pipeline.report.compare.curve_figures import curve_figures
-from pipeline.report.compare.curve_statistics import end_of_coarse
-from pipeline.report.tables.paper_tables import paper_tables
-from pipeline.report.tables.run_tables import run_tables
-from pipeline.report.tables.summary import summarise
-from pipeline.report.write.html_page import render_page
-from pipeline.report.write.image_strips import make_strips
-from pipeline.report.write.sections import Content, report_markdown, terminal_text
-from pipeline.report.write.sfm_section import sfm_section
-from pipeline.runs.read.collect import collect
-from pipeline.runs.read.run_files import COST, PROTOCOLS, QUALITY, REQUIRED
-from pipeline.runs.read.variants import name_variants
+from pipeline.evaluation.metrics import METRICS
+from pipeline.report.build import content_of
+from pipeline.report.content import report_markdown, terminal_text
+from pipeline.report.curve_figures import curve_figures
+from pipeline.report.curve_statistics import end_of_coarse
+from pipeline.report.page import render_page
+from pipeline.report.runs import REQUIRED, collect, metric_columns
 
 RUNS = ("synthetic/counter/full/fast/seed0", "synthetic/counter/no_4drot/fast/seed1")
 
@@ -31,18 +26,25 @@ RUNS = ("synthetic/counter/full/fast/seed0", "synthetic/counter/no_4drot/fast/se
 def example() -> Files:
     files: Files = {}
     for seed, run in enumerate(RUNS):
-        ablation = run.split("/")[2]
-        quality = {**dict.fromkeys(QUALITY, 0.5), "psnr": 25.0 + seed, "lpips_alex": None, "lpips_note": "no weights"}
+        model = run.split("/")[2]
+        quality = {
+            **{key: 0.5 for key, metric in METRICS.items() if metric.group != "cost"},
+            "psnr": 25.0 + seed,
+            "lpips_alex": None,
+            "lpips_note": "no weights",
+        }
         metrics = {
             "final": quality,
             "best_on_test": {**quality, "iteration": 800},
-            **dict.fromkeys(COST, 10.0),
+            **{key: 10.0 for key, metric in METRICS.items() if metric.group == "cost"},
             "scene": "dnerf/lego",
-            "ablation": ablation,
-            "train": "fast",
+            "recipe": "fast",
+            "model": model,
+            "changes": {"train.batch": seed + 1, "scene.downscale": 4},
             "seed": seed,
-            "trial": {"gain": 0.1, "standard_error": 0.2, "kept": False},
-            "model": {"motion": "full", "fourier_order": seed, "sh_degree": 3},
+            "capture": "monocular",
+            "kind": {"motion": "full", "fourier_order": seed, "sh_degree": 3},
+            "decided": {"fourier_order": 0},
         }
         environment = {
             "machine": "2 cores",
@@ -68,8 +70,8 @@ def example() -> Files:
                 (
                     "config.yaml",
                     f"seed: {seed}\nscene:\n  name: dnerf/lego\n  path: a/b\n  validation_every: 0\n"
-                    f"  test_split: val\nablation:\n  name: {ablation}\n  fourier_order: 1\n"
-                    f"train:\n  name: fast\n  batch: {seed + 1}\n  iterations: 800\n"
+                    f"  test_split: val\nablation:\n  name: {model}\n  fourier_order: 1\n"
+                    f"train:\n  name: fast\n  sampler: pairs\n  batch: {seed + 1}\n  iterations: 800\n"
                     "  resolution_steps:\n  - until: 0.5\n    scale: 0.5\n",
                 ),
                 (
@@ -100,21 +102,19 @@ def check(folder: Path) -> str:
             return REFUSED
         for line in (*collected.left_out, *collected.warnings):
             check_message(line, RUNS[0].split("/")[0], "")
-        numbers = [*REQUIRED, *COST, *(f"{protocol}.{key}" for protocol in PROTOCOLS for key in QUALITY)]
+        numbers = [*REQUIRED, *(column for column, _ in metric_columns())]
         require(not np.isinf(collected.runs[numbers].to_numpy(float)).any(), "an infinite number")
         curves = collected.curves[["train_seconds", "iteration", "psnr"]].to_numpy(float)
         require(bool(np.isfinite(curves).all()), "a curve value that is not finite")
         if collected.left_out or collected.warnings:
             return REFUSED
-        named = name_variants(collected)
-        strips, strip_warnings = make_strips(named.runs)
-        sfm, sfm_warnings = sfm_section(named.runs)
-        for line in (*strip_warnings, *sfm_warnings):
+        content = content_of(collected)
+        for line in content.warnings:
             check_message(line, "", "")
         for x in ("train_seconds", "iteration"):
-            require(bool(np.isfinite(end_of_coarse(named.curves, named.settings, x))), "end_of_coarse is not finite")
-        curve_figures(named)
-        content = Content(summarise(named, []), paper_tables(named), run_tables(named, ()), sfm, strips, [], [])
+            found = end_of_coarse(collected.curves, collected.settings, x)
+            require(bool(np.isfinite(found)), "end_of_coarse is not finite")
+        curve_figures(collected)
         for text in (report_markdown(content), terminal_text(content), render_page(content)):
             text.encode("utf-8")
     return VALID

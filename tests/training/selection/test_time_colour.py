@@ -38,7 +38,7 @@ def test_kept_where_colours_change_with_time() -> None:
     views = 48
     still = tiny_scene(views, static=True).train
     scene = replace(tiny_scene(), train=tuple(replace(view, time=i / views) for i, view in enumerate(still)))
-    lr = LearningRates(sh_time=1e-2, sh_dc=1e-2, scale=0.0)
+    lr = LearningRates(sh_time=1e-2, sh_dc=1e-2, scale=0.0, mean_time=0.0)
     cfg = config(600, fourier_at=[30, 40], init_time_scale=2.0, lr=lr)
     found = select(flickering(scene), cfg, None, 1, str)
     # Measured with three seeds: 4.8 to 6.0 dB, standard error 1.2 dB.

@@ -1,1 +1,0 @@
-"""Groups learning curves into figures and averages them over seeds."""

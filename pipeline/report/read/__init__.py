@@ -1,1 +1,0 @@
-"""Reference data of the report: the paper's numbers, its scenes and ablations, its evaluation split."""

@@ -1,0 +1,259 @@
+"""The one table of runs: rows are groups of runs that share some columns, columns are metrics averaged over seeds.
+
+`against` names the baseline of a row: the row with those values in place of its own. A `RunTable` is such a table as
+data; tables.py lists them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from pipeline.evaluation.metrics import METRICS, Metric
+from pipeline.presentation.statistics import FORMULA, Difference, Estimate, difference, estimate, mean_difference
+from pipeline.presentation.table import NO_RUN, NOTHING, Cell, Column, Row, Table, measured, number, signed, text
+from pipeline.report import scenes
+from pipeline.report.runs import BEST, FINAL, UNCHANGED, Collection
+
+HEADERS = {  # of the columns that rows are grouped by
+    "run": "Run",
+    "scene_label": "Scene",
+    "recipe": "Recipe",
+    "recipe_label": "Recipe",
+    "model": "Model",
+    "change": "Change",
+    "trained": "Trained model",
+    "validation": "Decided by validation",
+    "machine": "Machine",
+    "date": "Date",
+    "git_commit": "Commit",
+    "command": "Command",
+}
+FOLDED = ("recipe", "recipe_label", "model", "trained", "validation", "machine", "date", "git_commit")
+PROTOCOL_NOTE = (
+    "final: the last iteration. best on test: the best of all test evaluations. The authors' release reports the "
+    "latter, which selects on the test set."
+)
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A metric in a column."""
+
+    key: str
+    protocol: str = FINAL  # no meaning for costs
+
+    @property
+    def metric(self) -> Metric:
+        return METRICS[self.key]
+
+    @property
+    def column(self) -> str:
+        """Of Collection.runs, and of the table."""
+        return self.key if self.metric.group == "cost" else f"{self.protocol}.{self.key}"
+
+    @property
+    def header(self) -> str:
+        return self.metric.header + (" best on test" if self.protocol == BEST else "")
+
+    @property
+    def title(self) -> str:
+        return self.metric.title + (" best on test" if self.protocol == BEST else "")
+
+    def numbers(self, runs: pd.DataFrame) -> pd.Series:
+        return self.metric.scale * runs[self.column]
+
+    def estimate(self, runs: pd.DataFrame) -> Estimate | None:
+        """Over the seeds; over several scenes the mean of their means, with the std of the seeds that all have."""
+        if runs["scene_label"].nunique() <= 1:
+            return estimate(self.numbers(runs))
+        if self.numbers(runs).isna().any():
+            return None
+        values = runs.assign(value=self.numbers(runs)).pivot_table(index="scene_label", columns="seed", values="value")
+        common = values.dropna(axis=1).mean(axis=0)
+        std = float(common.std(ddof=1)) if len(common) > 1 else np.nan
+        return Estimate(float(values.mean(axis=1).mean()), std, max(len(common), 1))
+
+    def cell(self, runs: pd.DataFrame) -> Cell:
+        return measured(self.estimate(runs), self.metric.decimals)
+
+    def difference(self, runs: pd.DataFrame, baseline: pd.DataFrame) -> Difference | None:
+        """Of one scene, over the seeds that both sides have; None where a number is missing."""
+        changed = estimate(self.numbers(runs[runs["seed"].isin(baseline["seed"])]))
+        base = estimate(self.numbers(baseline[baseline["seed"].isin(runs["seed"])]))
+        return difference(changed, base) if changed and base else None
+
+
+def shown(*groups: str, protocol: str = FINAL) -> tuple[Shown, ...]:
+    """All metrics of these groups, in their order."""
+    return tuple(Shown(key, protocol) for key, metric in METRICS.items() if metric.group in groups)
+
+
+@dataclass(frozen=True)
+class RunTable:
+    """A table of runs as data."""
+
+    slug: str
+    title: str
+    rows: tuple[str, ...]  # columns of Collection.runs; runs that are equal in them are averaged
+    columns: Callable[[], Sequence[Shown]] = tuple  # called for each report: METRICS may have grown
+    where: Callable[[pd.DataFrame], pd.Series] | None = None  # which runs
+    against: Mapping[str, str] = field(default_factory=dict)  # of the baseline: column -> value
+    differences: Callable[[], Sequence[Shown]] = tuple  # a column of differences from the baseline for each of these
+    verdicts: int = 99  # the first so many differences have a verdict
+    only_compared: bool = False  # leave out what is neither compared with a baseline nor a baseline of others
+    across_scenes: bool = False  # a row for the mean over scenes, where there are several
+    section: str = "comparisons"
+    notes: tuple[str, ...] = ()
+
+    def build(self, collection: Collection) -> Table | None:
+        runs = collection.runs
+        runs = runs if self.where is None else runs[self.where(runs).astype(bool)]
+        return table(runs, self)
+
+
+def table(runs: pd.DataFrame, spec: RunTable) -> Table | None:
+    """The table of `spec`; None without rows."""
+    if runs.empty:
+        return None
+    columns, differences = (
+        [one for one in wanted() if one.metric.group == "quality" or one.numbers(runs).notna().any()]
+        for wanted in (spec.columns, spec.differences)
+    )
+    groups = dict(_groups(runs, spec.rows))
+    if spec.only_compared:
+        bases = {key: _baseline(spec, key) for key in groups}
+        compared = {key for key, base in bases.items() if base != key and base in groups}
+        groups = {key: group for key, group in groups.items() if key in compared | {bases[one] for one in compared}}
+        if not groups:
+            return None
+    rows: list[Row] = []
+    found: dict[tuple, dict[tuple, list[Difference | None]]] = {}  # key without scene -> key -> its differences
+    for key, group in groups.items():
+        cells = {name: text(str(value)) for name, value in zip(spec.rows, key)}
+        cells |= {"seeds": number(len(group), 0)} | {one.column: one.cell(group) for one in columns}
+        if differences:
+            base_key = _baseline(spec, key)
+            base = groups.get(base_key)
+            values = [None if base is None else one.difference(group, base) for one in differences]
+            cells |= _difference_cells(spec, differences, values, key == base_key, base is None)
+            if key != base_key and base is not None:
+                found.setdefault(_without_scene(spec, key), {})[key] = values
+        rows.append(Row(cells))
+    if spec.across_scenes:
+        rows += _means_over_scenes(spec, columns, differences, groups, found)
+    return Table(
+        spec.slug,
+        spec.title,
+        _columns(spec, columns, differences),
+        tuple(rows),
+        notes=_notes(runs, [*columns, *differences], bool(differences), spec.notes),
+        over_seeds="run" not in spec.rows,
+        section=spec.section,
+    )
+
+
+def _groups(runs: pd.DataFrame, names: Sequence[str]) -> Iterator[tuple[tuple, pd.DataFrame]]:
+    """(values of `names`, runs) in the order of the report; the unchanged runs come first."""
+    order: dict[str, Callable[[Any], list[str]]] = {"scene_label": scenes.in_order, "model": scenes.models_in_order}
+    places = {name: {value: i for i, value in enumerate(order[name](runs[name]))} for name in names if name in order}
+
+    def place(item: tuple[tuple, pd.DataFrame]) -> list:
+        return [
+            places[name][value] if name in places else (value != UNCHANGED, value)
+            for name, value in zip(names, item[0])
+        ]
+
+    yield from sorted(runs.groupby(list(names), sort=False), key=place)
+
+
+def _columns(spec: RunTable, columns: Sequence[Shown], differences: Sequence[Shown]) -> tuple[Column, ...]:
+    heads = [Column(name, HEADERS.get(name, name), False, fold=name in FOLDED) for name in spec.rows]
+    if columns and "run" not in spec.rows:
+        heads.append(Column("seeds", "Seeds", fold=True))
+    baseline = ", ".join(spec.against.values())
+    compared = []
+    for i, one in enumerate(differences):
+        header = f"this − {baseline}, {one.title}" if baseline != UNCHANGED else f"Change of {one.title}"
+        compared.append(Column(f"{one.column}.difference", header, group="difference", error="2se"))
+        if i < spec.verdicts:
+            compared.append(Column(f"{one.column}.verdict", "Verdict", False, group="difference"))
+    values = [Column(one.column, one.header, group=one.metric.group) for one in columns]
+    return (*heads, *values, *compared)
+
+
+def _difference_cells(
+    spec: RunTable, differences: Sequence[Shown], values: Sequence[Difference | None], is_baseline: bool, alone: bool
+) -> dict[str, Cell]:
+    cells: dict[str, Cell] = {}
+    for one, value in zip(differences, values):
+        name, word = f"{one.column}.difference", f"{one.column}.verdict"
+        if is_baseline or value is None:
+            missing = f"no run of {', '.join(spec.against.values())}" if alone else "not measured"
+            cells |= {name: NOTHING, word: NOTHING if is_baseline else text(missing)}
+        else:
+            cells |= {name: signed(value, one.metric.decimals), word: text(value.verdict(one.metric.better))}
+    return cells
+
+
+def _baseline(spec: RunTable, key: tuple) -> tuple:
+    return tuple(spec.against.get(name, value) for name, value in zip(spec.rows, key))
+
+
+def _without_scene(spec: RunTable, key: tuple) -> tuple:
+    return tuple(value for name, value in zip(spec.rows, key) if name != "scene_label")
+
+
+def _means_over_scenes(
+    spec: RunTable,
+    columns: Sequence[Shown],
+    differences: Sequence[Shown],
+    groups: Mapping[tuple, pd.DataFrame],
+    found: Mapping[tuple, Mapping[tuple, list[Difference | None]]],
+) -> list[Row]:
+    """A row for each change that several scenes have: means over them, of the differences with propagated error."""
+    rows = []
+    for rest, by_scene in found.items():
+        if len(by_scene) < 2:
+            continue
+        names = iter(rest)
+        cells = {
+            name: text(f"mean of {len(by_scene)}" if name == "scene_label" else str(next(names))) for name in spec.rows
+        }
+        every = pd.concat([groups[key] for key in by_scene])
+        means = [
+            mean_difference(known) if (known := [value for value in column if value is not None]) else None
+            for column in zip(*by_scene.values())
+        ]
+        cells |= {"seeds": NO_RUN} | {one.column: one.cell(every) for one in columns}
+        rows.append(Row(cells | _difference_cells(spec, differences, means, False, False)))
+    return rows
+
+
+def _notes(
+    runs: pd.DataFrame, columns: Sequence[Shown], with_verdict: bool, more: Sequence[str]
+) -> tuple[tuple[str, str], ...]:
+    """Definitions of the metrics, protocol, verdict, why numbers are missing, held-out views, and `more`."""
+    notes = [FORMULA] if with_verdict else []
+    notes += [PROTOCOL_NOTE] if any(one.protocol == BEST for one in columns) else []
+    notes += [one.metric.note for one in columns if one.metric.note]
+    notes += missing_notes(runs, [one.key for one in columns])
+    splits = runs[["scene", "test_split"]].drop_duplicates().to_dict("records") if columns else []
+    notes += [f"{row['scene']}: held out {row['test_split']}." for row in splits if row["test_split"]]
+    return tuple(("", note) for note in dict.fromkeys((*notes, *more)))
+
+
+def missing_notes(runs: pd.DataFrame, keys: Sequence[str]) -> list[str]:
+    """Why LPIPS or MS-SSIM is missing, as the runs record it, where `keys` has such a metric."""
+    wanted = {"lpips_note": "LPIPS", "ms_ssim_note": "MS-SSIM"}
+    return [
+        note if note.startswith(name) else f"{name}: {note}"
+        for column, name in wanted.items()
+        if any(key.startswith(column.split("_note")[0]) for key in keys)
+        for note in sorted(set(runs[column]))
+        if note
+    ]

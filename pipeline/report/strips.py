@@ -1,0 +1,159 @@
+"""Image strips, render | truth | difference, and for driving logs depth, from the images in a run's renders/ folder.
+
+Per scene one recipe: the one with the best mean final PSNR of `full`. Shown are the median and the worst view of `full`
+and, where the dynamic region is known, the view with the largest, as in moving_picture.py; of the ablation that the
+scene was made for the same median view, and that of motion. Other models are compared in tables.
+"""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from pathlib import Path
+
+import pandas as pd
+from PIL import Image
+
+from datasets.files.errors import clear
+from pipeline.report import scenes
+from pipeline.report.curve_figures import file_name
+from pipeline.report.moving_picture import PARTS as MOVING_PARTS
+from pipeline.report.moving_picture import moving_count, moving_parts
+from pipeline.report.runs import UNCHANGED, read_view_psnr
+
+PARTS = ("render", "truth", "difference")
+DEPTH = "rendered_depth"  # a fourth part, of driving logs
+MOTION = "most motion"  # the choice of a view
+_MAX_SIDE = 512  # pixels of a view, to limit the size of the page
+_GAP = 6  # pixels between the parts
+_QUALITY = 90  # of WebP; the exact images are in the run's renders/
+DIFFERENCE_GAIN = 4  # of the difference images that pipeline/evaluation/pictures/view_pictures.py writes
+
+
+@dataclass(frozen=True)
+class Strip:
+    """One view of one run; `webp` has the pictures of `parts` side by side."""
+
+    scene: str
+    model: str
+    recipe_label: str
+    seed: int
+    view: str
+    choice: str  # median | worst | example | MOTION: how the view was chosen
+    chosen_for: str  # the model by whose PSNR it was chosen
+    psnr: float | None  # of this view, dB
+    webp: bytes
+    viewer: Path | None = None  # the run's viewer.html
+    with_depth: bool = False
+
+    @property
+    def choice_text(self) -> str:
+        """How the view was chosen, such as `median of full`."""
+        same = self.chosen_for == self.model or self.choice == MOTION
+        return self.choice if same else f"{self.choice} of {self.chosen_for}"
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """What is side by side."""
+        if self.choice == MOTION:
+            return MOVING_PARTS
+        return ("render", "truth", f"difference × {DIFFERENCE_GAIN}", *(("depth",) if self.with_depth else ()))
+
+    @property
+    def filename(self) -> str:
+        """Unique among strips and valid in any file system."""
+        return webp_name(self.scene, self.model, self.recipe_label, f"seed{self.seed}", self.choice, self.view)
+
+
+def make_strips(runs: pd.DataFrame, no_pictures: tuple[str, ...] = ()) -> tuple[list[Strip], list[str]]:
+    """Strips in the order of the report, and a warning for each image that could not be read.
+
+    no_pictures: scenes (dnerf/lego) or families (dnerf) without strips; a warning names them.
+    """
+    strips: list[Strip] = []
+    warnings: list[str] = []
+    for scene in scenes.in_order(runs["scene"]):
+        if scenes.is_excluded(scene, no_pictures):
+            warnings.append(f"{scene}: no pictures, as requested by --no-pictures")
+            continue
+        of_scene = runs[runs["scene"] == scene]
+        recipe, model = shown_experiment(of_scene)
+        of_recipe = of_scene[of_scene["recipe_label"] == recipe].sort_values("seed", kind="stable")
+        first = of_recipe[of_recipe["model"] == model].iloc[0]
+        views = choose_views(first["folder"] / "renders", read_view_psnr(first["folder"] / "per_image.csv"))
+        wanted = [(first, *view) for view in views]
+        made_for = [made.ablation for made in scenes.MADE_FOR if made.scene == scene and model == scenes.FULL]
+        for _, ablated in of_recipe[of_recipe["model"].isin(made_for)].groupby("model"):
+            compared = [view for number, view in enumerate(views) if number == 0 or view[0] == MOTION]
+            wanted += [(ablated.iloc[0], *view) for view in compared]
+        for run, choice, view in wanted:
+            try:
+                strips.append(_strip(run, choice, view, model))
+            except Exception as error:  # PIL raises many types for damaged files
+                warnings.append(f"{run['run']}: no strip of {clear(view)}: {clear(error)}")
+    return strips, warnings
+
+
+def shown_experiment(runs: pd.DataFrame) -> tuple[str, str]:
+    """(recipe, model) of one scene with the best mean final PSNR of `full`.
+
+    Changed recipes only where there are no other runs. Without `full`: of the first model.
+    """
+    unchanged = runs[runs["change"] == UNCHANGED]
+    runs = runs if unchanged.empty else unchanged
+    full = runs[runs["model"] == scenes.FULL]
+    if full.empty:
+        full = runs[runs["model"] == scenes.models_in_order(runs["model"])[0]]
+    return full.groupby(["recipe_label", "model"], sort=True)["final.psnr"].mean().idxmax()
+
+
+def _strip(run: pd.Series, choice: str, view: str, chosen_for: str) -> Strip:
+    """Raises whatever PIL raises for missing and damaged images."""
+    folder = Path(run["folder"])
+    parts: tuple[str, ...] = PARTS
+    if choice == MOTION:
+        webp = compose(moving_parts(folder / "renders", view))
+    else:
+        parts = (*PARTS, DEPTH) if (folder / "renders" / f"{view}_{DEPTH}.png").is_file() else PARTS
+        webp = compose([opened(folder / "renders" / f"{view}_{part}.png") for part in parts])
+    psnr = read_view_psnr(folder / "per_image.csv").get(view)
+    viewer = folder / "viewer.html" if (folder / "viewer.html").is_file() else None
+    which = run["scene"], run["model"], run["recipe_label"], int(run["seed"])
+    return Strip(*which, view, choice, chosen_for, psnr, webp, viewer, choice != MOTION and DEPTH in parts)
+
+
+def webp_name(*parts: str) -> str:
+    """The parts joined to a file name that is valid in any file system."""
+    return file_name("__".join(parts)) + ".webp"
+
+
+def choose_views(renders: Path, psnr_of: dict[str, float]) -> list[tuple[str, str]]:
+    """(choice, view) of median and worst PSNR, and of most motion where it is known; without PSNRs the middle view by
+    name; [] without images."""
+    views = sorted(p.name.removesuffix("_render.png") for p in renders.glob("*_render.png"))
+    moving = {view: moving_count(renders, view) for view in views}
+    motion = [(MOTION, max(views, key=moving.__getitem__))] if any(moving.values()) else []
+    known = sorted((psnr_of[v], v) for v in views if v in psnr_of)
+    if not known:
+        return [("example", views[len(views) // 2]), *motion] if views else []
+    median, worst = known[len(known) // 2][1], known[0][1]
+    return [("median", median)] + ([("worst", worst)] if worst != median else []) + motion
+
+
+def opened(path: Path) -> Image.Image:
+    """An image in RGB. Raises whatever PIL raises for missing and damaged images."""
+    with Image.open(path) as image:
+        return image.convert("RGB")
+
+
+def compose(images: list[Image.Image], max_side: int = _MAX_SIDE) -> bytes:
+    """The images side by side as WebP, with transparent gaps; images larger than `max_side` pixels are scaled down."""
+    scale = min(1.0, max_side / max(images[0].size))
+    size = (max(1, round(images[0].width * scale)), max(1, round(images[0].height * scale)))
+    strip = Image.new("RGBA", (len(images) * size[0] + (len(images) - 1) * _GAP, size[1]), (0, 0, 0, 0))
+    for i, full_size in enumerate(images):
+        scaled = full_size if full_size.size == size else full_size.resize(size, Image.Resampling.LANCZOS)
+        strip.paste(scaled, (i * (size[0] + _GAP), 0))
+    buffer = io.BytesIO()
+    strip.save(buffer, "WEBP", quality=_QUALITY)
+    return buffer.getvalue()

@@ -1,1 +1,0 @@
-"""Plots, image strips and files of the report: Markdown, terminal text, HTML."""
