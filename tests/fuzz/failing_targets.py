@@ -26,6 +26,10 @@ def is_invalid(content: bytes) -> bool:
     return any(byte > 127 for byte in content)
 
 
+def accepts(folder: Path) -> str:
+    return VALID
+
+
 def raises(folder: Path) -> str:
     if is_invalid((folder / "file").read_bytes()):
         raise ZeroDivisionError
@@ -44,6 +48,7 @@ def hangs(folder: Path) -> str:
     return VALID
 
 
+NEVER_FAILS = Target("accepts", "no error", example, changes, accepts)
 RAISES = Target("raises", "another exception", example, changes, raises)
 CRASHES = Target("crashes", "a crash", example, changes, crashes)
 HANGS = Target("hangs", "a hang", example, changes, hangs, limit=1.0)

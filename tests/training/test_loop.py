@@ -169,7 +169,7 @@ def test_training_in_velocities_learns_resumes_and_ends_in_rotations(tmp_path, m
 @pytest.mark.parametrize("background_model", ["none", "sphere", "envmap"])
 def test_resuming_after_sigkill(tmp_path, background_model: str) -> None:
     """A child process is killed at a random time; this process continues from its files."""
-    iterations, delay = 300, float(np.random.default_rng().uniform(0, 0.5))
+    iterations, delay = 150, float(np.random.default_rng().uniform(0, 0.25))
     file = tmp_path / "killed" / checkpoint.FILE_NAME
     process = FORKING.Process(target=train_in_process, args=(tmp_path / "killed", iterations, background_model))
     process.start()

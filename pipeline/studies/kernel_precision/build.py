@@ -31,15 +31,18 @@ class BuildError(OSError):
     """A kernel could not be built. One line that names the cause."""
 
 
-def load_variants(variants: Sequence[Variant], folder: Path = SOURCE / "build") -> dict[str, ModuleType]:
-    """The kernel of each variant by its name, for the instruction set of this process.
+def load_variants(
+    variants: Sequence[Variant], folder: Path = SOURCE / "build", flags: Sequence[str] = ()
+) -> dict[str, ModuleType]:
+    """The kernel of each variant by its name, for the instruction set of this process. flags: further ones for the
+    compiler.
 
     BuildError where CMake or a compiler is missing or fails.
     """
     own = [variant for variant in variants if variant.is_built]
     others = {variant.name: kernel for variant in variants if variant not in own}
     if own:
-        _build(own, folder)
+        _build(own, folder, flags)
     suffix = sysconfig.get_config_var("EXT_SUFFIX")
     loaded = {variant.name: load_kernel_at(folder / "variants" / f"{_module(variant)}{suffix}") for variant in own}
     for variant in own:
@@ -58,13 +61,13 @@ def _isa() -> str:
     return kernel.__name__.rsplit("_", 1)[1]
 
 
-def _build(variants: Sequence[Variant], folder: Path) -> None:
+def _build(variants: Sequence[Variant], folder: Path, flags: Sequence[str]) -> None:
     tools = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
     cmake = shutil.which("cmake", path=tools)
     if cmake is None:
         raise BuildError("kernel_precision: expected cmake on the path to build kernels, found none: run make first")
     environment = os.environ | {"PATH": tools}
-    described = ";".join("|".join([_module(v), _isa(), *v.choices.definitions()]) for v in variants)
+    described = ";".join("|".join([_module(v), _isa(), *v.choices.flags(), *flags]) for v in variants)
     configure = [cmake, "-S", str(SOURCE), "-B", str(folder), f"-DRASTERIZER_VARIANTS={described}"]
     if not (folder / "CMakeCache.txt").exists():  # not configured by `make` yet: the definitions of scikit-build-core
         import nanobind

@@ -23,11 +23,11 @@ class NumericalChoices:
     float64: bool = False
     sh_type: str = "scalar"  # type of stored SH coefficients; scalar: the type of everything else
 
-    def definitions(self) -> list[str]:
-        """MACRO=value (rasterizer/src/numerical_choices.hpp) of each choice that differs from the default."""
+    def flags(self) -> list[str]:
+        """-DMACRO=value (rasterizer/src/numerical_choices.hpp) of each choice that differs from the default."""
         values, default = asdict(self), asdict(NumericalChoices())
         changed = {name: value for name, value in values.items() if value != default[name]}
-        return [f"RASTERIZER_{name.upper()}={_in_cpp(value)}" for name, value in changed.items()]
+        return [f"-DRASTERIZER_{name.upper()}={_in_cpp(value)}" for name, value in changed.items()]
 
     def thresholds(self) -> Thresholds:
         """The same thresholds for the reference implementation."""
