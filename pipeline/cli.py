@@ -23,7 +23,7 @@ from pipeline.config.compose import CONFIG_DIR, one_line, options, quote_paths, 
 from pipeline.config.scene_overrides import without_given
 from pipeline.config.schema import Config
 from pipeline.terminal import interruption, sweep_progress
-from pipeline.terminal.closed_pipe import quiet_on_closed_pipe
+from pipeline.terminal.command_line import quiet_on_closed_pipe
 from pipeline.terminal.help_page import help_page
 from pipeline.terminal.sweep_progress import SweepRun
 from pipeline.terminal.sweeper import register_sweeper

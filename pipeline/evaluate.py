@@ -8,7 +8,6 @@ those of the run, if its canonical.json is beside them.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from pathlib import Path
 
@@ -40,9 +39,7 @@ from rasterizer.cores import thread_count
 
 @command
 def main(arguments: list[str]) -> int:
-    parser = CommandParser(
-        prog="python -m pipeline.evaluate", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = CommandParser("evaluate", __doc__)
     parser.add_argument("model", type=Path, metavar="MODEL", help="a run folder or a file of a model")
     parser.add_argument("keys", nargs="+", metavar="KEY=VALUE", help="scene=…, and any other key")
     parser.add_argument("--out", type=Path, metavar="DIR", help="default: results/evaluated/SCENE/MODEL")

@@ -139,9 +139,7 @@ def render_path(
 
 
 def _parser() -> CommandParser:
-    parser = CommandParser(
-        prog="python -m pipeline.render", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = CommandParser("render", __doc__)
     parser.add_argument("run", type=Path, metavar="RUN", help="folder of a finished run")
     parser.add_argument("--path", default=ORBIT, metavar="orbit|FILE", help="of the camera (default: %(default)s)")
     parser.add_argument("--times", type=Times.parse, metavar="T | T0:T1 | T,T,…", help="default: all of the scene's")

@@ -57,12 +57,7 @@ def _times(wanted: list[float] | None, source: Source) -> list[float]:
 
 
 def _parser() -> CommandParser:
-    parser = CommandParser(
-        prog="python -m pipeline.export",
-        description=__doc__,
-        epilog=_table(),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = CommandParser("export", __doc__, epilog=_table())
     parser.add_argument("model", type=Path, metavar="MODEL", help="a run folder, or a file of a model")
     parser.add_argument("formats", nargs="+", choices=FORMATS, metavar="FORMAT", help=", ".join(FORMATS))
     parser.add_argument(

@@ -11,7 +11,6 @@ figures.md      all of them; `python -m pipeline.report` shows them too
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -37,9 +36,7 @@ FILM_FRAMES = 5  # of its strip, of each turn
 
 @command
 def main(arguments: list[str]) -> int:
-    parser = CommandParser(
-        prog="python -m pipeline.figures", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = CommandParser("figures", __doc__)
     parser.add_argument("run", type=Path, metavar="RUN", help="folder of a finished run")
     parser.add_argument("--out", type=Path, metavar="DIR", help="default: RUN/figures")
     options = parser.parse_args(arguments)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from pathlib import Path
 
 from pipeline.report.build import build_report
 from pipeline.report.output_folder import replace_report
-from pipeline.terminal.closed_pipe import quiet_on_closed_pipe
+from pipeline.terminal.command_line import CommandParser, command
 
 _DESCRIPTION = """\
 Compares finished runs and writes into DIR:
@@ -23,33 +22,22 @@ A new report replaces the files of the previous one in DIR and no others."""
 _EXIT_STATUS = "Exit status: 0, also if some runs can't be read (they are named on stderr); 1 if no run can be read."
 
 
-@quiet_on_closed_pipe()
-def main(arguments: list[str] | None = None) -> int:
+@command
+def main(arguments: list[str]) -> int:
     """Runs the command and returns its exit status. All files are written before anything is printed."""
     options = _parser().parse_args(arguments)
     out = options.out or options.runs_dir.resolve().parent / "report"
-    try:
-        report = build_report(options.runs_dir, tuple(options.no_pictures), tuple(options.psnr), options.latex, out)
-        replace_report(out, report.files)
-        for line in report.warnings:
-            print(f"warning: {line}", file=sys.stderr)
-        print(report.terminal)
-        print(f"Page: {out / 'report.html'}   tables: {out / 'tables'}   plots: {out / 'plots'}", flush=True)
-    except BrokenPipeError:
-        raise
-    except (ValueError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
+    report = build_report(options.runs_dir, tuple(options.no_pictures), tuple(options.psnr), options.latex, out)
+    replace_report(out, report.files)
+    for line in report.warnings:
+        print(f"warning: {line}", file=sys.stderr)
+    print(report.terminal)
+    print(f"Page: {out / 'report.html'}   tables: {out / 'tables'}   plots: {out / 'plots'}", flush=True)
     return 0
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="python -m pipeline.report",
-        description=_DESCRIPTION,
-        epilog=_EXIT_STATUS,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def _parser() -> CommandParser:
+    parser = CommandParser("report", _DESCRIPTION, _EXIT_STATUS)
     parser.add_argument("runs_dir", type=Path, metavar="RUNS_DIR", help="folder with run folders, at any depth")
     parser.add_argument("--out", type=Path, metavar="DIR", help="output folder (default: RUNS_DIR/../report)")
     parser.add_argument("--latex", action="store_true", help="write each table as .tex too (needs booktabs)")

@@ -22,7 +22,7 @@ class StudyParser(CommandParser):
     """Parser of `python -m pipeline.studies.<name>`; its description is the first line of `doc`."""
 
     def __init__(self, name: str, doc: str) -> None:
-        super().__init__(prog=f"python -m pipeline.studies.{name}", description=doc.splitlines()[0])
+        super().__init__(f"studies.{name}", doc.splitlines()[0])
         out = Path("results") / name
         self.add_argument(
             "--out", type=Path, default=out, metavar="DIR", help=f"folder of the results (default: {out})"

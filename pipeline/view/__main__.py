@@ -6,7 +6,6 @@ side, in step. With --live the page of one run that is being trained is served i
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from pathlib import Path
@@ -22,9 +21,7 @@ from pipeline.view.viewer import FILE_NAME, Shown, write_viewer
 
 @command
 def main(arguments: list[str]) -> int:
-    parser = CommandParser(
-        prog="python -m pipeline.view", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = CommandParser("view", __doc__)
     add = parser.add_argument
     add("runs", type=Path, nargs="+", metavar="RUN", help="folder of a trained run")
     add("--out", type=Path, metavar="FILE", help=f"default: RUN/{FILE_NAME}; of several runs {FILE_NAME}")

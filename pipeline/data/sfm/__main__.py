@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from dataclasses import fields
 from pathlib import Path
@@ -15,17 +14,16 @@ from pipeline.config.schema import InitConfig
 from pipeline.data.sfm.cache import save
 from pipeline.data.sfm.photograph import Photograph
 from pipeline.data.sfm.run import reconstruct
-from pipeline.terminal.closed_pipe import quiet_on_closed_pipe
+from pipeline.terminal.command_line import CommandParser, command
 
 SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
-@quiet_on_closed_pipe()
-def main(arguments: list[str] | None = None) -> int:
+@command
+def main(arguments: list[str]) -> int:
     """The command; returns the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="python -m pipeline.data.sfm",
-        description="Structure from motion on a folder of photographs: prints a summary, writes points, cameras, plot.",
+    parser = CommandParser(
+        "data.sfm", "Structure from motion on a folder of photographs: prints a summary, writes points, cameras, plot."
     )
     parser.add_argument("folder", type=Path)
     parser.add_argument("--out", type=Path, help="folder to make")
@@ -42,12 +40,8 @@ def main(arguments: list[str] | None = None) -> int:
     folder, out, downscale = (options.pop(name) for name in ("folder", "out", "downscale"))
     if out is not None and out.exists():
         parser.error(f"--out {out}: expected a folder that does not exist")
-    try:
-        photographs = read_photographs(folder, downscale)
-        result = reconstruct(photographs, InitConfig(**options), 1.0, folder)
-    except (ValueError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
+    photographs = read_photographs(folder, downscale)
+    result = reconstruct(photographs, InitConfig(**options), 1.0, folder)
     summary = result.summary()
     print(
         f"{summary['registered']} of {len(photographs)} photographs, {summary['points']} points, mean track length "

@@ -11,7 +11,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 COMMAND = """
 import sys
-from pipeline.terminal.closed_pipe import quiet_on_closed_pipe
+from pipeline.terminal.command_line import quiet_on_closed_pipe
 
 @quiet_on_closed_pipe()
 def main():
