@@ -19,8 +19,7 @@ from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
 from rich.table import Table
 
-from pipeline.config.compose import CONFIG_DIR, one_line, options, quote_paths, register_schema, to_config
-from pipeline.config.scene_overrides import without_given
+from pipeline.config.compose import CONFIG_DIR, Command, one_line, options, quote_paths, register_schema
 from pipeline.config.schema import Config
 from pipeline.terminal import interruption, sweep_progress
 from pipeline.terminal.command_line import quiet_on_closed_pipe
@@ -72,7 +71,8 @@ def run_one(composed: DictConfig) -> bool:
     sweep_progress.current = None
     try:
         sweep_progress.current = sweep = SweepRun.joined(composed.out, composed.train.iterations)
-        cfg = to_config(without_given(composed, job.overrides.task))
+        order = Command(tuple(job.overrides.task))
+        cfg = order.config()
         _hint_at_settings(cfg, job.runtime.choices.get("scene"))
         import torch  # these two late: a typo on the command line need not wait for them
 
@@ -85,11 +85,12 @@ def run_one(composed: DictConfig) -> bool:
 
             print("\n  ".join([f"{_title(cfg)} would take", *estimate(cfg).lines(cfg)]), flush=True)
             return True
-        metrics = run(cfg, job.overrides.task, log=_say if sweep is None else _say_nothing)
+        metrics = run(order, log=_say if sweep is None else _say_nothing)
+        line = _result_line(cfg, metrics) if metrics else f"{_title(cfg)}: {cfg.out} is ready for what comes after"
         if sweep is not None:
-            sweep.finished(_result_line(cfg, metrics))
-        elif job.mode == RunMode.MULTIRUN:
-            _say(_result_line(cfg, metrics))
+            sweep.finished(line)
+        elif metrics is None or job.mode == RunMode.MULTIRUN:
+            _say(line)
         else:
             _report(cfg, metrics)
         return True
@@ -197,13 +198,10 @@ def _say_nothing(text: str) -> None:
 
 
 def _title(cfg: Config, metrics: dict | None = None) -> str:
-    """scene, model, schedule and seed in one line. metrics: of the finished run, for what selection left out."""
-    found = metrics or {}
-    selection = found.get("select_time_colour")
-    model = cfg.ablation.name + (", 4DSH left out" if selection and not selection["kept"] else "")
-    if (motion := found.get("select_motion")) and not motion["dynamic"]:
-        model = "static, as validation found"
-    return f"{cfg.scene.name} · {model} · {cfg.train.name} · seed {cfg.seed}"
+    """Scene, model, schedule and seed in one line. metrics: of the finished run, for what validation decided."""
+    decided = (metrics or {}).get("decided", {})
+    found = " (static, as validation found)" if decided.get("static") else ""
+    return f"{cfg.scene.name} · {cfg.ablation.name}{found} · {cfg.train.name} · seed {cfg.seed}"
 
 
 def _cell(value: float | None) -> str:

@@ -9,10 +9,10 @@ those of the run, if its canonical.json is beside them.
 from __future__ import annotations
 
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
 import torch
-from hydra import compose, initialize_config_dir
 from hydra.errors import HydraException
 from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
@@ -21,16 +21,16 @@ from rich.table import Table
 from datasets.canonical import Canonical
 from datasets.files.atomic_write import write_json
 from datasets.files.errors import read_json
-from pipeline.config.compose import CONFIG_DIR, one_line, quote_paths, register_schema, to_config
+from pipeline.config.compose import Command, one_line, quote_paths
 from pipeline.config.schema import Config
 from pipeline.data.prepare import prepare
 from pipeline.data.prepared import Prepared
 from pipeline.evaluation.evaluate import Evaluation, evaluate_with_images
 from pipeline.model.model import Model
-from pipeline.model.scene_settings import resolved
 from pipeline.model.transformed import in_canonical
 from pipeline.runs.run_folder import now, write_csv
 from pipeline.runs.run_identity import read_config
+from pipeline.stages.settle import for_scene
 from pipeline.terminal.command_line import CommandParser, command, log
 from pipeline.trained.model_file import read_model
 from pipeline.training.checkpoint import FILE_NAME
@@ -44,13 +44,13 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("keys", nargs="+", metavar="KEY=VALUE", help="scene=…, and any other key")
     parser.add_argument("--out", type=Path, metavar="DIR", help="default: results/evaluated/SCENE/MODEL")
     options = parser.parse_intermixed_args(arguments)
-    cfg = _composed(options.keys)
+    order, cfg = _composed(options.keys)
     path = options.model / FILE_NAME if options.model.is_dir() else options.model
     if not path.is_file():  # before what structure from motion may take
         raise ValueError(f"{path}: expected a run folder or a file of a model, found none")
     torch.set_num_threads(1)  # as in a run: views are measured side by side
     data = prepare(cfg, log)
-    cfg = resolved(cfg, data.scene)
+    cfg = for_scene(order, data.scene)
     model = _as_trained(read_model(path, data.canonical), path, cfg, data)
     out = options.out or Path("results") / "evaluated" / cfg.scene.name / name_of(options.model)
     log(f"evaluate: {len(model)} Gaussians of {path} on {len(data.scene.test)} test views of {cfg.scene.name}")
@@ -94,22 +94,20 @@ def _as_trained(model: Model, path: Path, cfg: Config, data: Prepared) -> Model:
     return in_canonical(in_canonical(model, own.inverse), data.canonical)
 
 
-def _composed(keys: list[str]) -> Config:
-    """The configuration of a command's keys. ValueError, one line, where one is wrong."""
-    register_schema()
+def _composed(keys: list[str]) -> tuple[Command, Config]:
+    """A command's keys and their configuration. ValueError, one line, where one is wrong."""
+    order = Command(tuple(quote_paths(keys)))
     try:
-        with initialize_config_dir(version_base="1.3", config_dir=str(CONFIG_DIR)):
-            return to_config(compose("config", overrides=quote_paths(keys)))
+        return order, order.config()
     except (HydraException, OmegaConfBaseException) as error:
         raise ValueError(one_line(error)) from None
 
 
 def _metrics(cfg: Config, path: Path, model: Model, found: Evaluation) -> dict:
-    kind = model.kind
     return {
         "scene": cfg.scene.name,
         "model_file": str(path),
-        "model": {"motion": kind.motion, "fourier_order": kind.fourier_order, "sh_degree": kind.sh_degree},
+        "kind": asdict(model.kind),
         "date": now(),
         "final": found.metrics,
         "n_gaussians": len(model),

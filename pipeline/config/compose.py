@@ -1,4 +1,4 @@
-"""Between Hydra and the schema: registers it, turns a composed config into dataclasses, and errors into one line."""
+"""Between Hydra and the schema: registers it, composes a command's configuration, and turns errors into one line."""
 
 from __future__ import annotations
 
@@ -7,22 +7,54 @@ import os
 import re
 import shlex
 from collections.abc import Iterator
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any, get_type_hints
 
+from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
+from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 
 from datasets.files.errors import clear
-from pipeline.config.renamed_keys import REMOVED, renamed_key
-from pipeline.config.scene_overrides import GROUPS, with_overrides
 from pipeline.config.schema import Config
 
 PATH_KEYS = ("scene.path", "scene.cache", "out")
 CONFIG_DIR = Path(__file__).resolve().parents[2] / "conf"
+_PRESET = ("scene", "train", "ablation")  # the choices that make a run's preset
+
+
+@dataclass(frozen=True)
+class Command:
+    """The overrides of a command line, `key=value`: they compose a configuration for each kind of scene."""
+
+    overrides: tuple[str, ...]
+
+    def config(self, capture: str | None = None) -> Config:
+        """The configuration where the scene is of this kind (conf/capture); None: where that is not known yet.
+
+        Raises what Hydra, OmegaConf and the schema raise.
+        """
+        return to_config(_composed([*self.overrides, *self._of_kind(capture)]))
+
+    def preset(self, capture: str | None = None) -> Config:
+        """The same with nothing but the choices of scene, schedule and ablation: what else differs, the command set."""
+        choices = _composed([*self.overrides, *self._of_kind(capture)], with_choices=True).hydra.runtime.choices
+        return to_config(_composed([*(f"{key}={choices[key]}" for key in _PRESET), *self._of_kind(capture)]))
+
+    def _of_kind(self, capture: str | None) -> list[str]:
+        given = any(override.startswith("capture=") for override in self.overrides)
+        return [] if capture is None or given else [f"capture={capture}"]
+
+
+def _composed(overrides: list[str], with_choices: bool = False) -> DictConfig:
+    register_schema()
+    if GlobalHydra.instance().is_initialized():  # within a run of Hydra's
+        return compose("config", overrides, return_hydra_config=with_choices)
+    with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
+        return compose("config", overrides, return_hydra_config=with_choices)
 
 
 def register_schema() -> None:
@@ -43,14 +75,12 @@ def named_after_folder(family: str, path: str | None) -> str:
 
 def to_config(composed: DictConfig) -> Config:
     """The typed configuration of a run. ValueError, one line, where a key is unknown or a value out of range."""
-    known = set(known_keys()) | _override_keys()
+    known = set(known_keys())
     tree: Any = OmegaConf.to_container(composed, resolve=False)
     for key in _keys_of(tree):
         if key not in known:  # `+key=value` on the command line gets past Hydra's own check
             raise ValueError(_unknown_key(key))
     cfg: Any = OmegaConf.to_object(composed)
-    for group in GROUPS:  # wrong overrides are refused on any scene, not on the first of its kind
-        with_overrides(cfg, group)
     return cfg
 
 
@@ -70,12 +100,6 @@ def known_keys(schema: type = Config, prefix: str = "") -> list[str]:
         if is_dataclass(hints[f.name]):
             keys += known_keys(hints[f.name], f"{prefix}{f.name}.")
     return keys
-
-
-def _override_keys() -> set[str]:
-    """The overrides of a kind of scene hold keys of `train`, but no overrides."""
-    keys = [key.removeprefix("train.") for key in known_keys() if key.startswith("train.")]
-    return {f"train.{group}.{key}" for group in GROUPS for key in keys if key not in GROUPS}
 
 
 def one_line(error: BaseException) -> str:
@@ -167,13 +191,6 @@ def _there_are(group: str) -> str:
 
 
 def _unknown_key(key: str) -> str:
-    new = renamed_key(key)
-    if new in REMOVED:
-        return f"{key}: was removed; no study showed a use for it"
-    if new != key:
-        return f"{key}: is called {new} now"
-    if key in _override_keys():
-        return f"{key}: not among this schedule's differences; add it as +{key}=..."
     siblings = [known for known in known_keys() if known.count(".") == key.count(".")]
     close = difflib.get_close_matches(key, siblings, n=1)
     return f"{key}: no such key" + (

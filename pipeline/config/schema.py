@@ -8,7 +8,7 @@ part of the scene is in datasets/settings.py, that of the schedule in train_sche
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Optional
+from typing import Any, Optional
 
 from datasets.settings import BACKGROUND_MODELS, SceneConfig, require
 from pipeline.config.ranges import above, at_least, between, check, one_of, positive_count
@@ -101,6 +101,8 @@ class Config:
     estimate: bool = False  # print what time, memory and disk the run will need, and stop
     out: str = "results/runs/${scene.name}/${ablation.name}/${train.name}/seed${seed}"  # the run folder
     resume: bool = True  # continue an interrupted run; false: start over
+    until: Optional[str] = None  # the last stage to do: prepare | settle | init | train | evaluate | page
+    only: Any = field(default_factory=list)  # the stages to do, of a run that has done those before them; empty: all
     view: bool = False  # serve a page that shows the model while it is trained (docs/viewer.md)
     view_at: str = "127.0.0.1:8080"  # where; the next free port if it is taken. Other hosts can be reached by others
 

@@ -6,7 +6,7 @@ The defaults are `train=paper`; the files under conf/train/ hold differences fro
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
-from typing import Any, Optional
+from typing import Optional
 
 from datasets.settings import BACKGROUND_MODELS, require
 from pipeline.config.ranges import ASCENDING_PAIR, Range, above, at_least, between, check, one_of, positive_count
@@ -186,10 +186,10 @@ class TrainConfig:
     sh_degree_every: int = 1000  # iterations between increases of the SH degree, up to 3; 0: 3 from the start
     # Iterations from which Fourier order 1 and 2 are trained; empty: from the start
     fourier_at: list[int] = field(default_factory=lambda: [4000, 5000])
-    # Selection of time-varying colour by validation (pipeline/training/selection/): two trainings, each this fraction
+    # Selection of time-varying colour by validation (pipeline/stages/decide.py): two trainings, each this fraction
     # of the schedule. 0: none, time-varying colour is kept. Without effect under a time budget
     select_time_colour: float = 0.0
-    # Static or dynamic by validation, for one moving camera (pipeline/training/selection/motion.py): two trainings,
+    # Static or dynamic by validation, for one moving camera (pipeline/stages/decide.py): two trainings,
     # each this fraction of the schedule. 0: none, dynamic where the views have times. Without effect under a time
     # budget
     select_motion: float = 0.0
@@ -200,13 +200,6 @@ class TrainConfig:
     init_box: Optional[list[float]] = None  # [low, high] of their cube, canonical units; None: the scene's
     lr: LearningRates = field(default_factory=LearningRates)
     densify: DensifyConfig = field(default_factory=DensifyConfig)
-    # Keys of `train` with other values for a static scene (pipeline/config/scene_overrides.py); null once resolved,
-    # unless select_motion has still to decide
-    static_overrides: Optional[dict[str, Any]] = field(default_factory=dict)
-    # Likewise for a moving scene with two training views or more of each time, on average; null once resolved
-    multi_view_overrides: Optional[dict[str, Any]] = field(default_factory=dict)
-    # Likewise for a moving scene that is the video of one camera; null once resolved
-    clip_overrides: Optional[dict[str, Any]] = field(default_factory=dict)
     eval_every: int = 500  # iterations between evaluations on held-out views
     eval_views: int = 30  # held-out views of such an evaluation, evenly spread; the final evaluation takes all
     checkpoint_every: int = 1000  # iterations between checkpoints

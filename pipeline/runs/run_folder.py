@@ -17,17 +17,18 @@ import json
 import os
 import shutil
 import sys
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from omegaconf import OmegaConf
 
 from datasets.files.atomic_write import disk_errors_named, write_json, write_text
-from pipeline.runs.run_identity import FILES, UNFINISHED, Resolve, read_stages, refuse_foreign, refuse_other_run
+from pipeline.runs.run_identity import FILES, UNFINISHED, read_stages, refuse_foreign, refuse_other_run
 
 CURVE_COLUMNS = ("train_seconds", "iteration", "psnr", "ssim", "test_loss", "n_gaussians", "psnr_moving")
-OLD_CURVE_COLUMNS = CURVE_COLUMNS[:-1]  # up to version 0.1
+State = Literal["open", "done", "other code"]  # of a stage
 
 
 def write_csv(path: Path, rows: list[dict]) -> None:
@@ -39,32 +40,39 @@ def write_csv(path: Path, rows: list[dict]) -> None:
     write_text(path, text.getvalue())
 
 
+def _file(name: str) -> Any:
+    return property(lambda folder: folder.path / name)
+
+
 class RunFolder:
     """An open run folder; a context manager that keeps other processes out until it is closed."""
 
-    def __init__(self, path: Path, config: dict, resume: bool = True, resolve: Resolve = dict) -> None:
-        """Open `path` for the run `config` (resolved, as plain dicts), making the folder if need be.
+    config = _file("config.yaml")
+    provenance = _file("environment.json")
+    sfm = _file("sfm.json")
+    sfm_picture = _file("sfm.png")
+    canonical = _file("canonical.json")
+    init_ply = _file("init.ply")
+    checkpoint = _file("checkpoint.safetensors")
+    curve = _file("error_vs_time.csv")
+    log_file = _file("log.jsonl")
+    metrics = _file("metrics.json")
+    per_image = _file("per_image.csv")
+    renders = _file("renders")
+    viewer = _file("viewer.html")
 
-        resume=False first deletes what an earlier run left there. resolve: fills in what the data decide in the
-        config.yaml of a run from before it was written resolved. ValueError if the folder is not a run folder, holds
-        another run, or is in use; then nothing there has changed.
+    def __init__(self, path: Path, resume: bool = True) -> None:
+        """Open `path`, making the folder if need be. resume=False first deletes what an earlier run left there.
+
+        ValueError if the folder is not a run folder, or is in use; then nothing there has changed.
         """
         refuse_foreign(path)
         with disk_errors_named(path):
             path.mkdir(parents=True, exist_ok=True)
         self.path = path
         self._lock = _locked(path)
-        try:
-            if resume:
-                refuse_other_run(path, config, resolve)
-            else:
-                self._clear()
-            for name in UNFINISHED:
-                (path / name).unlink(missing_ok=True)
-        except BaseException:
-            self._lock.close()
-            raise
-        write_text(self.config, OmegaConf.to_yaml(OmegaConf.create(config)))
+        for name in UNFINISHED if resume else FILES + UNFINISHED:
+            _remove(path / name)
 
     def __enter__(self) -> RunFolder:
         return self
@@ -72,57 +80,13 @@ class RunFolder:
     def __exit__(self, *exception: Any) -> None:
         self._lock.close()
 
-    @property
-    def config(self) -> Path:
-        return self.path / "config.yaml"
+    def claim(self, config: dict) -> None:
+        """Make the folder that of the run `config`, as plain dicts. ValueError if it holds another run."""
+        refuse_other_run(self.path, config)
+        self.write_config(config)
 
-    @property
-    def provenance(self) -> Path:
-        return self.path / "environment.json"
-
-    @property
-    def sfm(self) -> Path:
-        return self.path / "sfm.json"
-
-    @property
-    def sfm_picture(self) -> Path:
-        return self.path / "sfm.png"
-
-    @property
-    def canonical(self) -> Path:
-        return self.path / "canonical.json"
-
-    @property
-    def init_ply(self) -> Path:
-        return self.path / "init.ply"
-
-    @property
-    def checkpoint(self) -> Path:
-        return self.path / "checkpoint.safetensors"
-
-    @property
-    def curve(self) -> Path:
-        return self.path / "error_vs_time.csv"
-
-    @property
-    def log_file(self) -> Path:
-        return self.path / "log.jsonl"
-
-    @property
-    def metrics(self) -> Path:
-        return self.path / "metrics.json"
-
-    @property
-    def per_image(self) -> Path:
-        return self.path / "per_image.csv"
-
-    @property
-    def renders(self) -> Path:
-        return self.path / "renders"
-
-    @property
-    def viewer(self) -> Path:
-        return self.path / "viewer.html"
+    def write_config(self, config: dict) -> None:
+        write_text(self.config, OmegaConf.to_yaml(OmegaConf.create(config)))
 
     # What grows while a run goes on.
 
@@ -143,9 +107,7 @@ class RunFolder:
             rows = [row for row in self.log_rows() if _iteration_of(row.get("iteration", 0)) <= iteration]
             write_text(self.log_file, "".join(json.dumps(row) + "\n" for row in rows))
         if self.curve.exists():
-            header, *lines = self.curve.read_text(errors="replace").splitlines() or [""]
-            if header == ",".join(OLD_CURVE_COLUMNS):
-                lines = [line + "," for line in lines if line.count(",") == len(OLD_CURVE_COLUMNS) - 1]
+            _, *lines = self.curve.read_text(errors="replace").splitlines() or [""]
             complete = [line for line in lines if line.count(",") == len(CURVE_COLUMNS) - 1]
             kept = [line for line in complete if _iteration_of(line.split(",")[1]) <= iteration]
             write_text(self.curve, "\n".join([",".join(CURVE_COLUMNS), *kept]) + "\n")
@@ -163,31 +125,53 @@ class RunFolder:
                 rows.append(row)
         return rows
 
-    # What is done: one record a finished stage, with the hash of what went into it.
+    # What is done: one record a stage, with the hashes of what went into it: {"data", "config", "code"}.
+
+    def state(self, stage: str, inputs: dict[str, str]) -> tuple[State, str]:
+        """Whether a stage is done with these inputs, and the commit that did it. A stage is open, too, where an output
+        that it had is missing."""
+        record = read_stages(self.path).get(stage, {})
+        if "values" not in record or not all((self.path / name).exists() for name in record["outputs"]):
+            return "open", ""
+        if any(record["inputs"].get(part) != inputs[part] for part in ("data", "config")):
+            return "open", ""
+        return "done" if record["inputs"].get("code") == inputs["code"] else "other code", record["commit"]
 
     def values_of(self, stage: str) -> dict:
-        """What `finish` kept of a finished stage."""
-        return self._stages()[stage]["values"]
+        """What `finish` kept of a stage; empty for one that is not finished."""
+        return read_stages(self.path).get(stage, {}).get("values", {})
 
-    def inputs_of(self, stage: str) -> str | None:
-        """The inputs' hash the stage was last finished with; None if it never was."""
-        return self._stages().get(stage, {}).get("inputs")
+    @property
+    def data(self) -> str | None:
+        """The hash of the data that the folder's stages were done with; None where none was begun."""
+        return next((record["inputs"].get("data") for record in read_stages(self.path).values()), None)
 
-    def finish(self, stage: str, inputs: str, **values: Any) -> None:
-        """Record that `stage` ended well."""
-        record = {"inputs": inputs, "date": now(), "values": values}
-        write_json(self.path / "stages.json", {**self._stages(), stage: record})
+    def begin(self, stage: str, inputs: dict[str, str], outputs: Sequence[str]) -> bool:
+        """Record that `stage` begins. Where it had begun with other inputs, `outputs` and the records of later stages
+        are deleted first; True if that was because of other code alone."""
+        stages = read_stages(self.path)
+        before = stages.get(stage)
+        if before and before["inputs"] == inputs:
+            return False
+        if before:
+            for name in outputs:
+                _remove(self.path / name)
+            stages = {name: stages[name] for name in list(stages)[: list(stages).index(stage)]}
+        write_json(self.path / "stages.json", {**stages, stage: {"inputs": inputs, "date": now()}})
+        return before is not None and "values" not in before
 
-    def _stages(self) -> dict:
-        return read_stages(self.path)
+    def finish(self, stage: str, inputs: dict[str, str], commit: str, outputs: Sequence[str], values: dict) -> None:
+        """Record that `stage` ended well, with the outputs that it has made."""
+        there = [name for name in outputs if (self.path / name).exists()]
+        record = {"inputs": inputs, "commit": commit, "date": now(), "outputs": there, "values": values}
+        write_json(self.path / "stages.json", {**read_stages(self.path), stage: record})
 
-    def _clear(self) -> None:
-        for name in FILES:
-            path = self.path / name
-            if path.is_dir():
-                shutil.rmtree(path)
-            else:
-                path.unlink(missing_ok=True)
+
+def _remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def _iteration_of(value: Any) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +10,9 @@ from omegaconf import OmegaConf
 
 from datasets.files.atomic_write import TEMPORARY
 from datasets.files.errors import DataError, clear, read_json
-from pipeline.config.renamed_keys import with_renamed_keys
 
 # Keys that do not change what a run computes: a finished run may be repeated with others.
-FREE_KEYS = ("out", "threads", "resume", "scene.cache", "evaluate", "estimate", "view", "view_at")
+FREE_KEYS = ("out", "threads", "resume", "until", "only", "scene.cache", "evaluate", "estimate", "view", "view_at")
 FILES = (
     "config.yaml",
     "environment.json",
@@ -35,10 +33,7 @@ FILES = (
     "viewer.html",
 )
 UNFINISHED = tuple(f"{TEMPORARY}{name}" for name in FILES)  # left behind by a killed run
-RENAMED_STAGES = {"trial": "select_time_colour"}  # since version 0.1
 _GROUPS = ("scene", "train", "seed")  # of every run's config.yaml
-
-Resolve = Callable[[dict], dict]
 
 
 def refuse_foreign(path: Path) -> None:
@@ -57,12 +52,12 @@ def refuse_foreign(path: Path) -> None:
         )
 
 
-def refuse_other_run(path: Path, config: dict, resolve: Resolve = dict, ignored: tuple[str, ...] = ()) -> None:
+def refuse_other_run(path: Path, config: dict, ignored: tuple[str, ...] = ()) -> None:
     """ValueError where `path` holds a run of other settings than `config`. ignored: keys, or groups of keys."""
     if not (path / "config.yaml").exists() or not read_stages(path):
         return  # nothing was made yet: a run that failed over a wrong path may be corrected
     free = (*FREE_KEYS, *ignored)
-    stored, wanted = _comparable(resolve(read_config(path / "config.yaml")), free), _comparable(config, free)
+    stored, wanted = flat(read_config(path / "config.yaml"), free), flat(config, free)
     differing = [key for key in {**stored, **wanted} if stored.get(key) != wanted.get(key)]
     if differing:
         first = differing[0]
@@ -76,17 +71,22 @@ def refuse_other_run(path: Path, config: dict, resolve: Resolve = dict, ignored:
 
 
 def read_stages(path: Path) -> dict:
-    """Of a run folder: finished stage -> {"inputs": hash, "date", "values"}; empty where nothing was finished."""
+    """Of a run folder: stage -> its record (RunFolder.finish), without "values" where it was only begun; empty where
+    none was."""
     path = path / "stages.json"
     if not path.exists():
         return {}
     stages = read_json(path)
-    if not isinstance(stages, dict) or not all(
-        isinstance(record, dict) and isinstance(record.get("inputs"), str) and isinstance(record.get("values"), dict)
-        for record in stages.values()
-    ):
-        raise DataError(path, "a record of each finished stage", "something else; resume=false starts the run anew")
-    return {RENAMED_STAGES.get(name, name): record for name, record in stages.items()}
+    if not isinstance(stages, dict) or not all(map(_is_record, stages.values())):
+        raise DataError(path, "a record of each stage", "something else; resume=false starts the run anew")
+    return stages
+
+
+def _is_record(record: Any) -> bool:
+    if not isinstance(record, dict) or not isinstance(record.get("inputs"), dict):
+        return False
+    finished = (record.get("values"), dict), (record.get("outputs"), list), (record.get("commit"), str)
+    return "values" not in record or all(isinstance(value, kind) for value, kind in finished)
 
 
 def read_config(path: Path, where: str | None = None) -> dict:
@@ -101,7 +101,7 @@ def read_config(path: Path, where: str | None = None) -> dict:
         raise DataError(where or path, "YAML", str(error)) from None
     if not isinstance(tree, dict):
         raise DataError(where or path, "keys and values", f"a {type(tree).__name__}")
-    return with_renamed_keys(tree)
+    return tree
 
 
 def _is_run(path: Path) -> bool:
@@ -112,14 +112,14 @@ def _is_run(path: Path) -> bool:
         return (path / "stages.json").exists()
 
 
-def _comparable(config: dict, free: tuple[str, ...], prefix: str = "") -> dict[str, Any]:
+def flat(config: dict, free: tuple[str, ...] = (), prefix: str = "") -> dict[str, Any]:
     """Dotted key -> value, without those that are `free`."""
-    flat: dict[str, Any] = {}
+    found: dict[str, Any] = {}
     for name, value in config.items():
         key = f"{prefix}{name}"
         if key in free:
             continue
         if key == "scene.path" and isinstance(value, str) and "\0" not in value:
             value = str(Path(value).resolve())
-        flat |= _comparable(value, free, f"{key}.") if isinstance(value, dict) else {key: value}
-    return flat
+        found |= flat(value, free, f"{key}.") if isinstance(value, dict) else {key: value}
+    return found

@@ -1,15 +1,14 @@
-"""The stages of a run: (sfm → select_motion → select_time_colour →) init → train → evaluate → view.
+"""A run: prepare → settle → init → train → evaluate → page.
 
-A stage with unchanged inputs is skipped. Its inputs are what its result depends on: the stage before it, the data, and
-its part of the configuration.
+A stage that was finished with the same configuration, data and code is skipped.
 
-run.py            all stages of a run, in order         stage.py          what a stage is
-inputs.py         what each one's result depends on     points.py … viewing.py   the stages
+run.py      the stages of a run, in order          settle.py   the configuration, with nothing left to decide
+stages.py   what each stage does                   decide.py   the short trainings that settle may need
+inputs.py   what each stage's result depends on    estimate.py time, memory and disk, before it starts
 """
 
 from __future__ import annotations
 
-from pipeline.stages.inputs import fingerprint, stage_inputs
 from pipeline.stages.run import NOTHING_KEPT, kept_progress, run
 
-__all__ = ["NOTHING_KEPT", "fingerprint", "kept_progress", "run", "stage_inputs"]
+__all__ = ["NOTHING_KEPT", "kept_progress", "run"]

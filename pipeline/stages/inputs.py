@@ -1,51 +1,42 @@
-"""What the result of each stage depends on, as hashes: a stage with unchanged inputs is skipped."""
+"""What the result of each stage depends on: its part of the configuration, the data, and the code that makes it."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Sequence
 from dataclasses import asdict
+from functools import cache
+from pathlib import Path
 
 import numpy as np
 
 from datasets import Scene
-from pipeline.config.renamed_keys import with_first_names
 from pipeline.config.schema import Config
 from pipeline.data.prepared import Prepared
-from pipeline.stages.decisions import MOTION, TIME_COLOUR
-from pipeline.training.selection import motion, time_colour
+
+ROOT = Path(__file__).resolve().parents[2]
+SOURCES = (".py", ".cpp", ".hpp", ".js", ".html", ".css", ".frag", ".vert", ".glsl")
 
 
-def stage_inputs(cfg: Config, data: Prepared) -> dict[str, str]:
-    """Stage -> hash of everything its result depends on, for the stages that this run has.
+def config_hash(cfg: Config, stage: str) -> str:
+    """Of the keys that the result of a stage depends on. `scene` hardly counts: the data have a hash of their own."""
+    tree = asdict(cfg)
+    if stage == "prepare":
+        return _hash(tree["init"])
+    training = [tree[group] for group in ("init", "ablation", "train", "seed")]
+    training += [tree["scene"]["near"], tree["scene"]["background_model"]]
+    return _hash(*training, *([tree["evaluate"]] if stage in ("evaluate", "page") else []))
 
-    Keys are hashed under their first names, so that a renamed key does not make a finished stage count as undone.
-    """
-    config, found = with_first_names(asdict(cfg)), {}
-    initial = {key: value for key, value in config["train"].items() if key.startswith("init_")}
-    beginning = [fingerprint(data.scene), config["ablation"], initial, config["scene"]["init_points"], cfg.seed]
-    if not data.canonical.is_identity:  # a model must not continue in other coordinates
-        beginning.append(asdict(data.canonical))
-    if data.cloud is not None and data.sfm_folder is None:  # points that came with the data
-        beginning.append(_digest(data.cloud.points, data.cloud.colors))
+
+def data_hash(data: Prepared) -> str:
+    """Of the scene, its coordinates and its initial points."""
+    parts: list[object] = [fingerprint(data.scene), asdict(data.canonical)]
     if data.sfm_folder is not None:
-        found["sfm"] = _hash(data.sfm_folder.name)
-        beginning.append(found["sfm"])
-    if data.scene.capture == "drive":
-        beginning += [asdict(cfg.init), cfg.effective_fourier_order, config["train"]["densify"]["max_gaussians"]]
-    if cfg.effective_background_model != "none":
-        beginning += [cfg.effective_background_model, cfg.init.sphere_points, cfg.init.sphere_radius]
-    if motion.due(cfg, data.scene):
-        found[MOTION] = _hash("motion", *beginning, config["train"], config["scene"]["near"])
-        beginning.append(found[MOTION])
-    if time_colour.due(cfg, data.scene):
-        found[TIME_COLOUR] = _hash(*beginning, config["train"], config["scene"]["near"])
-        beginning.append(found[TIME_COLOUR])
-    found["init"] = _hash(*beginning)
-    found["train"] = _hash(found["init"], config["train"], config["scene"]["near"])
-    found["evaluate"] = _hash(found["train"], config["evaluate"])
-    found["view"] = _hash(found["evaluate"])
-    return found
+        parts.append(data.sfm_folder.name)  # of the images and settings of structure from motion
+    elif data.cloud is not None:
+        parts.append(_digest(data.cloud.points, data.cloud.colors))
+    return _hash(*parts)
 
 
 def fingerprint(scene: Scene) -> str:
@@ -68,6 +59,21 @@ def fingerprint(scene: Scene) -> str:
     for sweep in scene.sweeps + scene.test_sweeps:
         digest.update(repr((sweep.frame, sweep.time)).encode())
         digest.update(np.ascontiguousarray(sweep.points).data)
+    return digest.hexdigest()
+
+
+def code_hash(rooms: Sequence[str]) -> str:
+    """Of the source files of these rooms: files, or folders with all below them, relative to the checkout."""
+    return _hash(*map(_room_hash, rooms))
+
+
+@cache
+def _room_hash(room: str) -> str:
+    digest, path = hashlib.blake2b(digest_size=16), ROOT / room
+    for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
+        if file.suffix in SOURCES:
+            digest.update(file.relative_to(ROOT).as_posix().encode())
+            digest.update(file.read_bytes())
     return digest.hexdigest()
 
 

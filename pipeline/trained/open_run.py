@@ -14,7 +14,6 @@ from pipeline.config.compose import config_of_tree, one_line
 from pipeline.config.schema import Config
 from pipeline.data.prepare import prepare
 from pipeline.model.model import Model
-from pipeline.model.scene_settings import resolved
 from pipeline.runs.run_identity import read_config
 from pipeline.training.checkpoint import FILE_NAME, load_model
 
@@ -34,7 +33,7 @@ def open_run(folder: Path, log: Callable[[str], None]) -> TrainedRun:
             raise ValueError(f"{folder}: expected a trained run with {name}, found none")
     cfg = stored_config(folder)
     data = prepare(cfg, log)
-    return TrainedRun(resolved(cfg, data.scene), data.scene, load_model(folder / FILE_NAME), data.canonical)
+    return TrainedRun(cfg, data.scene, load_model(folder / FILE_NAME), data.canonical)
 
 
 def stored_config(folder: Path) -> Config:

@@ -10,7 +10,6 @@ from pathlib import Path
 from pipeline.data.prepare import prepare
 from pipeline.model.model import Model
 from pipeline.model.ply import load_ply
-from pipeline.model.scene_settings import resolved
 from pipeline.trained.open_run import stored_config
 from pipeline.training import checkpoint as checkpoints
 from pipeline.view.live.feed import COMPRESSION, Feed
@@ -27,7 +26,6 @@ def serve_run(folder: Path, address: Address, log: Callable[[str], None], stop: 
         raise ValueError(f"{folder}: expected a run with config.yaml, found none")
     cfg = stored_config(folder)
     scene = prepare(cfg, log).scene
-    cfg = resolved(cfg, scene)
     feed, stop = Feed(), stop or threading.Event()
     progress = LogTail(folder / "log.jsonl", cfg.train.iterations)
     packed: tuple[Path, int] | None = None

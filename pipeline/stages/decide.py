@@ -1,0 +1,189 @@
+"""What a scene needs, decided by validation before its training: time at all, and colour that changes in time.
+
+A part of the model that a scene does not need fits noise and costs memory and time. A single camera sees every moment
+from one side only, so a model with time can be worse between its frames than one without; and 4DSH has two thirds of a
+Gaussian's parameters. So the model is trained with the part and without, in a fraction of the schedule and at half
+resolution, on three quarters of the training poses, and compared on the other quarter. Test views are not used.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import defaultdict
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from datasets.files.errors import SceneError
+from datasets.scene import Scene
+from datasets.validation import hold_out_poses
+from pipeline.config.random_streams import Stream, stream
+from pipeline.config.schema import Config
+from pipeline.config.train_schema import TrainConfig
+from pipeline.data.sfm.photograph import Reconstruction
+from pipeline.evaluation.quick_evaluate import held_out_psnr
+from pipeline.model.initialise import initialise
+from pipeline.model.model import Model, kind_of
+from pipeline.training import schedule
+from pipeline.training.loop import Progress, train
+from pipeline.training.run_log import temporary_run
+from rasterizer.cores import thread_count
+
+VALIDATION_EVERY = 4  # every fourth pose is a validation pose
+RESOLUTION = 0.5  # × the schedule's
+TIME_STANDARD_ERRORS = 2.0  # of the gain by time, which must be larger
+# dB, and standard errors, of the gain by time-varying colour. Leaving out colours that do change costs more than
+# keeping coefficients that have no use.
+COLOUR_GAIN, COLOUR_STANDARD_ERRORS = 0.1, 1.0
+# × the learning rates of 4DSH's time coefficients, which would hardly leave zero in so few iterations. 1 decides
+# wrongly on one of two scenes with changing colours; 10 makes the model worse than one without.
+COLOUR_RATE = 3.0
+FEWEST_VIEWS = {"time": 3, "colour": 2}  # of validation; a single view has no standard error
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A model with a part and without it, on the validation views."""
+
+    psnr_with: float  # dB, mean over the views
+    psnr_without: float
+    gain: float  # dB, mean over the poses
+    standard_error: float  # dB, of the gain
+    views: int
+    seconds: float  # of both trainings
+
+    def __str__(self) -> str:
+        return (
+            f"on {self.views} validation views {self.psnr_with:.2f} dB with, {self.psnr_without:.2f} dB without "
+            f"({self.gain:+.2f} ± {self.standard_error:.2f})"
+        )
+
+    @property
+    def keeps_time(self) -> bool:
+        """Time is kept where it gains more than chance."""
+        return self.gain > TIME_STANDARD_ERRORS * self.standard_error
+
+    @property
+    def keeps_colour(self) -> bool:
+        """Time-varying colour is kept where it gains clearly."""
+        return self.gain > max(COLOUR_GAIN, COLOUR_STANDARD_ERRORS * self.standard_error)
+
+
+def time_is_open(cfg: Config, scene: Scene) -> bool:
+    """Whether validation decides between static and dynamic: the schedule asks for it, one moving camera filmed the
+    scene, and its model may have time. False with a time budget, all of which is for the schedule."""
+    if cfg.train.select_motion == 0 or cfg.train.time_budget_s is not None or cfg.ablation.static is not None:
+        return False
+    if kind_of(scene, cfg).motion == "static" or scene.several_cameras:
+        return False
+    poses = {view.camera.world_to_cam.tobytes() for view in scene.train}
+    return len(poses) == len(scene.train) and _has_validation(scene, FEWEST_VIEWS["time"])
+
+
+def colour_is_open(cfg: Config, scene: Scene) -> bool:
+    """Whether validation decides on time-varying colour: the schedule asks for it and the model has it."""
+    if cfg.train.select_time_colour == 0 or cfg.train.time_budget_s is not None:
+        return False
+    return kind_of(scene, cfg).fourier_order > 0 and _has_validation(scene, FEWEST_VIEWS["colour"])
+
+
+def compare_time(cfg: Config, scene: Scene, cloud: Reconstruction | None, log: Callable[[str], None]) -> Comparison:
+    """With time and without, in one schedule: the settings of static scenes alone gain more in so short a training."""
+    short = replace(cfg, train=short_schedule(cfg.train, cfg.train.select_motion), resume=False)
+    return _compared("time", without_time_colour(short), without_time(short), scene, cloud, log)
+
+
+def compare_colour(cfg: Config, scene: Scene, cloud: Reconstruction | None, log: Callable[[str], None]) -> Comparison:
+    """With time-varying colour and without."""
+    schedule = _faster_colour(short_schedule(cfg.train, cfg.train.select_time_colour))
+    short = replace(cfg, train=schedule, resume=False)
+    return _compared("time-varying colour", short, without_time_colour(short), scene, cloud, log)
+
+
+def without_time(cfg: Config) -> Config:
+    """The configuration of the static model: that of the ablation `static`."""
+    return replace(cfg, ablation=replace(cfg.ablation, static=True))
+
+
+def without_time_colour(cfg: Config) -> Config:
+    """The configuration without time-varying colour: that of the ablation `no_4dsh`."""
+    return replace(cfg, ablation=replace(cfg.ablation, fourier_order=0))
+
+
+def _compared(
+    part: str,
+    with_part: Config,
+    without: Config,
+    scene: Scene,
+    cloud: Reconstruction | None,
+    log: Callable[[str], None],
+) -> Comparison:
+    """Train both on `scene.train`. Deterministic in scene, configuration and seed, except for the seconds."""
+    started, split = time.perf_counter(), hold_out_poses(scene, VALIDATION_EVERY)
+    psnr = []
+    for cfg, label in ((with_part, "with"), (without, "without")):
+        log(
+            f"settle: {label} {part}, {cfg.train.iterations} iterations; {len(split.train)} training views, "
+            f"{len(split.test)} validation views"
+        )
+        psnr.append(trained_psnr(split, cfg, cloud))
+    gain, error = mean_and_error(psnr[0] - psnr[1], [view.camera.world_to_cam.tobytes() for view in split.test])
+    seconds = time.perf_counter() - started
+    return Comparison(float(psnr[0].mean()), float(psnr[1].mean()), gain, error, len(split.test), seconds)
+
+
+def _has_validation(scene: Scene, views: int) -> bool:
+    """Whether the training views can give so many for validation, and the others still have an extent."""
+    try:
+        split = hold_out_poses(scene, VALIDATION_EVERY)
+    except SceneError:
+        return False
+    return split.extent > 0 and len(split.test) >= views
+
+
+def short_schedule(cfg: TrainConfig, share: float) -> TrainConfig:
+    """`share` of the schedule at half resolution, evaluated at its end only. Without the flow loss: measuring the flow
+    would take longer than the training."""
+    short = schedule.shortened(cfg, share)
+    return replace(
+        short,
+        resolution_scale=RESOLUTION * short.resolution_scale,
+        eval_every=short.iterations,
+        checkpoint_every=short.iterations,
+        regularization=replace(short.regularization, flow=0.0),
+    )
+
+
+def mean_and_error(gains: np.ndarray, poses: Sequence[Hashable]) -> tuple[float, float]:
+    """Mean of `gains`, (views,) with at least two views, and its standard error.
+
+    The standard error is over poses, because the frames of one camera are not independent; with a single pose it is
+    over frames.
+    """
+    groups: dict[Hashable, list[float]] = defaultdict(list)
+    for pose, gain in zip(poses, gains.tolist(), strict=True):
+        groups[pose].append(gain)
+    samples = np.array([np.mean(group) for group in groups.values()]) if len(groups) > 1 else gains
+    return float(samples.mean()), float(samples.std(ddof=1) / len(samples) ** 0.5)
+
+
+def trained_psnr(split: Scene, cfg: Config, cloud: Reconstruction | None) -> np.ndarray:
+    """(test views,) dB, of a model trained on `split.train`, with smaller batches if it has fewer views than one."""
+    cfg = replace(cfg, train=replace(cfg.train, batch=min(cfg.train.batch, len(split.train))))
+    threads = thread_count(cfg.threads)
+
+    def evaluate_fn(model: Model, progress: Progress) -> dict:
+        return {"psnr": float(held_out_psnr(model, split, cfg, threads).mean())}
+
+    initial = initialise(split, cfg, stream(cfg.seed, Stream.INIT), cloud)
+    with temporary_run() as run:
+        model = train(initial, split, cfg, run, evaluate_fn).model
+    return held_out_psnr(model, split, cfg, threads)
+
+
+def _faster_colour(cfg: TrainConfig) -> TrainConfig:
+    def faster(rate: float | None) -> float:
+        return COLOUR_RATE * (cfg.lr.sh_rest if rate is None else rate)
+
+    return replace(cfg, lr=replace(cfg.lr, sh_time=faster(cfg.lr.sh_time), sh_view_time=faster(cfg.lr.sh_view_time)))

@@ -1,0 +1,85 @@
+"""Settles a run's configuration once its data are read: the result leaves nothing to decide.
+
+1. The kind of scene chooses the schedule's file: conf/train/<schedule>/<kind>.yaml under the command line.
+2. Validation decides what the schedule leaves to it (decide.py): time, and colour that changes in time.
+3. What the scene itself determines is filled in: static or not, the background's colour.
+
+The settled configuration is what is written, hashed, trained, evaluated and reported.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, replace
+from typing import Any
+
+from datasets.scene import Scene
+from pipeline.config.compose import Command
+from pipeline.config.schema import Config
+from pipeline.data.prepared import Prepared
+from pipeline.model.model import kind_of
+from pipeline.runs.run_identity import FREE_KEYS, flat
+from pipeline.stages.decide import colour_is_open, compare_colour, compare_time, time_is_open
+
+Decided = Mapping[str, Any]  # what validation decided: {"static": bool, "fourier_order": 0}; both may be missing
+# What decides nothing about the result, or is a column of its own in every table.
+NOT_CHANGES = (*FREE_KEYS, "seed", "scene.path", "scene.name", "ablation.name", "train.name", "train.checkpoint_every")
+
+
+def for_scene(command: Command, scene: Scene, decided: Decided | None = None) -> Config:
+    """The command's configuration for this scene. decided: None where validation has not decided yet."""
+    cfg = command.config()
+    cfg = command.config(schedule_kind(cfg, scene, found_static=bool(decided and decided.get("static"))))
+    cfg = replace(cfg, scene=replace(cfg.scene, background=list(scene.background)))
+    return cfg if decided is None else _closed(cfg, scene, decided)
+
+
+def schedule_kind(cfg: Config, scene: Scene, found_static: bool = False) -> str:
+    """Which of a schedule's files applies: static, static_clip, multi_view, clip or unknown (none of them)."""
+    if found_static:
+        return "static_clip" if scene.capture == "clip" else "static"
+    if kind_of(scene, cfg).motion == "static":
+        return "static"
+    if scene.several_cameras:
+        return "multi_view"
+    return "clip" if scene.capture == "clip" else "unknown"
+
+
+def decide(command: Command, data: Prepared, log: Callable[[str], None]) -> dict[str, Any]:
+    """Runs the short trainings that the schedule asks for: {"decided": …, "seconds": …}, and what they compared."""
+    cfg, scene = for_scene(command, data.scene), data.scene
+    decided: dict[str, Any] = {}
+    compared: dict[str, Any] = {}
+    if time_is_open(cfg, scene):
+        found = compare_time(cfg, scene, data.cloud, log)
+        decided["static"] = not found.keeps_time
+        compared["time"] = asdict(found)
+        kept = "dynamic" if found.keeps_time else "static"
+        log(f"settle: {kept}: time, {found}; ablation.static=true or false decides otherwise")
+    if not decided.get("static") and colour_is_open(cfg, scene):
+        found = compare_colour(cfg, scene, data.cloud, log)
+        if not found.keeps_colour:
+            decided["fourier_order"] = 0
+        compared["time_colour"] = asdict(found)
+        log(f"settle: time-varying colour {'kept' if found.keeps_colour else 'left out'}: {found}")
+    return {"decided": decided, "compared": compared, "seconds": sum(c["seconds"] for c in compared.values())}
+
+
+def changes(command: Command, scene: Scene) -> dict[str, Any]:
+    """Dotted key -> value of what the command changed: where scene, schedule and ablation alone give another value."""
+    kind = schedule_kind(command.config(), scene)
+    given, preset = (flat(asdict(cfg), NOT_CHANGES) for cfg in (command.config(kind), command.preset(kind)))
+    return {key: value for key, value in given.items() if value != preset.get(key)}
+
+
+def _closed(cfg: Config, scene: Scene, decided: Decided) -> Config:
+    """With nothing left to decide: validation's decisions taken, and none asked for any more."""
+    if decided.get("static"):
+        cfg = replace(cfg, ablation=replace(cfg.ablation, static=True))
+    kind = kind_of(scene, cfg)
+    order = decided.get("fourier_order", kind.fourier_order)
+    return replace(
+        cfg,
+        ablation=replace(cfg.ablation, static=kind.motion == "static", fourier_order=order),
+        train=replace(cfg.train, select_motion=0.0, select_time_colour=0.0),
+    )
