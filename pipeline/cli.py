@@ -76,7 +76,7 @@ def run_one(composed: DictConfig) -> bool:
         _hint_at_settings(cfg, job.runtime.choices.get("scene"))
         import torch  # these two late: a typo on the command line need not wait for them
 
-        from pipeline.stages import run
+        from pipeline.stages.run import run
 
         keep_freed_memory()
         torch.set_num_threads(1)  # the heavy work is the kernel's, which has threads of its own (cfg.threads)
@@ -112,7 +112,7 @@ def run_one(composed: DictConfig) -> bool:
 
 
 def _kept_progress(cfg: Config | None) -> str:
-    from pipeline.stages import NOTHING_KEPT, kept_progress
+    from pipeline.stages.run import NOTHING_KEPT, kept_progress
 
     return NOTHING_KEPT if cfg is None else kept_progress(cfg)
 

@@ -6,9 +6,3 @@ run.py      the stages of a run, in order          settle.py   the configuration
 stages.py   what each stage does                   decide.py   the short trainings that settle may need
 inputs.py   what each stage's result depends on    estimate.py time, memory and disk, before it starts
 """
-
-from __future__ import annotations
-
-from pipeline.stages.run import NOTHING_KEPT, kept_progress, run
-
-__all__ = ["NOTHING_KEPT", "kept_progress", "run"]

@@ -130,7 +130,7 @@ def evaluate_model(job: Job) -> dict:
         best = final if is_final else evaluate(in_rotations(saved.best_model), scene, cfg, threads)
         best_metrics = {**best.metrics, "iteration": saved.best["iteration"]}
 
-    settled = folder.values_of("settle")
+    settled, own_clip = folder.values_of("settle"), job.data.poses_estimated and scene.capture == "clip"
     write_csv(folder.per_image, _per_image(final, best))
     write_json(folder.metrics, {
         "scene": cfg.scene.name, "recipe": cfg.train.name, "model": cfg.ablation.name,
@@ -139,7 +139,7 @@ def evaluate_model(job: Job) -> dict:
         "best_on_test": best_metrics,
         **({} if scene.test_split is None else {"test_split": scene.test_split}),
         "kind": asdict(model.kind), "decided": settled["decided"], "compared": settled["compared"],
-        **({"outlook": _outlook(final, model, job.data)} if job.data.poses_estimated and scene.capture == "clip" else {}),
+        **({"outlook": _outlook(final, model, job.data)} if own_clip else {}),
         "note": final.note(), "n_alive_mean": final.n_alive_mean, "n_test_views": len(scene.test),
         **folder.values_of("train"),
     })  # fmt: skip

@@ -10,7 +10,7 @@ import pytest
 from shell import FORKING
 
 from datasets.files.atomic_write import atomic_file, write_text
-from pipeline.runs.run_folder import CURVE_COLUMNS, OLD_CURVE_COLUMNS, RunFolder, write_csv, write_json
+from pipeline.runs.run_folder import CURVE_COLUMNS, RunFolder, write_csv, write_json
 
 CONFIG = {
     "scene": {"path": None, "cache": "a"},
@@ -30,11 +30,24 @@ def changed(**groups: dict | int) -> dict:
     }
 
 
+INPUTS = {"data": "d", "config": "c", "code": "1"}
+
+
+def opened(path: Path, config: dict = CONFIG, resume: bool = True) -> RunFolder:
+    folder = RunFolder(path, resume)
+    try:
+        folder.claim(config)
+    except ValueError:
+        folder.__exit__()
+        raise
+    return folder
+
+
 def made(path: Path, config: dict = CONFIG) -> None:
     """A run folder whose first stage is done."""
-    with RunFolder(path, config) as folder:
+    with opened(path, config) as folder:
         folder.init_ply.write_text("ply")
-        folder.finish("init", "abc", n_gaussians=3)
+        folder.finish("init", INPUTS, "commit", ("init.ply",), {"n_gaussians": 3})
 
 
 def test_replacing_is_all_or_nothing(tmp_path: Path) -> None:
@@ -60,7 +73,7 @@ def test_csv(tmp_path: Path) -> None:
 
 
 def test_curve_and_log_forget_what_comes_after_the_checkpoint(tmp_path: Path) -> None:
-    with RunFolder(tmp_path / "run", CONFIG) as folder:
+    with opened(tmp_path / "run", CONFIG) as folder:
         folder.log({"event": "start"})
         for iteration in (10, 20, 30):
             folder.log({"event": "train", "iteration": iteration})
@@ -71,7 +84,7 @@ def test_curve_and_log_forget_what_comes_after_the_checkpoint(tmp_path: Path) ->
 
 
 def test_a_line_cut_short_by_a_kill_is_dropped(tmp_path: Path) -> None:
-    with RunFolder(tmp_path / "run", CONFIG) as folder:
+    with opened(tmp_path / "run", CONFIG) as folder:
         folder.log({"iteration": 1})
         folder.append_error_vs_time({"iteration": 1})
         for path in (folder.log_file, folder.curve):
@@ -83,16 +96,8 @@ def test_a_line_cut_short_by_a_kill_is_dropped(tmp_path: Path) -> None:
         assert folder.curve.read_text().splitlines()[1:] == [",2,,,,,"]
 
 
-def test_a_curve_of_an_older_version_gets_the_new_columns(tmp_path: Path) -> None:
-    with RunFolder(tmp_path / "run", CONFIG) as folder:
-        write_text(folder.curve, ",".join(OLD_CURVE_COLUMNS) + "\n0.5,10,20.0,0.9,0.1,7\n0.9,20,21.0,0.9,0.1,7\n0.9,3")
-        folder.truncate_after(10)
-        folder.append_error_vs_time({"iteration": 20, "psnr_moving": 9.5})
-        assert folder.curve.read_text() == ",".join(CURVE_COLUMNS) + "\n0.5,10,20.0,0.9,0.1,7,\n,20,,,,,9.5\n"
-
-
 def test_a_curve_cut_within_its_header(tmp_path: Path) -> None:
-    with RunFolder(tmp_path / "run", CONFIG) as folder:
+    with opened(tmp_path / "run", CONFIG) as folder:
         write_text(folder.curve, "train_sec")
         folder.truncate_after(0)
         assert folder.curve.read_text() == ",".join(CURVE_COLUMNS) + "\n"
@@ -100,14 +105,18 @@ def test_a_curve_cut_within_its_header(tmp_path: Path) -> None:
 
 def test_stage_records(tmp_path: Path) -> None:
     made(tmp_path / "run")
-    with RunFolder(tmp_path / "run", CONFIG) as folder:
-        assert folder.inputs_of("init") == "abc" and folder.inputs_of("train") is None
-        assert folder.values_of("init") == {"n_gaussians": 3}
+    with opened(tmp_path / "run") as folder:
+        assert folder.values_of("init") == {"n_gaussians": 3} and folder.values_of("train") == {}
+        assert folder.state("init", INPUTS) == ("done", "commit") and folder.state("train", INPUTS)[0] == "open"
+        assert folder.state("init", {**INPUTS, "code": "2"}) == ("other code", "commit")
+        assert folder.state("init", {**INPUTS, "config": "2"})[0] == "open"
+        folder.init_ply.unlink()
+        assert folder.state("init", INPUTS)[0] == "open"
 
 
 def test_where_and_how_a_run_is_made_does_not_make_it_another(tmp_path: Path) -> None:
     made(tmp_path / "run")
-    with RunFolder(tmp_path / "run", changed(scene={"cache": "b"}, threads=2, out="y", evaluate={"lpips": False})):
+    with opened(tmp_path / "run", changed(scene={"cache": "b"}, threads=2, out="y", evaluate={"lpips": False})):
         pass
 
 
@@ -118,35 +127,35 @@ def test_another_run_is_refused_and_what_differs_said(tmp_path: Path) -> None:
         match=r"run: holds another run, with train.batch=2 but this command has 4 "
         r"\(and seed\); give another out=DIR, or resume=false",
     ):
-        RunFolder(tmp_path / "run", changed(train={"batch": 4}, seed=1))
-    with RunFolder(tmp_path / "run", CONFIG):  # it was let go of, and is as it was
+        opened(tmp_path / "run", changed(train={"batch": 4}, seed=1))
+    with opened(tmp_path / "run", CONFIG):  # it was let go of, and is as it was
         pass
 
 
 def test_before_anything_is_made_a_mistake_may_be_corrected(tmp_path: Path) -> None:
-    with RunFolder(tmp_path / "run", changed(scene={"path": "typo"})):
+    with opened(tmp_path / "run", changed(scene={"path": "typo"})):
         pass
-    with RunFolder(tmp_path / "run", changed(scene={"path": "right"})):
+    with opened(tmp_path / "run", changed(scene={"path": "right"})):
         pass
 
 
 def test_not_resuming_starts_over(tmp_path: Path) -> None:
     made(tmp_path / "run")
-    with RunFolder(tmp_path / "run", changed(seed=1), resume=False) as folder:
-        assert folder.inputs_of("init") is None and not folder.init_ply.exists()
+    with opened(tmp_path / "run", changed(seed=1), resume=False) as folder:
+        assert folder.values_of("init") == {} and not folder.init_ply.exists()
 
 
 @pytest.mark.parametrize("resume", [True, False])
 def test_a_folder_that_is_not_ours_is_left_alone(tmp_path: Path, resume: bool) -> None:
     (tmp_path / "thesis.tex").write_text("precious")
     with pytest.raises(ValueError, match="expected a run folder or an empty one, found thesis.tex"):
-        RunFolder(tmp_path, CONFIG, resume)
+        opened(tmp_path, CONFIG, resume)
     assert list(tmp_path.iterdir()) == [tmp_path / "thesis.tex"]
 
 
 def _open(path: Path, answer: multiprocessing.Queue) -> None:
     try:
-        RunFolder(path, CONFIG)
+        opened(path, CONFIG)
         answer.put("opened")
     except ValueError as error:
         answer.put(str(error))
@@ -154,7 +163,7 @@ def _open(path: Path, answer: multiprocessing.Queue) -> None:
 
 def test_two_processes_do_not_share_one(tmp_path: Path) -> None:
     answer = FORKING.Queue()
-    with RunFolder(tmp_path / "run", CONFIG):
+    with opened(tmp_path / "run", CONFIG):
         process = FORKING.Process(target=_open, args=(tmp_path / "run", answer))
         process.start()
         assert "found another process at work in it" in answer.get(timeout=60)

@@ -13,16 +13,18 @@ from fuzz.target import REFUSED, Changes, Files, Target, check_message, read_fil
 from pipeline.runs.run_folder import CURVE_COLUMNS, RunFolder
 
 CONFIG = {"seed": 0, "scene": {"name": "toy", "path": "data", "init_box": [-1.2, 1.2]}, "train": {"name": "fast"}}
+INPUTS = {"data": "ab12", "config": "cd34", "code": "ef56"}
 NEXT = 5  # the iteration it resumes from
 
 
 def example() -> Files:
     with tempfile.TemporaryDirectory() as temporary:
-        with RunFolder(Path(temporary) / "run", CONFIG) as run:
+        with RunFolder(Path(temporary) / "run") as run:
+            run.claim(CONFIG)
             for iteration in (2, 4, 6):
                 run.log({"event": "train", "iteration": iteration})
                 run.append_error_vs_time({"train_seconds": 0.5, "iteration": iteration, "psnr": 20.0})
-            run.finish("init", "ab12", n_gaussians=3)
+            run.finish("init", INPUTS, "commit", (), {"n_gaussians": 3})
         files = read_files(Path(temporary) / "run")
     return {name: content for name, content in files.items() if name != ".lock"}
 
@@ -34,13 +36,14 @@ def changes(files: Files) -> SearchStrategy[Changes]:
 def check(folder: Path) -> str:
     with valid_or_refused(folder) as outcome:
         try:
-            run = RunFolder(folder, CONFIG)
+            with RunFolder(folder) as run:
+                run.claim(CONFIG)
         except ValueError as error:
             if "holds another run" not in str(error):
                 raise
             check_message(str(error), str(folder), "resume=false")
             return REFUSED
-        with run:
+        with RunFolder(folder) as run:
             run.truncate_after(NEXT)
             require(all(isinstance(row, dict) for row in run.log_rows()), "a line of log.jsonl that is no object")
             if run.curve.exists():
@@ -50,8 +53,8 @@ def check(folder: Path) -> str:
                     and all(line.count(",") == header.count(",") and int(line.split(",")[1]) <= NEXT for line in lines),
                     "a curve with other lines",
                 )
-            if run.inputs_of("init") is not None:
-                require(isinstance(run.values_of("init"), dict), "a stage without values")
+            require(isinstance(run.values_of("init"), dict), "values of a stage that are no object")
+            require(run.state("init", INPUTS)[0] in ("open", "done", "other code"), "a state that no stage has")
     return outcome[0]
 
 

@@ -1,0 +1,90 @@
+"""The settled configuration: the scene's kind chooses the schedule's file, the command line stays on top."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+
+import pytest
+from tiny import tiny_scene
+from tiny_film import unsynchronised_film
+
+from datasets.scene import Scene
+from pipeline.config.compose import Command
+from pipeline.runs.run_identity import flat
+from pipeline.stages.settle import changes, for_scene, schedule_kind
+
+WHEEL = ("scene=synthetic/wheel", "train=fast")
+MOVING, STATIC = tiny_scene(), tiny_scene(static=True)
+FILM, CLIP = (replace(MOVING, capture=capture) for capture in ("multi_view", "clip"))
+
+
+def settled(scene: Scene, *overrides: str, decided: dict | None = None) -> dict:
+    return flat(asdict(for_scene(Command((*WHEEL, *overrides)), scene, decided or {})))
+
+
+def differing(one: dict, other: dict) -> set[str]:
+    return {key for key in one if one[key] != other[key]}
+
+
+@pytest.mark.parametrize(
+    "scene, kind",
+    [
+        (MOVING, "unknown"),
+        (STATIC, "static"),
+        (FILM, "multi_view"),
+        (CLIP, "clip"),
+        (unsynchronised_film(), "multi_view"),
+    ],
+)
+def test_the_scene_chooses_the_file_of_its_kind(scene: Scene, kind: str) -> None:
+    order = Command(WHEEL)
+    assert schedule_kind(order.config(), scene) == kind
+    assert for_scene(order, scene).train == order.config(kind).train
+
+
+def test_each_kind_has_its_own_settings_and_nothing_else_changes() -> None:
+    base = settled(MOVING)
+    assert settled(STATIC)["train.init_points"] == 60_000 != base["train.init_points"]
+    assert {settled(FILM)["train.separate_tilt"], settled(CLIP)["train.regularization.flow"]} == {True, 5.0}
+    for scene in (STATIC, FILM, CLIP):
+        assert all(key.startswith("train.") or key == "ablation.static" for key in differing(settled(scene), base))
+
+
+def test_the_model_decides_not_the_data() -> None:
+    assert settled(MOVING, "ablation=static")["train.init_points"] == 60_000
+    assert settled(STATIC, "ablation.static=false")["train.init_points"] == 20_000
+
+
+@pytest.mark.parametrize("scene", [MOVING, STATIC, FILM, CLIP])
+def test_the_command_line_wins_on_every_kind_of_scene(scene: Scene) -> None:
+    given = settled(scene, "train.regularization.opacity=0.5", "train.lr={sh_rest: 0.25}")
+    assert (given["train.regularization.opacity"], given["train.lr.sh_rest"]) == (0.5, 0.25)
+    assert differing(given, settled(scene)) == {"train.regularization.opacity", "train.lr.sh_rest"}
+
+
+def test_nothing_is_left_to_decide() -> None:
+    for scene, static in ((MOVING, False), (STATIC, True)):
+        found = settled(scene, "train.select_motion=0.1")
+        assert found["ablation.static"] is static and found["scene.background"] == [0.0, 0.0, 0.0]
+        assert found["train.select_motion"] == found["train.select_time_colour"] == 0
+
+
+def test_validation_takes_its_part_out() -> None:
+    assert settled(MOVING, decided={"fourier_order": 0})["ablation.fourier_order"] == 0
+    found = settled(CLIP, decided={"static": True})
+    assert found["ablation.static"] is True and found["ablation.fourier_order"] == 0
+    assert (found["train.init_points"], found["train.regularization.flow"]) == (60_000, 5.0)  # static, of a clip
+
+
+@pytest.mark.parametrize(
+    "overrides, found",
+    [
+        ((), {}),
+        (("seed=3", "threads=2", "out=x", "evaluate.lpips=false", "ablation=no_4dsh"), {}),
+        (("train.batch=2", "scene.size=48"), {"train.batch": 2, "scene.size": 48}),
+        (("train.batch=4",), {}),  # as it is anyway
+        (("train.name=mine", "+ablation.sh_degree=1"), {"ablation.sh_degree": 1}),
+    ],
+)
+def test_a_run_says_what_its_command_changed(overrides: tuple[str, ...], found: dict) -> None:
+    assert changes(Command((*WHEEL, *overrides)), MOVING) == found
