@@ -134,7 +134,7 @@ def evaluate_model(job: Job) -> dict:
     write_csv(folder.per_image, _per_image(final, best))
     write_json(folder.metrics, {
         "scene": cfg.scene.name, "recipe": cfg.train.name, "model": cfg.ablation.name,
-        "changes": changes(job.command, scene), "seed": cfg.seed, "date": now(),
+        "changes": changes(job.command, scene), "seed": cfg.seed, "capture": scene.capture, "date": now(),
         "final": final.metrics,
         "best_on_test": best_metrics,
         **({} if scene.test_split is None else {"test_split": scene.test_split}),
