@@ -20,14 +20,13 @@ from pathlib import Path
 import torch
 
 from rasterizer.allocator import keep_freed_memory
-from rasterizer.bench.baselines import time_loss, time_reference
-from rasterizer.bench.model_costs import time_parts
-from rasterizer.bench.roofline_model import Rates, Work, bound_ms, measure_rates, work_of
+from rasterizer.bench.baselines import time_loss, time_parts, time_reference
+from rasterizer.bench.frame_time import FrameTime, Time, WorkCounts, clock_for, count_work, time_frame
+from rasterizer.bench.iteration_time import time_iteration
+from rasterizer.bench.roofline import Rates, Work, bound_ms, measure_rates, work_of, write_roofline
+from rasterizer.bench.workloads import WORKLOADS, Workload, make_workload
 from rasterizer.cores import usable_cores
 from rasterizer.kernel_loader import ISA_VARIABLE, kernel
-from rasterizer.timing.frame_time import FrameTime, Time, WorkCounts, clock_for, count_work, time_frame
-from rasterizer.timing.iteration_time import time_iteration
-from rasterizer.timing.workloads import WORKLOADS, Workload, make_workload
 
 REFERENCE_PIXELS = 24
 LOSS_PIXELS = 400
@@ -103,8 +102,6 @@ def measure_workloads(options: argparse.Namespace, threads: list[int], plot: Pat
     if options.all:
         result["loss"] = measure_loss(options.repeats, log)
     if plot:
-        from rasterizer.bench.roofline_plot import write_roofline
-
         write_roofline(plot, rates, roofline)
         log(f"roofline: {plot}")
     if len(options.workloads) == 1:

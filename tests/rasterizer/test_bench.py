@@ -12,12 +12,12 @@ import torch
 
 from rasterizer import Rasterizer
 from rasterizer.bench.baselines import torch_loss
+from rasterizer.bench.frame_time import count_work
+from rasterizer.bench.workloads import SplitMix64, Workload, make_workload
 from rasterizer.kernel_loader import available_isas, load_kernel
 from rasterizer.loss import PhotometricLoss
 from rasterizer.reference import render as reference
 from rasterizer.reference.blend import blending_weights, pixel_centers, splat_alpha
-from rasterizer.timing.frame_time import count_work
-from rasterizer.timing.workloads import SplitMix64, Workload, make_workload
 
 
 def naive_splitmix64(seed: int, count: int) -> list[float]:

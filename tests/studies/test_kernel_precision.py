@@ -30,12 +30,12 @@ from pipeline.studies.kernel_precision.reference_rendering import Rendered, rend
 from pipeline.studies.kernel_precision.table import comma_separated, margins_of, markdown, on_front, verdicts
 from pipeline.studies.kernel_precision.variants import DEFAULT, TRADES, NumericalChoices, Variant, all_variants, by_name
 from rasterizer import Gradients, Rasterizer, Request
+from rasterizer.bench.workloads import Workload, make_workload
 from rasterizer.gaussians import Motion
 from rasterizer.kernel_loader import kernel
 from rasterizer.reference import render as reference
 from rasterizer.reference.blend import Thresholds
 from rasterizer.reference.discontinuities import away_from_discontinuities, smooth_pixels
-from rasterizer.timing.workloads import Workload, make_workload
 
 NONE = Thresholds(0, 0, 0)
 FINE = 1e-4  # a minimum of p(t)

@@ -23,8 +23,8 @@ from pipeline.terminal.command_line import command, log
 from pipeline.trained.open_run import open_run
 from rasterizer import Request
 from rasterizer.allocator import keep_freed_memory
+from rasterizer.bench.workloads import WORKLOADS, Workload, make_workload
 from rasterizer.kernel_loader import kernel
-from rasterizer.timing.workloads import WORKLOADS, Workload, make_workload
 
 NAME = "kernel_precision"
 

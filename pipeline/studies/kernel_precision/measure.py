@@ -15,8 +15,8 @@ from torch import Tensor
 from pipeline.studies.kernel_precision.reference_rendering import Rendered, render_reference
 from pipeline.studies.kernel_precision.variants import TRADES, Variant
 from rasterizer import Gaussians, Gradients, Rasterizer
+from rasterizer.bench.workloads import Workload
 from rasterizer.reference.blend import Thresholds
-from rasterizer.timing.workloads import Workload
 
 FRAMES_IN_A_ROW = 4  # of one variant: the first after another variant has cold caches
 

@@ -12,9 +12,9 @@ import torch
 from torch import Tensor
 
 from rasterizer import Gaussians
+from rasterizer.bench.workloads import Workload
 from rasterizer.reference import render as reference
 from rasterizer.reference.blend import Splats, Thresholds, blending_weights, pixel_centers, splat_alpha
-from rasterizer.timing.workloads import Workload
 
 # A Gaussian with α' below this at every pixel is culled at any thresholds, to bound time and memory: a million of them
 # change a pixel by 1e-12.

@@ -1,5 +1,6 @@
-"""A lower bound on a frame's time: operations and bytes of each stage, divided by what one thread achieves.
+"""A lower bound on a frame's time, and a plot of each stage against it.
 
+The bound is the operations and bytes of each stage, divided by what one thread achieves.
 Operations are counted in the kernel's source: one per lane for each addition, multiplication, multiply-add, comparison
 or minimum; moves, masks, shuffles, addresses and branches are free. Bytes are what a stage must read and write with
 cold caches, each once. The bound is the sum of the two times; a thread that overlapped them fully could be faster.
@@ -8,12 +9,17 @@ cold caches, each once. The bound is the sum of the two times; a thread that ove
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
+import numpy as np
+
+from rasterizer.bench.frame_time import WorkCounts
 from rasterizer.kernel_loader import kernel
-from rasterizer.timing.frame_time import WorkCounts
 
 GEOMETRY = 4 * 17  # bytes of a Gaussian: mean, scale, two quaternions, opacity
 LINE = 64  # bytes of a splat, a colour Jacobian, an intersection's gradient: a cache line
+MARKERS = "osD^v"  # of the workloads in the plot
 
 
 @dataclass(frozen=True)
@@ -71,3 +77,47 @@ def work_of(c: WorkCounts, sh_bytes: int) -> dict[str, Work]:
 def bound_ms(work: dict[str, Work], rates: Rates) -> float:
     """Lower bound of the frame's time in milliseconds."""
     return 1e3 * sum(stage.seconds(rates) for stage in work.values())
+
+
+def write_roofline(path: Path, rates: Rates, measured: dict[str, tuple[dict[str, Work], dict[str, float]]]) -> None:
+    """measured: by workload, the work of each stage and its milliseconds on one thread."""
+    import matplotlib  # only the plot needs it
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(7.5, 5))
+    intensity = np.logspace(-1.5, 2.5, 200)
+    axes.plot(
+        intensity,
+        np.minimum(rates.operations, rates.bytes * intensity) / 1e9,
+        color="black",
+        lw=1.5,
+        label=f"roof: {rates.operations / 1e9:.0f} G operations/s, {rates.bytes / 1e9:.1f} GB/s",
+    )
+    colors: dict[str, Any] = {}  # by stage
+    for marker, (workload, (work, milliseconds)) in zip(MARKERS, measured.items(), strict=False):
+        for stage, stage_work in work.items():
+            rate = stage_work.operations / (1e-3 * milliseconds[stage]) / 1e9
+            (point,) = axes.plot(
+                stage_work.operations / stage_work.bytes,
+                rate,
+                marker,
+                color=colors.get(stage),
+                ms=7,
+                label=stage if stage not in colors else None,
+            )
+            colors[stage] = point.get_color()
+        axes.plot([], [], marker, color="grey", label=workload)
+    axes.set(
+        xscale="log",
+        yscale="log",
+        xlabel="operations per byte",
+        ylabel="10⁹ operations per second",
+        title="Roofline, one thread",
+    )
+    axes.legend(fontsize=8, loc="lower right")
+    axes.grid(alpha=0.3, which="both")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=130, bbox_inches="tight")
+    plt.close(figure)

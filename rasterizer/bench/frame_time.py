@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import torch
 
+from rasterizer.bench.workloads import Workload
 from rasterizer.gradients import Gradients
 from rasterizer.rasterizer import STAGES, Rasterizer
-from rasterizer.timing.workloads import Workload
 
 
 @dataclass(frozen=True)

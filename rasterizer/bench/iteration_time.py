@@ -7,12 +7,12 @@ from typing import Any
 import torch
 
 from rasterizer.adam import adam_step, sh_adam_step
+from rasterizer.bench.frame_time import Time, clock_for
+from rasterizer.bench.workloads import Workload
 from rasterizer.gaussians import Gaussians
 from rasterizer.gradients import Gradients
 from rasterizer.loss import PhotometricLoss
 from rasterizer.rasterizer import Rasterizer
-from rasterizer.timing.frame_time import Time, clock_for
-from rasterizer.timing.workloads import Workload
 
 
 def time_iteration(
