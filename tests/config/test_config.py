@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import functools
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from hydra import compose, initialize_config_dir
+from shell import Shell
 
 from pipeline.config.compose import CONFIG_DIR, known_keys, one_line, options, register_schema, to_config
 from pipeline.config.schema import Config
 
-ROOT = CONFIG_DIR.parent
 # Of these the released program's settings are known: conf/train/release/<scene>.yaml.
 SCENES_OF_THE_RELEASE = sorted(
     str(file.relative_to(CONFIG_DIR / "train/release").with_suffix(""))
@@ -187,14 +184,7 @@ def test_known_keys_are_the_schemas() -> None:
 
 @pytest.mark.parametrize("arguments", [["scene=dnerf", "train.iteratons=5"], ["scene=dnerf", "scene.path=not/there"]])
 def test_a_failing_command(arguments: list[str], tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "pipeline", *arguments],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        env={**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"},
-    )
-    assert done.returncode == 1
-    assert done.stderr.startswith("error: ") and done.stderr.count("\n") == 1
-    assert "Traceback" not in done.stderr
+    _, err = Shell(tmp_path)(*arguments, status=1)
+    assert err.startswith("error: ") and err.count("\n") == 1
+    assert "Traceback" not in err
     assert sorted(tmp_path.glob("*")) in ([], [tmp_path / "results"])  # at most our own run folder
