@@ -54,14 +54,14 @@ def test_capture_of_photographs_by_their_times() -> None:
     assert capture_of(apart, (), filmed=False) == "monocular" and capture_of(apart, (), filmed=True) == "clip"
 
 
-def test_frame_spacing_is_that_of_the_training_times_even_if_the_duration_is_longer() -> None:
+def test_frame_spacing_is_that_of_the_training_times() -> None:
     times = (0.2, 0.3, 0.3, 0.6)
     views = tuple(view(str(i), float(i), time) for i, time in enumerate(times))
     assert scene(train=views).frame_spacing == pytest.approx(0.2)
     assert scene(train=views[:1], duration=0.5).frame_spacing == 0.5
 
 
-def test_cameras_that_are_not_synchronised_are_several_with_the_spacing_of_one() -> None:
+def test_unsynchronised_cameras_have_the_frame_spacing_of_one() -> None:
     film = unsynchronised_film()
     assert len(film.train) == len(film.train_times) == 4 * 30  # every view has a time of its own
     assert capture_of(film.train, film.test, filmed=True) == "multi_view" and film.frame_count == 30

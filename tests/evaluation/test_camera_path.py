@@ -85,7 +85,7 @@ def test_the_path_stays_among_the_cameras() -> None:
     assert distance.min() > 2 and distance.max() <= 3 and np.abs(around[:, 1]).max() < EXACT
 
 
-def test_time_is_constant_in_the_first_turn_and_covers_the_duration_in_the_second() -> None:
+def test_time_stands_in_the_first_turn_and_runs_in_the_second() -> None:
     times = [frame.time for frame in path_of(grid())]
     half = len(times) // 2
     assert set(times[:half]) == {6.0}  # the middle of [2, 10]

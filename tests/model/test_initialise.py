@@ -97,7 +97,7 @@ def test_points_of_structure_from_motion_keep_their_positions_and_colours() -> N
     assert model.sphere is None
 
 
-def test_the_sphere_surrounds_points_and_cameras_and_is_restricted_to_visible_directions() -> None:
+def test_the_sphere_surrounds_the_scene_in_visible_directions_only() -> None:
     scene = tiny_scene()  # cameras on an arc at distance 4 from the origin, looking along +z
     cfg = Config(
         scene=SceneConfig(init_points=50),

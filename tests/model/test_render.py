@@ -61,7 +61,7 @@ def test_the_image_is_composited_over_the_environment_map() -> None:
     torch.testing.assert_close(found.double()[:, smooth], expected[:, smooth], rtol=0, atol=2e-5)
 
 
-def test_the_gradient_equals_finite_differences_of_the_reference_implementation() -> None:
+def test_the_gradient_equals_finite_differences_of_the_reference() -> None:
     """Along a random direction for each field and for the environment map, in float64."""
     gaussians, texels, weights = example()
     model, rasterizer = model_of(gaussians, texels), Rasterizer(threads=1)

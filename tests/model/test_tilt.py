@@ -39,7 +39,7 @@ def test_the_coordinates_are_orthogonal_and_have_an_inverse() -> None:
     torch.testing.assert_close(length, left.square().sum(dim=1) + right.square().sum(dim=1), rtol=1e-14, atol=0)
 
 
-def test_of_an_untilted_rotation_one_coordinate_turns_space_and_the_other_the_time_axis() -> None:
+def test_tilt_coordinates_separate_rotation_from_velocity() -> None:
     """The change of the last row of the rotation, by steps of 1e-6 along each coordinate."""
     left, change = random_quaternions(3)
     right, nothing, step = left * UNTILTED.double(), torch.zeros_like(change), 1e-6

@@ -222,7 +222,7 @@ def test_float64_depth_order_begins_at_far_near_planes(near_planes: float, far: 
     assert ((color_of(gaussians, request) - truth).abs().max() < 1e-5).item() is far
 
 
-def test_with_the_near_plane_at_the_camera_every_depth_is_compared_in_float64():
+def test_a_near_plane_at_the_camera_compares_all_depths_in_float64():
     camera = camera_at(4.0, True, focal=40.0)
     gaussians = gaussians_along_axis(camera, "full", 1e-9, 0.4, logit=0.0)
     gaussians = replace(gaussians, quat_right=gaussians.quat_left * torch.tensor([1, -1, -1, -1]))

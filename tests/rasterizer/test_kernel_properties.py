@@ -159,7 +159,7 @@ def test_rotating_the_world_with_the_camera_changes_nothing(motion: str):
 
 
 @pytest.mark.parametrize("motion", ["full", "separable"])
-def test_marginals_of_a_later_time_are_those_of_gaussians_moved_back_along_their_paths(motion: str):
+def test_a_marginal_offset_equals_gaussians_moved_back_in_time(motion: str):
     """A Gaussian whose μt is earlier by δ, and its position with it by velocity · δ, is on the same path."""
     offset, request = 0.15, make_request()
     gaussians = random_gaussians(50, motion, generator(17), fourier_order=0)  # colours do not depend on t - μt

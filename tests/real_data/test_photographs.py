@@ -38,7 +38,7 @@ def found(photographs: list[Photograph], photograph_folder: Path) -> Reconstruct
     return reconstruct(photographs, CFG, 1.0, photograph_folder)
 
 
-def test_all_photographs_are_registered_and_the_focal_length_is_that_of_the_calibration(
+def test_all_photographs_are_registered_at_the_calibrated_focal_length(
     found, photographs, focal: float, downscale: int
 ) -> None:
     assert set(found.cameras) == {p.name for p in photographs} and found.photographs == len(photographs) - 1

@@ -115,7 +115,7 @@ def test_runs_of_all_six_scenes_fill_table_1(tmp_path: Path) -> None:
     assert any("of a CPU; the others' is of GPUs" in note for _, note in TABLE1.build(collection).notes)
 
 
-def test_mean_of_fewer_scenes_states_their_number_and_is_not_in_the_table_per_scene(tmp_path: Path) -> None:
+def test_a_mean_of_fewer_scenes_states_their_number(tmp_path: Path) -> None:
     write_run(tmp_path, SALMON, recipe="paper", psnr=29.0)
     collection = collect(tmp_path)
     table = TABLE1.build(collection)

@@ -153,7 +153,7 @@ def test_option_out_of_range_is_one_line(capsys, tmp_path, options, error):
     assert stopped.value.code == 2 and capsys.readouterr().err == f"error: {error}\n"
 
 
-def test_retraining_keeps_the_number_of_gaussians_in_a_schedule_that_prunes_and_adds(trained):
+def test_retraining_keeps_the_number_of_gaussians(trained):
     cfg = tiny_config(60)
     rules = replace(
         cfg.train.densify, prune_hidden=0.9, prune_sensitivity=0.1, prune_sensitivity_every=10,

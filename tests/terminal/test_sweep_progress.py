@@ -67,9 +67,7 @@ def test_what_a_resumed_run_had_done_before_says_nothing_about_the_speed(capsys:
         assert capsys.readouterr().out == f"1/2 runs, {10 / done:.0f} min left  result\n"
 
 
-def test_a_failed_run_is_no_longer_to_do_and_another_run_of_its_folder_is_reported(
-    capsys: pytest.CaptureFixture,
-) -> None:
+def test_a_failed_run_is_no_longer_to_do(capsys: pytest.CaptureFixture) -> None:
     with sweep({"a": 1.0, "b": 1.0}):
         began(60)
         joined("a").failed()

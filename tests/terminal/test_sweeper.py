@@ -96,7 +96,7 @@ def test_every_run_of_an_experiment_has_a_valid_configuration_and_a_folder(
         assert cfg.scene.name == first["scene"]
 
 
-def test_reproduce_is_the_full_model_on_each_scene_and_each_ablation_on_its_own() -> None:
+def test_reproduce_is_each_scene_and_each_ablation_on_its_own_scene() -> None:
     runs = planned("experiment=reproduce")
     scenes = ["counter", "street", "wheel", "lamp", "burst", "still"]  # the longest first, as others run beside it
     assert [out.removeprefix("results/runs/synthetic/") for out in runs] == [

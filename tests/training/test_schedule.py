@@ -77,7 +77,7 @@ def test_resolution_steps_are_fractions_of_the_schedule() -> None:
     assert [phase(now, throughout, 1.0, 3, 2).resolution for now in (1, 999, 1000)] == [0.5, 0.5, 0.5]
 
 
-def test_background_models_are_trained_until_and_including_the_given_iteration() -> None:
+def test_background_models_are_trained_through_the_given_iteration() -> None:
     trained = {now: phase(now, TrainConfig(), EXTENT, 3, 2) for now in (5000.0, 5001.0, 10_000.0, 10_001.0)}
     assert [found.environment_map for found in trained.values()] == [True, False, False, False]
     assert [found.sphere for found in trained.values()] == [True, True, True, False]
@@ -90,7 +90,7 @@ def test_dropout_ends_after_its_share_of_the_schedule() -> None:
     assert phase(1.0, replace(cfg, dropout_until=0.0), EXTENT, 3, 2).dropout == 0.0
 
 
-def test_after_it_short_lived_gaussians_alone_are_dropped_if_a_lifetime_is_set() -> None:
+def test_late_dropout_applies_to_short_lived_gaussians_only() -> None:
     cfg = TrainConfig(iterations=5000, dropout=0.1, dropout_until=0.7, dropout_lifetime=0.2)
     phases = [phase(now, cfg, EXTENT, 3, 2) for now in (1.0, 3500.0, 3501.0, 5000.0)]
     assert [(found.dropout, found.dropout_lifetime) for found in phases] == [(0.1, None)] * 2 + [(0.1, 0.2)] * 2

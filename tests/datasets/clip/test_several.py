@@ -123,9 +123,7 @@ def test_a_camera_that_stands_still_has_one_pose_and_images_one_size(videos: Pat
     assert sum(camera.name == "c" for _, camera, _ in opened(videos, moving_cameras=True)[0].photographs()) > 12
 
 
-def test_images_keep_their_size_where_structure_from_motion_sees_smaller_ones(
-    videos: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_images_keep_their_size_where_sfm_sees_smaller_ones(videos: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("datasets.clip.footage.SFM_SIDE", 48)
     found, _ = opened(videos)
     assert {camera.clip.photograph(frame).shape for _, camera, frame in found.photographs()} == {(32, 48, 3)}

@@ -133,7 +133,7 @@ def write_truth(folder: Path, frames: int) -> None:
         np.savez(folder / "truth" / f"{Path(name).stem}.npz", **arrays)
 
 
-def test_truth_is_that_of_undistorted_images_without_depth_of_estimated_poses(filmed: Path, tmp_path: Path) -> None:
+def test_truth_is_of_undistorted_images_without_estimated_depth(filmed: Path, tmp_path: Path) -> None:
     folder = shutil.copytree(filmed, tmp_path / "footage")
     write_truth(folder, FRAMES)
     footage = read(folder, cache=tmp_path / "cache", downscale=1, first_frame=2)
@@ -148,7 +148,7 @@ def test_truth_is_that_of_undistorted_images_without_depth_of_estimated_poses(fi
                 assert truth.depth is None if estimated else truth.depth.max() == frame + 1
 
 
-def test_truth_of_cameras_that_are_not_synchronised_is_that_of_the_frames_shown(filmed: Path, tmp_path: Path) -> None:
+def test_truth_of_unsynchronised_cameras_is_that_of_the_frames_shown(filmed: Path, tmp_path: Path) -> None:
     folder = shutil.copytree(filmed, tmp_path / "footage")
     write_truth(folder, FRAMES)
     starts = (0.0, 1 / RATE, 0.0, 0.0)  # the second camera shows one frame less at each time

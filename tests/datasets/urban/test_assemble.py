@@ -84,7 +84,7 @@ def grid(x: tuple[float, float], y: tuple[float, float], z: float, step: float) 
     return np.stack([across.ravel(), down.ravel(), np.full(across.size, z)], axis=1)
 
 
-def test_points_behind_a_nearer_surface_are_hidden_and_the_road_hides_nothing() -> None:
+def test_nearer_surfaces_hide_points_and_the_road_hides_none() -> None:
     """A board at 10 m before a wall at 30 m, both densely measured, and a road, nearer below any of its points."""
     board, wall = grid((-1, 1), (-1, 1), 10.0, 0.08), grid((-9, 9), (-6, 1.4), 30.0, 0.25)
     road = np.stack([np.zeros(40), np.full(40, 1.6), np.linspace(6, 45, 40)], axis=1)

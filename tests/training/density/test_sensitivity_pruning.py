@@ -135,7 +135,7 @@ def test_scoring_views_are_all_views_or_all_cameras_of_evenly_spread_times():
     assert scoring_views(scene) == list(scene.train)
 
 
-def test_scoring_views_of_cameras_that_are_not_synchronised_are_those_of_evenly_spread_moments():
+def test_unsynchronised_cameras_are_scored_at_evenly_spread_moments():
     film = unsynchronised_film(frames=300)
     scoring = scoring_views(film)
     cameras = Counter(view.name.partition("_")[0] for view in scoring)

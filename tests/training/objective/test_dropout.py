@@ -59,7 +59,7 @@ def test_a_static_model_has_no_short_lived_gaussians():
     assert not short_lived(random_model(ModelKind("static", 0, 0)), 100.0).any()
 
 
-def test_after_its_share_of_the_schedule_long_lived_gaussians_are_in_every_view(tmp_path):
+def test_late_dropout_spares_long_lived_gaussians(tmp_path):
     scene, cfg = tiny_scene(), tiny_config(iterations=10, dropout=0.5, dropout_until=0.5, dropout_lifetime=0.2)
     state = start(initialise(scene, cfg, np.random.default_rng(0)), scene, cfg, TinyRun(tmp_path))
     short = torch.arange(len(state.model)) % 2 == 0
@@ -83,7 +83,7 @@ def test_training_with_dropout_is_a_function_of_the_seed(tmp_path):
     assert not torch.equal(first, plain.parameters["mean"]) and not torch.equal(first, other.parameters["mean"])
 
 
-def test_training_is_that_without_dropout_where_it_never_begins_and_another_where_it_ends(tmp_path):
+def test_dropout_that_never_begins_changes_nothing(tmp_path):
     def trained(name: str, **changes: float) -> torch.Tensor:
         return train_tiny(tmp_path / name, tiny_config(**changes)).model.parameters["mean"]
 

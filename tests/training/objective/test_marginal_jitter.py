@@ -26,7 +26,7 @@ def model_with_short_lived(share: float, count: int = 400) -> Model:
     return model
 
 
-def test_offsets_are_uniform_within_a_multiple_of_the_spacing_of_the_training_times():
+def test_offsets_are_uniform_within_multiples_of_the_time_spacing():
     model = model_with_short_lived(0.0)
     offsets = np.array(draw_offsets(10_000, 1.5, model, SCENE, np.random.default_rng(0))) / (1.5 * SPACING)
     assert np.abs(offsets).max() <= 1 + 1e-12
@@ -35,7 +35,7 @@ def test_offsets_are_uniform_within_a_multiple_of_the_spacing_of_the_training_ti
 
 
 @pytest.mark.parametrize("factor", [0.5, 2.0])
-def test_nothing_is_jittered_where_many_gaussians_live_for_less_than_a_spacing(factor: float):
+def test_short_lived_gaussians_turn_jitter_off(factor: float):
     model = model_with_short_lived(factor * MAX_SHORT_LIVED)
     assert short_lived_share(model, SCENE) == pytest.approx(factor * MAX_SHORT_LIVED, abs=0.01)
     offsets = draw_offsets(8, 2.0, model, SCENE, np.random.default_rng(0))

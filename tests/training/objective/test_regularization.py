@@ -95,7 +95,7 @@ def test_weights_follow_the_covered_share_and_the_number_of_views():
     assert (found.motion, found.opacity) == pytest.approx((0.5 * share * 100 / 51, 2.0 * share * 100 / 51))
 
 
-def test_empty_background_takes_no_part_in_the_balance_of_loss_and_regularization():
+def test_empty_background_does_not_shift_loss_against_regularization():
     """Images with a border of background, twice as wide and high: a quarter of the weight beside a quarter of the
     loss, which is a mean over all pixels."""
     framed = tuple(replace(view, image=np.pad(view.image, ((16, 16), (16, 16), (0, 0)))) for view in SCENE.train)
