@@ -61,6 +61,7 @@ def register_schema() -> None:
     """Make `schema` of conf/config.yaml known to Hydra. Calling it again changes nothing."""
     ConfigStore.instance().store(name="schema", node=Config)
     OmegaConf.register_new_resolver("named_after_folder", named_after_folder, replace=True)
+    OmegaConf.register_new_resolver("family", lambda scene: scene.partition("/")[0], replace=True)
 
 
 def named_after_folder(family: str, path: str | None) -> str:
