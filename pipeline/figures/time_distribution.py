@@ -7,7 +7,6 @@ import torch
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 
-from pipeline.evaluation.lifetimes import BIN_EDGES, QUANTILES, lifetimes
 from pipeline.evaluation.pictures.false_colour import value_picture
 from pipeline.evaluation.renderer import Renderer
 from pipeline.figures.figure import Figure, canvas, png_of, show
@@ -18,6 +17,7 @@ from rasterizer.reference.blend import MIN_MARGINAL
 
 OPAQUE = 0.5  # alpha from which a pixel of a map is valid
 STEPS = 200  # times at which Gaussians are counted
+BIN_EDGES = 2.0 ** np.arange(-6, 10.25, 0.25)  # frames, of the histogram; the first and last bin hold what is outside
 
 
 def time_maps_figure(renderer: Renderer, view: MovingView) -> Figure:
@@ -57,21 +57,21 @@ def _seen(deviation: np.ndarray, opaque: np.ndarray, view: MovingView) -> str:
 
 def lifetimes_figure(renderer: Renderer) -> Figure:
     """Of a model with time."""
-    found = lifetimes(renderer.model, renderer.scene)
-    assert found is not None
     frames = renderer.scene.frame_count
+    deviation = temporal_deviation(renderer.model.gaussians()).numpy() / renderer.scene.frame_spacing
+    counts, _ = np.histogram(np.clip(deviation, BIN_EDGES[0], BIN_EDGES[-1]), BIN_EDGES)
     figure = canvas(7.2, 3.2)
     axis = figure.subplots()
-    axis.stairs(found["counts"], BIN_EDGES, fill=True, color=LIGHT.ablations[0])
+    axis.stairs(counts, BIN_EDGES, fill=True, color=LIGHT.ablations[0])
     axis.axvline(frames, color=LIGHT.ablations[1], lw=1.2)
     axis.annotate("the scene", (frames, 1), (4, -12), xycoords=("data", "axes fraction"), textcoords="offset points",
                   color=LIGHT.ablations[1])  # fmt: skip
     axis.set(xscale="log", xlabel="√Σtt, frames", ylabel="Gaussians")
-    shown = np.flatnonzero(found["counts"])
+    shown = np.flatnonzero(counts)
     axis.set_xlim(BIN_EDGES[shown[0]] / 1.2, max(BIN_EDGES[shown[-1] + 1], frames) * 1.2)
     axis.grid(color=LIGHT.faint, lw=0.7)
     axis.set_axisbelow(True)
-    low, median, high = (found["quantiles"][QUANTILES.index(q)] for q in (0.05, 0.5, 0.95))
+    low, median, high = np.quantile(deviation, (0.05, 0.5, 0.95))
     seen = (
         f"Half of the {len(renderer.model):,} Gaussians have a deviation in time below {median:.1f} of the scene's "
         f"{frames} frames, and 90 % lie between {low:.1f} and {high:.1f}."
@@ -83,7 +83,7 @@ def growth_figure(renderer: Renderer) -> Figure:
     """Of a model with time. Counted by p(t) >= 0.05, whether or not a camera sees the Gaussian."""
     scene = renderer.scene
     times = np.linspace(scene.time_start, scene.time_end, STEPS)
-    seen_until, alive = counts(renderer, times)
+    seen_until, alive = counts_over(renderer, times)
     elapsed = times - scene.time_start
     figure = canvas(7.2, 3.2)
     axis = figure.subplots()
@@ -100,7 +100,7 @@ def growth_figure(renderer: Renderer) -> Figure:
     return Figure("growth", "Gaussians against the length of the video", seen, png_of(figure))
 
 
-def counts(renderer: Renderer, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def counts_over(renderer: Renderer, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(alive at any time from the first of `times` to each, alive at each), both (T,)."""
     gaussians = renderer.model.gaussians()
     reach = temporal_deviation(gaussians) * float(np.sqrt(-2 * np.log(MIN_MARGINAL)))

@@ -13,7 +13,6 @@ from pipeline.config.random_streams import Stream, stream
 from pipeline.config.schema import Config
 from pipeline.data.prepared import Prepared
 from pipeline.evaluation.evaluate import Evaluation, evaluate, evaluate_with_images
-from pipeline.evaluation.lifetimes import lifetimes
 from pipeline.evaluation.motion.moving_pixels import MovingPixels
 from pipeline.evaluation.outlook import outlook, path_angles
 from pipeline.evaluation.quick_evaluate import quick_evaluate
@@ -92,8 +91,8 @@ def train_model(job: Job) -> dict:
 
     def evaluate_fn(model: Model, progress: Progress) -> dict:
         found = quick_evaluate(model, scene, cfg, rasterizer, moving)
-        row = {"iteration": progress.iteration, **found, "lifetimes": lifetimes(model, scene)}
-        folder.log({"event": "evaluate", **row, "peak_rss_mb": peak_memory_mb()})
+        row = {"iteration": progress.iteration, **found, "peak_rss_mb": peak_memory_mb()}
+        folder.log({"event": "evaluate", **row})
         if watcher is not None:
             watcher.held_out = found["psnr"]
         return found

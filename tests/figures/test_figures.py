@@ -19,7 +19,7 @@ from pipeline.evaluation.renderer import Renderer
 from pipeline.figures.__main__ import figures_of, markdown
 from pipeline.figures.motion import MEASURED, TRUE, flow_figure, most_moving
 from pipeline.figures.slices import slices_figure
-from pipeline.figures.time_distribution import counts
+from pipeline.figures.time_distribution import counts_over
 from pipeline.model.model import Model, ModelKind
 from rasterizer import Rasterizer
 from rasterizer.reference.render import slice_in_time
@@ -65,7 +65,7 @@ def test_a_moving_camera_has_no_flow_to_compare_with() -> None:
 def test_growth_is_counted_as_by_a_loop() -> None:
     model = random_model(ModelKind("full", 0, 1), 60)
     renderer, times = renderer_of(model, tiny_scene()), np.linspace(0.0, 1.0, 40)
-    seen_until, alive = counts(renderer, times)
+    seen_until, alive = counts_over(renderer, times)
     ever = np.zeros(60, bool)
     for i, time in enumerate(times):
         now = slice_in_time(model.gaussians(), float(time)).marginal.numpy() >= 0.05
