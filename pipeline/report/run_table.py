@@ -1,13 +1,12 @@
 """The one table of runs: rows are groups of runs that share some columns, columns are metrics averaged over seeds.
 
-`against` names the baseline of a row: the row with those values in place of its own. A `RunTable` is such a table as
-data; tables.py lists them.
+`against` finds the baseline of a row among the others. A `RunTable` is such a table as data; tables.py lists them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,15 +16,13 @@ from pipeline.evaluation.metrics import METRICS, Metric
 from pipeline.presentation.statistics import FORMULA, Difference, Estimate, difference, estimate, mean_difference
 from pipeline.presentation.table import NO_RUN, NOTHING, Cell, Column, Row, Table, measured, number, signed, text
 from pipeline.report import scenes
-from pipeline.report.runs import BEST, FINAL, UNCHANGED, Collection
+from pipeline.report.runs import BEST, FINAL, Collection
 
 HEADERS = {  # of the columns that rows are grouped by
     "run": "Run",
     "scene_label": "Scene",
-    "recipe": "Recipe",
     "recipe_label": "Recipe",
     "model": "Model",
-    "change": "Change",
     "trained": "Trained model",
     "validation": "Decided by validation",
     "machine": "Machine",
@@ -33,7 +30,7 @@ HEADERS = {  # of the columns that rows are grouped by
     "git_commit": "Commit",
     "command": "Command",
 }
-FOLDED = ("recipe", "recipe_label", "model", "trained", "validation", "machine", "date", "git_commit")
+FOLDED = ("recipe_label", "model", "trained", "validation", "machine", "date", "git_commit")
 PROTOCOL_NOTE = (
     "final: the last iteration. best on test: the best of all test evaluations. The authors' release reports the "
     "latter, which selects on the test set."
@@ -93,6 +90,32 @@ def shown(*groups: str, protocol: str = FINAL) -> tuple[Shown, ...]:
     return tuple(Shown(key, protocol) for key, metric in METRICS.items() if metric.group in groups)
 
 
+Key = tuple[str, ...]  # of a row: the values of its columns
+Groups = Mapping[Key, pd.DataFrame]  # the rows of a table
+Baseline = Callable[[Key, Groups], "Key | None"]  # of a row: the row that it is compared with; None: it is one itself
+
+
+def full_model(key: Key, groups: Groups) -> Key | None:
+    """The same scene, recipe and changes with model=full. Rows: (…, model)."""
+    return None if key[-1] == scenes.FULL else (*key[:-1], scenes.FULL)
+
+
+def fewest_changes(key: Key, groups: Groups) -> Key | None:
+    """The same scene and model with the fewest of the run's own changes; of its recipe, or else of the only other one.
+
+    An experiment names its recipes: `no_dropout (train.dropout=0)` is compared with `short`. Rows: (scene, model, …).
+    """
+    own = groups[key].iloc[0]
+    found = [
+        (run["recipe"] != own["recipe"], len(run["changes"]), other)
+        for other, group in groups.items()
+        if other[:2] == key[:2] and (run := group.iloc[0])["changes"].items() < own["changes"].items()
+    ]
+    first = sorted(found)[:2]
+    several = len(first) == 2 and first[0][0] and first[0][:2] == first[1][:2]
+    return first[0][-1] if first and not several else None
+
+
 @dataclass(frozen=True)
 class RunTable:
     """A table of runs as data."""
@@ -102,7 +125,8 @@ class RunTable:
     rows: tuple[str, ...]  # columns of Collection.runs; runs that are equal in them are averaged
     columns: Callable[[], Sequence[Shown]] = tuple  # called for each report: METRICS may have grown
     where: Callable[[pd.DataFrame], pd.Series] | None = None  # which runs
-    against: Mapping[str, str] = field(default_factory=dict)  # of the baseline: column -> value
+    against: Baseline | None = None
+    baseline_name: str = ""  # in the header of differences
     differences: Callable[[], Sequence[Shown]] = tuple  # a column of differences from the baseline for each of these
     verdicts: int = 99  # the first so many differences have a verdict
     only_compared: bool = False  # leave out what is neither compared with a baseline nor a baseline of others
@@ -125,10 +149,10 @@ def table(runs: pd.DataFrame, spec: RunTable) -> Table | None:
         for wanted in (spec.columns, spec.differences)
     )
     groups = dict(_groups(runs, spec.rows))
+    bases = {key: spec.against(key, groups) if spec.against else None for key in groups}
     if spec.only_compared:
-        bases = {key: _baseline(spec, key) for key in groups}
-        compared = {key for key, base in bases.items() if base != key and base in groups}
-        groups = {key: group for key, group in groups.items() if key in compared | {bases[one] for one in compared}}
+        compared = {key: bases[key] for key in groups if bases[key] in groups}
+        groups = {key: group for key, group in groups.items() if key in {*compared, *compared.values()}}
         if not groups:
             return None
     rows: list[Row] = []
@@ -137,11 +161,11 @@ def table(runs: pd.DataFrame, spec: RunTable) -> Table | None:
         cells = {name: text(str(value)) for name, value in zip(spec.rows, key)}
         cells |= {"seeds": number(len(group), 0)} | {one.column: one.cell(group) for one in columns}
         if differences:
-            base_key = _baseline(spec, key)
-            base = groups.get(base_key)
+            base = groups.get(bases[key] or ())
             values = [None if base is None else one.difference(group, base) for one in differences]
-            cells |= _difference_cells(spec, differences, values, key == base_key, base is None)
-            if key != base_key and base is not None:
+            missing = f"no run of {spec.baseline_name}" if base is None else "not measured"
+            cells |= _difference_cells(differences, values, "" if bases[key] is None else missing)
+            if base is not None:
                 found.setdefault(_without_scene(spec, key), {})[key] = values
         rows.append(Row(cells))
     if spec.across_scenes:
@@ -163,10 +187,7 @@ def _groups(runs: pd.DataFrame, names: Sequence[str]) -> Iterator[tuple[tuple, p
     places = {name: {value: i for i, value in enumerate(order[name](runs[name]))} for name in names if name in order}
 
     def place(item: tuple[tuple, pd.DataFrame]) -> list:
-        return [
-            places[name][value] if name in places else (value != UNCHANGED, value)
-            for name, value in zip(names, item[0])
-        ]
+        return [places[name][value] if name in places else (len(value), value) for name, value in zip(names, item[0])]
 
     yield from sorted(runs.groupby(list(names), sort=False), key=place)
 
@@ -175,10 +196,9 @@ def _columns(spec: RunTable, columns: Sequence[Shown], differences: Sequence[Sho
     heads = [Column(name, HEADERS.get(name, name), False, fold=name in FOLDED) for name in spec.rows]
     if columns and "run" not in spec.rows:
         heads.append(Column("seeds", "Seeds", fold=True))
-    baseline = ", ".join(spec.against.values())
     compared = []
     for i, one in enumerate(differences):
-        header = f"this − {baseline}, {one.title}" if baseline != UNCHANGED else f"Change of {one.title}"
+        header = f"this − {spec.baseline_name}, {one.title}"
         compared.append(Column(f"{one.column}.difference", header, group="difference", error="2se"))
         if i < spec.verdicts:
             compared.append(Column(f"{one.column}.verdict", "Verdict", False, group="difference"))
@@ -187,21 +207,17 @@ def _columns(spec: RunTable, columns: Sequence[Shown], differences: Sequence[Sho
 
 
 def _difference_cells(
-    spec: RunTable, differences: Sequence[Shown], values: Sequence[Difference | None], is_baseline: bool, alone: bool
+    differences: Sequence[Shown], values: Sequence[Difference | None], missing: str
 ) -> dict[str, Cell]:
+    """missing: why a difference is; "": of a baseline."""
     cells: dict[str, Cell] = {}
     for one, value in zip(differences, values):
         name, word = f"{one.column}.difference", f"{one.column}.verdict"
-        if is_baseline or value is None:
-            missing = f"no run of {', '.join(spec.against.values())}" if alone else "not measured"
-            cells |= {name: NOTHING, word: NOTHING if is_baseline else text(missing)}
+        if value is None:
+            cells |= {name: NOTHING, word: text(missing) if missing else NOTHING}
         else:
             cells |= {name: signed(value, one.metric.decimals), word: text(value.verdict(one.metric.better))}
     return cells
-
-
-def _baseline(spec: RunTable, key: tuple) -> tuple:
-    return tuple(spec.against.get(name, value) for name, value in zip(spec.rows, key))
 
 
 def _without_scene(spec: RunTable, key: tuple) -> tuple:
@@ -230,7 +246,7 @@ def _means_over_scenes(
             for column in zip(*by_scene.values())
         ]
         cells |= {"seeds": NO_RUN} | {one.column: one.cell(every) for one in columns}
-        rows.append(Row(cells | _difference_cells(spec, differences, means, False, False)))
+        rows.append(Row(cells | _difference_cells(differences, means, "not measured")))
     return rows
 
 

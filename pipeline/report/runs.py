@@ -30,7 +30,6 @@ CURVE_OPTIONAL = ("ssim", "test_loss", "psnr_moving")
 PROVENANCE = ("machine", "date", "git_commit", "command")
 NOTES = ("lpips_note", "ms_ssim_note")  # why a number is missing
 IDENTITY = ("scene_label", "recipe_label", "model", "seed")  # runs that are equal in these are repetitions
-UNCHANGED = "none"
 MAX_NUMBER = 1e15  # of a measurement; its square is finite too
 MAX_TEXT = 4000  # characters of a note or a command
 
@@ -53,7 +52,7 @@ class Collection:
         run, folder: path below the directory, and whole path.
         scene, recipe, model, changes (dotted key → value), seed, capture, kind, decided: as the run declares them.
         scene_label, recipe_label: name and changes of the data, or of all else, for people: `fast (train.batch=4)`.
-        change: the latter alone, or UNCHANGED. method: recipe and all changes. trained, validation: kind and decided.
+        method: recipe and all changes. changed: whether anything but the data is. trained, validation: kind, decided.
         final.*, best_on_test.*, and costs: the numbers of metrics.METRICS as metrics.json has them; NaN: not measured.
         best_on_test.iteration, test_split, NOTES.
         machine, date, git_commit, command.
@@ -187,9 +186,9 @@ def _declared(data: Mapping[str, Any]) -> dict[str, Any]:
         "scene_label": label(row["scene"], of_scene),
         "recipe_label": label(row["recipe"], others),
         "method": label(row["recipe"], changes),
-        "change": _listed(others) or UNCHANGED,
+        "changed": bool(others),
         "trained": _listed(kind),
-        "validation": _listed(decided) or UNCHANGED,
+        "validation": _listed(decided) or "nothing",
     }
 
 

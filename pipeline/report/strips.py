@@ -19,7 +19,7 @@ from pipeline.report import scenes
 from pipeline.report.curve_figures import file_name
 from pipeline.report.moving_picture import PARTS as MOVING_PARTS
 from pipeline.report.moving_picture import moving_count, moving_parts
-from pipeline.report.runs import UNCHANGED, read_view_psnr
+from pipeline.report.runs import read_view_psnr
 
 PARTS = ("render", "truth", "difference")
 DEPTH = "rendered_depth"  # a fourth part, of driving logs
@@ -99,7 +99,7 @@ def shown_experiment(runs: pd.DataFrame) -> tuple[str, str]:
 
     Changed recipes only where there are no other runs. Without `full`: of the first model.
     """
-    unchanged = runs[runs["change"] == UNCHANGED]
+    unchanged = runs[~runs["changed"]]
     runs = runs if unchanged.empty else unchanged
     full = runs[runs["model"] == scenes.FULL]
     if full.empty:

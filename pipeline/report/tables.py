@@ -10,8 +10,8 @@ import pandas as pd
 
 from pipeline.presentation.table import Table
 from pipeline.report.paper_table import Averaged, PaperTable
-from pipeline.report.run_table import RunTable, Shown, shown
-from pipeline.report.runs import BEST, UNCHANGED, Collection
+from pipeline.report.run_table import RunTable, Shown, fewest_changes, full_model, shown
+from pipeline.report.runs import BEST, Collection
 from pipeline.report.scenes import DNERF, FAMILIES, FULL, MADE_FOR, PLENOPTIC, TABLE3, family, short
 
 
@@ -40,7 +40,8 @@ ABLATIONS = RunTable(
     ("scene_label", "recipe_label", "model"),
     where=_made_for_ablation,
     columns=lambda: (Shown("psnr"), Shown("psnr", BEST)),
-    against={"model": FULL},
+    against=full_model,
+    baseline_name=FULL,
     differences=lambda: (Shown("psnr"), Shown("psnr", BEST)),
     only_compared=True,
     section="ablations",
@@ -49,9 +50,10 @@ ABLATIONS = RunTable(
 COMPARE = RunTable(
     "compare",
     "Effect of changed settings",
-    ("scene_label", "recipe", "model", "change"),
+    ("scene_label", "model", "recipe_label"),
     columns=lambda: (Shown("psnr"),),
-    against={"change": UNCHANGED},
+    against=fewest_changes,
+    baseline_name="unchanged",
     differences=lambda: (
         *(Shown(key) for key in ("psnr", "ssim")),
         *shown("region", "flow", "lidar", "flicker"),
@@ -74,7 +76,8 @@ SCENES = tuple(
             *(one for one in shown("quality", "region", "flow", "depth", "lidar", "flicker") if one.key != "psnr"),
             *(Shown(key) for key in ("n_gaussians", "train_seconds", "fps_render")),
         ),
-        against={"model": FULL},
+        against=full_model,
+        baseline_name=FULL,
         differences=lambda: (Shown("psnr"),),
         section="scenes",
     )

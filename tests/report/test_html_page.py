@@ -96,16 +96,16 @@ def test_pictures_of_a_family_can_be_excluded(tmp_path, capsys):
 
 
 def test_strips_are_of_the_recipe_with_the_best_final_psnr_of_full() -> None:
-    def best(*rows: tuple[str, str, str, float]) -> tuple[str, str]:
-        return shown_experiment(pd.DataFrame(rows, columns=["recipe_label", "change", "model", "final.psnr"]))
+    def best(*rows: tuple[str, bool, str, float]) -> tuple[str, str]:
+        return shown_experiment(pd.DataFrame(rows, columns=["recipe_label", "changed", "model", "final.psnr"]))
 
-    def fast(change: str, psnr: float) -> tuple[str, str, str, float]:
-        return (f"fast ({change})", change, "full", psnr)
+    def fast(change: str, psnr: float) -> tuple[str, bool, str, float]:
+        return (f"fast ({change})", True, "full", psnr)
 
-    of_full = ("fast", "none", "full", 30.0), ("fast", "none", "full", 20.0), ("paper", "none", "full", 26.0)
+    of_full = ("fast", False, "full", 30.0), ("fast", False, "full", 20.0), ("paper", False, "full", 26.0)
     assert best(*of_full) == ("paper", "full")  # means
-    assert best(("fast", "none", "full", 25.0), ("paper", "none", "no_4dsh", 26.0)) == ("fast", "full")
-    assert best(("fast", "none", "full", 25.0), fast("batch=4", 26.0)) == ("fast", "full")  # changes do not count
+    assert best(("fast", False, "full", 25.0), ("paper", False, "no_4dsh", 26.0)) == ("fast", "full")
+    assert best(("fast", False, "full", 25.0), fast("batch=4", 26.0)) == ("fast", "full")  # changes do not count
     assert best(fast("batch=1", 25.0), fast("batch=4", 26.0)) == ("fast (batch=4)", "full")
 
 

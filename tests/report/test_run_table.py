@@ -16,9 +16,10 @@ from pipeline.presentation.table_files import markdown
 from pipeline.report import scenes, tables
 from pipeline.report.__main__ import main
 from pipeline.report.build import content_of
-from pipeline.report.run_table import RunTable, Shown
+from pipeline.report.run_table import RunTable, Shown, fewest_changes
 from pipeline.report.runs import collect
 
+DROPOUT = "fast (train.dropout=0.1)"
 DIFFERENCE, VERDICT = "final.psnr.difference", "final.psnr.verdict"
 
 
@@ -181,7 +182,7 @@ def test_without_an_ablation_there_are_no_verdicts(tmp_path: Path) -> None:
 
 def changed(root: Path) -> dict[tuple[str, str], Row]:
     table = tables.COMPARE.build(collect(root))
-    return dict(zip(texts(table, "scene_label", "change"), table.rows))
+    return dict(zip(texts(table, "scene_label", "recipe_label"), table.rows))
 
 
 def test_changes_are_compared_per_scene_and_over_scenes(tmp_path: Path) -> None:
@@ -190,11 +191,11 @@ def test_changes_are_compared_per_scene_and_over_scenes(tmp_path: Path) -> None:
     for scene, psnr in (("synthetic/wheel", 23.0), ("synthetic/lamp", 31.0)):
         write_seeds(tmp_path, [psnr, psnr], scene, out="dropout", changes={"train.dropout": 0.1})
     rows = changed(tmp_path)
-    wheel, mean = rows["synthetic/wheel", "train.dropout=0.1"], rows["mean of 2", "train.dropout=0.1"]
+    wheel, mean = rows["synthetic/wheel", DROPOUT], rows["mean of 2", DROPOUT]
     # Seeds 0 and 1: 23 against 21 ± √2, whose standard error is √2/√2; the cell has two of them.
     assert (wheel.cells[DIFFERENCE].value, wheel.cells[DIFFERENCE].error) == (pytest.approx(2.0), pytest.approx(2.0))
     assert (mean.cells[DIFFERENCE].value, mean.cells[DIFFERENCE].error) == (pytest.approx(1.5), pytest.approx(1.0))
-    assert list(rows)[0] == ("synthetic/wheel", "none") and len(rows) == 5
+    assert list(rows)[0] == ("synthetic/wheel", "fast") and len(rows) == 5
 
 
 def test_changes_of_the_scene_are_not_changes_of_the_recipe(tmp_path: Path) -> None:
@@ -203,11 +204,33 @@ def test_changes_of_the_scene_are_not_changes_of_the_recipe(tmp_path: Path) -> N
     write_seeds(tmp_path, [30.0], "dnerf/lego", out="b", changes=small)
     write_seeds(tmp_path, [31.0], "dnerf/lego", out="c", changes=small | {"train.batch": 2})
     rows = changed(tmp_path)
-    assert set(rows) == {
-        ("dnerf/lego (scene.downscale=4)", "none"),
-        ("dnerf/lego (scene.downscale=4)", "train.batch=2"),
+    scene = "dnerf/lego (scene.downscale=4)"
+    assert set(rows) == {(scene, "fast"), (scene, "fast (train.batch=2)")}
+    assert rows[scene, "fast (train.batch=2)"].cells[DIFFERENCE].text == "+1.00"
+
+
+def test_a_named_recipe_is_compared_with_the_one_of_the_fewest_changes(tmp_path: Path) -> None:
+    """As of an experiment whose every run has a change in common; a recipe of another kind is not compared."""
+    common, dropout = {"train.eval_every": 600}, {"train.dropout": 0}
+    write_seeds(tmp_path, [30.0], out="short", recipe="short", changes=common)
+    write_seeds(tmp_path, [29.0], out="no_dropout", recipe="no_dropout", changes=common | dropout)
+    write_seeds(tmp_path, [28.0], out="both", recipe="both", changes=common | dropout | {"train.batch": 1})
+    write_seeds(tmp_path, [20.0], out="paper", recipe="paper", changes={"train.iterations": 100})
+    found = {recipe: row.cells[DIFFERENCE].text for (_, recipe), row in changed(tmp_path).items()}
+    assert found == {
+        "short (train.eval_every=600)": "·",
+        "no_dropout (train.dropout=0, train.eval_every=600)": "-1.00",
+        "both (train.batch=1, train.dropout=0, train.eval_every=600)": "-2.00",
     }
-    assert rows["dnerf/lego (scene.downscale=4)", "train.batch=2"].cells[DIFFERENCE].text == "+1.00"
+
+
+def test_of_two_recipes_the_own_is_the_baseline(tmp_path: Path) -> None:
+    for recipe, psnr in (("fast", 30.0), ("paper", 20.0)):
+        write_seeds(tmp_path, [psnr], out=recipe, recipe=recipe)
+        write_seeds(tmp_path, [psnr + 1], out=f"{recipe}4", recipe=recipe, changes={"train.batch": 4})
+    write_seeds(tmp_path, [25.0], out="named", recipe="named", changes={"train.batch": 4})  # of which is unknown
+    found = {recipe: row.cells[DIFFERENCE].text for (_, recipe), row in changed(tmp_path).items()}
+    assert found == {"fast": "·", "paper": "·", "fast (train.batch=4)": "+1.00", "paper (train.batch=4)": "+1.00"}
 
 
 def test_lower_is_better_for_some(tmp_path: Path) -> None:
@@ -215,8 +238,8 @@ def test_lower_is_better_for_some(tmp_path: Path) -> None:
     table = RunTable(
         "flicker",
         "Flicker",
-        ("scene_label", "change"),
-        against={"change": "none"},
+        ("scene_label", "model", "recipe_label"),
+        against=fewest_changes,
         differences=lambda: (Shown("flicker"),),
     )
     for seed, off in enumerate((-0.001, 0.0, 0.001)):

@@ -126,9 +126,10 @@ def test_labels_show_what_the_run_declares(tmp_path):
     changed, plain = sorted(rows, key=lambda row: -len(row["changes"]))
     assert changed["scene_label"] == "dnerf/lego (scene.downscale=2)"
     others = "init.source=random, train.batch=4, train.resolution_steps=[1, 2]"
-    assert (changed["recipe_label"], changed["change"]) == (f"fast ({others})", others)
+    assert (changed["recipe_label"], changed["changed"]) == (f"fast ({others})", True)
     assert changed["method"] == label("fast", changes)
     assert (changed["scene"], changed["recipe"], changed["model"]) == ("dnerf/lego", "fast", "full")
     assert changed["trained"] == "fourier_order=2, motion=full, sh_degree=3"
     assert changed["validation"] == "fourier_order=0, static=false"
-    assert (plain["scene_label"], plain["recipe_label"], plain["change"]) == ("dnerf/lego", "fast", "none")
+    assert (plain["scene_label"], plain["recipe_label"], plain["changed"]) == ("dnerf/lego", "fast", False)
+    assert plain["validation"] == "nothing"
