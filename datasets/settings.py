@@ -51,7 +51,6 @@ class SceneConfig:
     # estimated
     sky_masks: str = "auto"
     layout: str = "processed"  # synthetic/street: the layout it is written in, processed | kitti_format
-    fourier_order: Optional[int] = None  # highest Fourier order that such data need; None: the ablation's
     downscale: int = 2  # images are read at 1/downscale of their size; 0 (own data): chosen by the size
     # Colour under transparent pixels: black, white or RGB in [0, 1]. auto: the border colour of opaque images if all
     # borders have one colour, else black
@@ -66,7 +65,6 @@ class SceneConfig:
     # views lie beside the camera, validation views (scene.test_split=val) on its path
     camera_path: str = "jumps"
     seed: int = 0  # synthetic: seed of the scene; the run has its own
-    init_points: int = 100_000  # number of random initial points
     # [low, high] of the cube of random initial points, canonical units; not used by videos, whose box follows from
     # their bounds or cameras
     init_box: list[float] = field(default_factory=lambda: [-1.2, 1.2])
@@ -104,12 +102,6 @@ class SceneConfig:
         require(self.sky_masks in SKY_MASKS, "scene.sky_masks", ", ".join(SKY_MASKS), self.sky_masks)
         require(self.layout in STREET_LAYOUTS, "scene.layout", ", ".join(STREET_LAYOUTS), self.layout)
         require(
-            self.fourier_order is None or 0 <= self.fourier_order <= 2,
-            "scene.fourier_order",
-            "0 to 2",
-            self.fourier_order,
-        )
-        require(
             self.background_model in BACKGROUND_MODELS,
             "scene.background_model",
             ", ".join(BACKGROUND_MODELS),
@@ -141,7 +133,6 @@ class SceneConfig:
         require(self.train_views >= 1, "scene.train_views", "at least 1", self.train_views)
         require(self.test_views >= 1, "scene.test_views", "at least 1", self.test_views)
         require(self.camera_path in CAMERA_PATHS, "scene.camera_path", ", ".join(CAMERA_PATHS), self.camera_path)
-        require(self.init_points >= 1, "scene.init_points", "at least 1", self.init_points)
         require(
             len(self.init_box) == 2 and self.init_box[0] < self.init_box[1],
             "scene.init_box",

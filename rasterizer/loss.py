@@ -11,6 +11,8 @@ from rasterizer.cores import thread_count
 from rasterizer.kernel_loader import kernel
 from rasterizer.validation import check_array, plain
 
+SSIM_WEIGHT = 0.2  # λ, of 3DGS and the paper
+
 
 @dataclass(frozen=True)
 class LossValue:
@@ -26,7 +28,7 @@ class LossValue:
 class PhotometricLoss:
     """The loss as a callable, with fixed λ (`ssim_weight`), μ (`mse_weight`) and number of threads (0: all cores)."""
 
-    def __init__(self, ssim_weight: float = 0.2, mse_weight: float = 0.0, threads: int = 0) -> None:
+    def __init__(self, ssim_weight: float = SSIM_WEIGHT, mse_weight: float = 0.0, threads: int = 0) -> None:
         self.ssim_weight, self.mse_weight = ssim_weight, mse_weight
         self.threads = thread_count(threads)
 
@@ -54,7 +56,7 @@ class PhotometricLoss:
 
 
 def photometric_loss(
-    image: Tensor, target: Tensor, ssim_weight: float = 0.2, mse_weight: float = 0.0, threads: int = 0
+    image: Tensor, target: Tensor, ssim_weight: float = SSIM_WEIGHT, mse_weight: float = 0.0, threads: int = 0
 ) -> tuple[float, float, float, Tensor]:
     """(loss, l1, ssim, ∂loss/∂image) of one pair; see `PhotometricLoss`."""
     value = PhotometricLoss(ssim_weight, mse_weight, threads)(image, target)

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 import torch
 
 from datasets.scene import Scene, View, camera_extent, capture_of
@@ -15,6 +18,7 @@ from pipeline.config.schema import AblationConfig, Config, EvaluateConfig, InitC
 from pipeline.config.train_schema import DensifyConfig, TrainConfig
 from pipeline.model.initialise import initialise
 from pipeline.model.model import Model, ModelKind
+from pipeline.training import schedule, state
 from pipeline.training.loop import Progress, TrainResult, train
 from rasterizer import Camera
 
@@ -50,17 +54,10 @@ def tiny_scene(views: int = 8, static: bool = False) -> Scene:
     )
 
 
-def tiny_config(iterations: int = 60, background_model: str = "auto", **train_keys) -> Config:
-    """60 iterations include every event of a schedule; a background model is frozen after 20."""
+def tiny_config(iterations: int = 60, background_model: str = "none", **train_keys) -> Config:
+    """60 iterations include every event of a schedule."""
     densify = DensifyConfig(
-        start=5,
-        stop=50,
-        every=10,
-        space_gradient=1e-5,
-        opacity_reset_every=25,
-        prune_big_after=30,
-        prune_radius_px=20,
-        max_gaussians=400,
+        start=5, stop=50, every=10, space_gradient=1e-5, opacity_reset_every=25, prune_big_after=30, max_gaussians=400
     )
     keys = dict(
         iterations=iterations,
@@ -71,17 +68,13 @@ def tiny_config(iterations: int = 60, background_model: str = "auto", **train_ke
         fourier_at=[30, 40],
         densify=densify,
         init_points=200,
-        sphere_freeze_after=20,
-        envmap_until=20,
-        envmap_height=12,
     )
     return Config(
-        scene=SceneConfig(init_points=200),
-        init=InitConfig(sphere_points=300, sphere_radius=2.0),
+        scene=SceneConfig(background_model=background_model),
+        init=InitConfig(sphere_points=300),
         ablation=AblationConfig(),
         train=TrainConfig(**(keys | train_keys)),
         threads=1,
-        background_model=background_model,
     )
 
 
@@ -137,7 +130,18 @@ def train_tiny(path: Path, cfg: Config | None = None, scene: Scene | None = None
     return train(model, scene, cfg, TinyRun(path), fake_evaluate)
 
 
+@contextmanager
+def small_background_models() -> Iterator[None]:
+    """Background models are trained for 20 iterations, and the environment map has 12 rows."""
+    with pytest.MonkeyPatch.context() as patch:  # of its own: a test may undo those of `monkeypatch`
+        patch.setattr(schedule, "SPHERE_FREEZE_AFTER", 20)
+        patch.setattr(schedule, "MAP_UNTIL", 20)
+        patch.setattr(state, "MAP_HEIGHT", 12)
+        yield
+
+
 def train_in_process(path: Path, iterations: int, background_model: str) -> None:
     """The main function of a child process."""
     torch.set_num_threads(1)
-    train_tiny(path, tiny_config(iterations, background_model))
+    with small_background_models():
+        train_tiny(path, tiny_config(iterations, background_model))

@@ -61,7 +61,13 @@ def register_schema() -> None:
     """Make `schema` of conf/config.yaml known to Hydra. Calling it again changes nothing."""
     ConfigStore.instance().store(name="schema", node=Config)
     OmegaConf.register_new_resolver("named_after_folder", named_after_folder, replace=True)
-    OmegaConf.register_new_resolver("family", lambda scene: scene.partition("/")[0], replace=True)
+    OmegaConf.register_new_resolver("of_scene", of_scene, replace=True)
+
+
+def of_scene(schedule: str, scene: str) -> str:
+    """The option of `train` with a schedule's differences for a scene; without such a file, that for its family."""
+    own = f"{schedule}/{scene}"
+    return own if (CONFIG_DIR / "train" / f"{own}.yaml").exists() else f"{schedule}/{scene.partition('/')[0]}"
 
 
 def named_after_folder(family: str, path: str | None) -> str:

@@ -17,7 +17,7 @@ class Stream(IntEnum):
 
     INIT = 0  # positions, times and orientations of the first Gaussians
     BATCHES = 1  # which views an iteration trains on
-    BACKGROUND = 2  # the colours that transparent images are composed over; by iteration
+    # 2 was of a part that is gone
     SENSITIVITY = 3  # signs of the estimate of image sensitivity; by iteration
     ERROR_POINTS = 4  # where and when the error is; by iteration
     DROPOUT = 5  # which Gaussians are left out of a view; by iteration

@@ -50,9 +50,6 @@ def one_of(*choices: str) -> Range:
     return Range(text, lambda value: value in choices)
 
 
-ASCENDING_PAIR = Range("[low, high] with low < high", lambda value: len(value) == 2 and value[0] < value[1])
-
-
 def check(group: str, config: Any, ranges: dict[str, Range]) -> None:
     """ValueError, one line, for the first field of `config` outside its range. None, of an optional field, passes.
 

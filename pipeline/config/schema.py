@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, Optional
 
-from datasets.settings import BACKGROUND_MODELS, SceneConfig, require
-from pipeline.config.ranges import above, at_least, between, check, one_of, positive_count
+from datasets.settings import SceneConfig, require
+from pipeline.config.ranges import at_least, check, one_of, positive_count
 from pipeline.config.train_schema import TrainConfig
 
 MAX_SEED = 2**63 - 1  # int64, as checkpoints and tables hold it
@@ -24,29 +24,18 @@ class InitConfig:
     # auto: lidar where sweeps are, sfm in other driving logs and where several cameras filmed at once, else random
     source: str = "auto"  # auto | random | sfm | lidar
     refine_poses: bool = False  # let COLMAP adjust the poses that came with the data
-    seed: int = 0  # COLMAP's, apart from the run's: runs of several seeds share its result
     max_features: int = 8192  # SIFT features an image
-    max_error_px: float = 2.0  # points of a larger reprojection error are dropped
-    min_track: int = 3  # points seen in fewer images are dropped; two images agree on a wrong match too easily
-    min_angle_deg: float = 1.5  # points whose rays meet at a smaller angle are dropped: their depth is uncertain
-    max_distance: float = 100.0  # farther points are dropped; from the cameras' centre, normalised units (Scene.unit)
     min_points: int = 100  # fewer points end the run with advice
     shared_intrinsics: bool = True  # poses unknown: one lens for all cameras
     lidar_points: Optional[int] = None  # driving logs: initial points; None: half of train.densify.max_gaussians
     lidar_velocities: bool = True  # driving logs: what moves starts with the velocity that sweeps show
-    far_share: float = 0.25  # driving logs: share of them for what no LiDAR reaches, above its highest beam
-    sphere_points: int = 100_000  # points on the sphere of background_model=sphere
-    sphere_radius: float = 10.0  # of that sphere; × the farthest camera or point from the scene's centre
+    sphere_points: int = 100_000  # points on the sphere of scene.background_model=sphere
 
     def __post_init__(self) -> None:
         check("init", self, {
             "source": one_of("auto", "random", "sfm", "lidar"),
             "lidar_points": positive_count(),
-            "far_share": between("[0, 1)", 0, 1),
-            **dict.fromkeys(("seed", "min_angle_deg"), at_least(0)),
-            **dict.fromkeys(("max_error_px", "max_distance", "sphere_radius"), above(0)),
             **dict.fromkeys(("max_features", "min_points", "sphere_points"), positive_count()),
-            "min_track": positive_count(2),
         })  # fmt: skip
 
 
@@ -58,18 +47,13 @@ class AblationConfig:
     rotation_4d: bool = True  # False: one 3D rotation, no motion
     fourier_order: int = 2  # highest Fourier order of 4DSH; 0: colour constant in time
     time_split: bool = True  # False: split in space only, no temporal indicator
-    # Whether Gaussians are added where and when the error is (docs/method.md 5.1); None: as time_split
-    add_by_error: Optional[bool] = None
+    add_by_error: bool = True  # whether Gaussians are added where and when the error is (docs/method.md 5.1)
     sh_degree: int = 3  # highest degree of spherical harmonics
     static: Optional[bool] = None  # None: as the scene is; True: no time at all, ordinary 3DGS
 
     def __post_init__(self) -> None:
         require(0 <= self.fourier_order <= 2, "ablation.fourier_order", "0 to 2", self.fourier_order)
         require(0 <= self.sh_degree <= 3, "ablation.sh_degree", "0 to 3", self.sh_degree)
-
-    @property
-    def adds_by_error(self) -> bool:
-        return self.time_split if self.add_by_error is None else self.add_by_error
 
 
 @dataclass
@@ -95,7 +79,6 @@ class Config:
     ablation: AblationConfig = field(default_factory=AblationConfig)
     train: TrainConfig = field(default_factory=TrainConfig)
     evaluate: EvaluateConfig = field(default_factory=EvaluateConfig)
-    background_model: str = "auto"  # none | sphere | envmap | cubemap; auto: the schedule's or the scene's
     seed: int = 0  # of everything random in the run
     threads: int = 0  # 0: all the cores this process may use
     estimate: bool = False  # print what time, memory and disk the run will need, and stop
@@ -107,24 +90,5 @@ class Config:
     view_at: str = "127.0.0.1:8080"  # where; the next free port if it is taken. Other hosts can be reached by others
 
     def __post_init__(self) -> None:
-        require(
-            self.background_model in ("auto", *BACKGROUND_MODELS),
-            "background_model",
-            ", ".join(("auto", *BACKGROUND_MODELS)),
-            self.background_model,
-        )
         require(0 <= self.seed <= MAX_SEED, "seed", f"in 0..{MAX_SEED}", self.seed)
         require(self.threads >= 0, "threads", ">= 0 (0: all)", self.threads)
-
-    @property
-    def effective_background_model(self) -> str:
-        """none, sphere, envmap or cubemap: what the command line says, else the schedule, else the scene."""
-        if self.background_model != "auto":
-            return self.background_model
-        return self.train.background_model or self.scene.background_model
-
-    @property
-    def effective_fourier_order(self) -> int:
-        """The highest Fourier order of a model with time: the ablation's, unless the scene needs fewer."""
-        order = self.scene.fourier_order
-        return self.ablation.fourier_order if order is None else min(order, self.ablation.fourier_order)

@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields
 from typing import Optional
 
-from datasets.settings import BACKGROUND_MODELS, require
-from pipeline.config.ranges import ASCENDING_PAIR, Range, above, at_least, between, check, one_of, positive_count
+from datasets.settings import require
+from pipeline.config.ranges import Range, above, at_least, between, check, one_of, positive_count
 
 
 @dataclass
@@ -18,8 +18,7 @@ class LearningRates:
 
     mean: float = 1.6e-4  # of μ_xyz at the start; × extent
     mean_final: float = 1.6e-6  # of μ_xyz after `decay_iterations`, log-linear; × extent
-    mean_time: float = 1.6e-4  # of μt at the start; × extent
-    # Of μt after `decay_iterations`, log-linear; × extent; None: constant, as in the paper's and the release's schedule
+    # Of μt after `decay_iterations`, log-linear from `mean`; × extent; None: constant, as in the paper and the release
     mean_time_final: Optional[float] = None
     decay_iterations: int = 30_000  # from `mean` to `mean_final`, and of μt
     sh_dc: float = 2.5e-3  # of the coefficient that is constant in time and direction
@@ -30,14 +29,11 @@ class LearningRates:
     scale: float = 5e-3  # of the log scales, all four
     rotation: float = 1e-3  # of both quaternions
     velocity: float = 1.0  # with `explicit_velocity`: of what a Gaussian moves in one st; × the rate of μ_xyz
-    environment_map: float = 2.5e-3  # of the environment map's texels
-    final_factor: float = 1.0  # every learning rate × this at the end, log-linear
-    decay_start: float = 0.0  # fraction of the schedule after which the decay to `final_factor` begins
+    final_factor: float = 1.0  # every learning rate × this at the end (pipeline/training/schedule.py)
 
     def __post_init__(self) -> None:
         rates = {f.name: at_least(0) for f in fields(self)}
         check("train.lr", self, rates | {"decay_iterations": positive_count(), "final_factor": above(0)})
-        require(self.decay_start < 1, "train.lr.decay_start", "in [0, 1)", self.decay_start)
 
 
 @dataclass
@@ -49,23 +45,14 @@ class DensifyConfig:
     every: int = 100  # iterations between densifications
     space_gradient: float = 2e-4  # threshold of the spatial indicator; NDC units, mean per view
     use_time_gradient: bool = True  # False: as the release, which computes the temporal indicator and never uses it
-    time_gradient: float = 1e-4  # threshold of the temporal indicator |∂L/∂μt|, time in units of the duration
     # A clone and its original have opacity 1 - √(1 - α), so that both together look as one did. False: as in the paper
     correct_clones: bool = False
     # False: every split shrinks the temporal scale too, as in the paper. True: only splits by the temporal indicator do
     split_by_cause: bool = False
-    split_scale: float = 0.01  # × extent: Gaussians up to this scale are cloned, larger ones split
-    split_count: int = 2  # children of a split
-    split_shrink: float = 1.6  # the children's scales are divided by this
     # Ours: the paper names no cap. Without one lego has 226,814 Gaussians at iteration 4,100 and gains 7,000 at each of
     # 108 further densifications. With this one 30,000 iterations take 46 minutes on two cores.
     max_gaussians: int = 200_000
-    prune_opacity: float = 0.005  # Gaussians of lower opacity are pruned
-    prune_big_after: int = 3000  # after this iteration large Gaussians are pruned too, by the next two keys
-    # Largest radius on the screen, pixels; 0: any. 3DGS's paper prunes by it. Its program never does: it clears the
-    # radii before it compares them with 20 pixels (https://github.com/graphdeco-inria/gaussian-splatting/issues/123).
-    prune_radius_px: float = 0.0
-    prune_scale: float = 0.1  # largest spatial scale; × extent
+    prune_big_after: int = 3000  # after this iteration large Gaussians are pruned too
     # Gaussians of the lowest image sensitivity are pruned, together this share of the total sensitivity; 0: none
     prune_sensitivity: float = 0.0
     prune_sensitivity_every: int = 500  # iterations between prunings by sensitivity, and by visibility
@@ -77,17 +64,13 @@ class DensifyConfig:
     error_points_share: float = 1.0  # and at most this × the number that there are
     error_points_every: int = 500  # iterations between such additions
     opacity_reset_every: int = 3000  # iterations between opacity resets; 0: never
-    opacity_reset_to: float = 0.01  # highest opacity after a reset
 
     def __post_init__(self) -> None:
         check("train.densify", self, {
             "start": at_least(0),
             "stop": at_least(0).but("0: no densification"),
             "space_gradient": above(0),
-            "time_gradient": above(0),
-            "split_scale": above(0),
             "opacity_reset_every": at_least(0).but("0: never"),
-            "opacity_reset_to": between("(0, 1)", 0, 1),
             "prune_sensitivity": between("[0, 1)", 0, 1).but("0: nothing"),
             "prune_hidden": between("[0, 1)", 0, 1).but("0: nothing"),
             "prune_sensitivity_every": positive_count(),
@@ -96,10 +79,6 @@ class DensifyConfig:
             "error_points_every": positive_count(),
             "every": positive_count(),
             "max_gaussians": positive_count(),
-            "split_shrink": above(1),
-            "split_count": positive_count(2),
-            "prune_opacity": between("(0, 1)", 0, 1),
-            "prune_radius_px": at_least(0).but("0: any"),
         })  # fmt: skip
 
 
@@ -127,17 +106,13 @@ class RegularizationConfig:
     reference_views: float = 0.0  # `motion` and `opacity` are × this / number of training views; 0: they are as given
     opacity_views: float = 0.0  # one camera: `opacity` is weaker where more views than this share a lifetime; 0: never
     rigid: float = 0.0  # towards neighbours that move alike (rigid_loss.py)
-    rigid_every: int = 1  # training views; the rigid loss is that of every such view, × this
-    rigid_neighbours: int = 20  # nearest Gaussians that a Gaussian is compared with
     rigid_released: bool = False  # the rigid loss in the form of the released program, the same for all views
     still_lifetime: float = 0.0  # Gaussians of a larger st do not move (still_gaussians.py); × duration; 0: all may
     flow: float = 0.0  # towards the optical flow measured in videos: × mean error, image widths (flow_loss.py)
 
     def __post_init__(self) -> None:
-        counts = dict.fromkeys(("rigid_every", "rigid_neighbours"), positive_count())
-        others = (*counts, "rigid_released")
-        weights = {f.name: at_least(0).but("0: none") for f in fields(self) if f.name not in others}
-        check("train.regularization", self, weights | counts)
+        weights = {f.name: at_least(0).but("0: none") for f in fields(self) if f.name != "rigid_released"}
+        check("train.regularization", self, weights)
 
 
 @dataclass
@@ -146,9 +121,7 @@ class DepthConfig:
 
     lidar: float = 1.0  # of the inverse depth at LiDAR pixels, scene units; 0.1 in the authors' code (docs/urban.md)
     sfm: float = 0.0  # the same at the points of structure from motion, of scenes that start from them
-    lidar_decay: float = 0.267  # of both weights: × exp(-fraction of the schedule / this), as there; 0: constant
     sky_inverse: float = 0.1  # of the inverse depth in the sky, as there
-    sky_opacity: float = 0.0  # of -log(1 - alpha) in the sky; 0.05 in Periodic Vibration Gaussian (docs/urban.md)
 
     def __post_init__(self) -> None:
         check("train.depth", self, {f.name: at_least(0).but("0: none") for f in fields(self)})
@@ -161,12 +134,10 @@ class TrainConfig:
     name: str = "paper"  # names the run folder
     iterations: int = 30_000  # optimiser steps
     batch: int = 4  # views an iteration
-    sampler: str = "pairs"  # pairs: shuffled (view, time) | views_at_one_time | times_of_one_view
     resolution_scale: float = 1.0  # × the size images were read at, throughout; evaluation too
     resolution_steps: list[ResolutionStep] = field(default_factory=list)  # coarse to fine; empty: full size throughout
     time_budget_s: Optional[float] = None  # stop after so many training seconds
-    ssim_weight: float = 0.2  # w of the loss (1 - w) L1 + w (1 - SSIM) + mse_weight × MSE
-    mse_weight: float = 0.0  # PSNR is the logarithm of MSE; 3DGS and the paper have none
+    mse_weight: float = 0.0  # of MSE in the loss; PSNR is the logarithm of MSE; 3DGS and the paper have none
     regularization: RegularizationConfig = field(default_factory=RegularizationConfig)
     depth: DepthConfig = field(default_factory=DepthConfig)
     dropout: float = 0.0  # share of the Gaussians left out of each training view, at random; 0: none
@@ -174,12 +145,6 @@ class TrainConfig:
     dropout_lifetime: float = 0.0  # after it only those of a smaller st may; × duration; 0: none
     # Each view takes its temporal marginals at a time off by up to this; × spacing of the training times; 0: none
     marginal_jitter: float = 0.0
-    random_background: bool = False  # compose transparent images over a new colour each time
-    background_model: Optional[str] = None  # none | sphere | envmap | cubemap; None: the scene's
-    sphere_freeze_after: int = 10_000  # iterations for which the background sphere is trained
-    envmap_height: int = 500  # rows of the environment map; it has twice as many columns
-    envmap_until: int = 5000  # iterations for which the environment map or the cube map is trained
-    cubemap_resolution: int = 128  # texels along a side of the cube map's faces
     optimiser: str = "adam"  # adam (dense, the paper's) | sparse_adam (Gaussians of the batch's views only)
     separate_tilt: bool = False  # Adam's coordinates of 4D rotations: spatial rotation and tilt, not both quaternions
     explicit_velocity: bool = False  # train velocities, spatial covariances and lifetimes instead of 4D rotations
@@ -193,42 +158,30 @@ class TrainConfig:
     # each this fraction of the schedule. 0: none, dynamic where the views have times. Without effect under a time
     # budget
     select_motion: float = 0.0
-    init_opacity: float = 0.1  # of every initial Gaussian
     init_time_scale: float = 0.5  # st of every initial Gaussian; × duration
     init_time_margin: float = 0.0  # initial μt are uniform over the duration widened by this a side; × duration
-    init_points: Optional[int] = None  # random initial points; None: the scene's
-    init_box: Optional[list[float]] = None  # [low, high] of their cube, canonical units; None: the scene's
+    init_points: int = 100_000  # random initial points
     lr: LearningRates = field(default_factory=LearningRates)
     densify: DensifyConfig = field(default_factory=DensifyConfig)
     eval_every: int = 500  # iterations between evaluations on held-out views
     eval_views: int = 30  # held-out views of such an evaluation, evenly spread; the final evaluation takes all
     checkpoint_every: int = 1000  # iterations between checkpoints
-    checkpoint_keep_moments: bool = True  # False: the last checkpoint is without Adam's moments
 
     def __post_init__(self) -> None:
         check("train", self, {
             "iterations": positive_count(),
             "batch": positive_count(),
-            "sampler": one_of("pairs", "views_at_one_time", "times_of_one_view"),
             "optimiser": one_of("adam", "sparse_adam"),
             "resolution_scale": between("(0, 1]", 0, 1),
-            "ssim_weight": between("[0, 1]", 0, 1),
             "mse_weight": at_least(0),
             "time_budget_s": above(0),
             "eval_every": positive_count(),
             "eval_views": positive_count(),
             "checkpoint_every": positive_count(),
             **dict.fromkeys(("select_time_colour", "select_motion"), between("[0, 1)", 0, 1).but("0: none")),
-            "init_opacity": between("(0, 1)", 0, 1),
             "init_time_scale": above(0),
             "init_time_margin": at_least(0),
             "init_points": positive_count(),
-            "init_box": ASCENDING_PAIR,
-            "background_model": Range(", ".join(BACKGROUND_MODELS), lambda value: value in BACKGROUND_MODELS),
-            "sphere_freeze_after": at_least(0),
-            "envmap_height": positive_count(2),
-            "envmap_until": at_least(0),
-            "cubemap_resolution": positive_count(),
             "dropout": between("[0, 1)", 0, 1).but("0: none"),
             "dropout_until": between("[0, 1]", 0, 1),
             "dropout_lifetime": at_least(0).but("0: none"),

@@ -37,7 +37,7 @@ def quick_evaluate(
             target = target_of(views[index], cfg.train.resolution_scale)
             image = renderer.tensor(target.camera, target.time).clamp_(0.0, 1.0)
             loss, _, ssim, _ = photometric_loss(
-                image, target.image, cfg.train.ssim_weight, cfg.train.mse_weight, rasterizer.threads
+                image, target.image, mse_weight=cfg.train.mse_weight, threads=rasterizer.threads
             )
             render, truth = (pixels.numpy().transpose(1, 2, 0) for pixels in (image, target.image))
             rows.append({"psnr": _counted_psnr(render, truth, target), "ssim": ssim, "test_loss": loss})

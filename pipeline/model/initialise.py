@@ -1,5 +1,5 @@
 """Initialisation of the Gaussians (docs/method.md 2): random points in a box or a point cloud from structure from
-motion, and, with background_model=sphere, points on a sphere around the scene."""
+motion, and, with scene.background_model=sphere, points on a sphere around the scene."""
 
 from __future__ import annotations
 
@@ -26,6 +26,11 @@ MIN_SQUARED_DISTANCE = 1e-7
 # hundredth of the radius.
 IMAGE_MARGIN = 0.1
 
+INITIAL_OPACITY = 0.1  # of every Gaussian, as 3DGS
+
+# Of the background sphere, as in the paper; × the distance of the farthest camera or point from the scene's centre.
+SPHERE_RADIUS = 10.0
+
 SH_C0 = 0.28209479177387814  # Y_00 = 1 / (2 √π)
 
 
@@ -34,21 +39,21 @@ def initialise(scene: Scene, cfg: Config, rng: np.random.Generator, cloud: Recon
 
     Positions and colours are those of `cloud`. A driving log with LiDAR starts from its sweeps, which also give the
     times (pipeline/data/lidar/initial_points.py), unless `init.source` says otherwise. Without points, positions are
-    uniform in `scene.init_box` (or the cube `train.init_box`³) and colours grey. Times are uniform over the scene's
+    uniform in `Scene.init_box` and colours grey. Times are uniform over the scene's
     duration, widened by `train.init_time_margin` × duration on each side. Deterministic in `rng`.
     """
     if cloud is None and scene.sweeps and cfg.init.source in ("auto", "lidar"):
         budget = cfg.init.lidar_points or max(1, cfg.train.densify.max_gaussians // 2)
-        start = initial_points(scene, budget, cfg.init.far_share, rng, cfg.init.lidar_velocities)
+        start = initial_points(scene, budget, rng, cfg.init.lidar_velocities)
         model = from_points(start.points, start.times, _sh_dc(start.colors), scene, cfg)
         set_velocities(model, start.velocities)
         return model
     points, sh_dc = _random_points(scene, cfg, rng) if cloud is None else (cloud.points, _sh_dc(cloud.colors))
     n_sphere = 0
-    if cfg.effective_background_model == "sphere":
+    if cfg.scene.background_model == "sphere":
         cameras = list({view.camera.world_to_cam.tobytes(): view.camera for view in scene.train}.values())
         positions = np.concatenate([points, [camera.position for camera in cameras]])
-        centre, radius = bounding_sphere(positions, cfg.init.sphere_radius)
+        centre, radius = bounding_sphere(positions, SPHERE_RADIUS)
         on_sphere = sphere_points(cfg.init.sphere_points, centre, radius, rng)
         on_sphere = on_sphere[visible_in_any(on_sphere, cameras)]
         n_sphere = len(on_sphere)
@@ -56,7 +61,7 @@ def initialise(scene: Scene, cfg: Config, rng: np.random.Generator, cloud: Recon
     margin = cfg.train.init_time_margin * scene.duration
     times = rng.uniform(scene.time_start - margin, scene.time_start + scene.duration + margin, size=len(points))
     model = from_points(points, times, sh_dc, scene, cfg)
-    if cfg.effective_background_model != "sphere":
+    if cfg.scene.background_model != "sphere":
         return model
     return Model(model.kind, model.parameters, sphere=torch.arange(len(points)) >= len(points) - n_sphere)
 
@@ -85,15 +90,9 @@ def visible_in_any(points: np.ndarray, cameras: Sequence[Camera]) -> np.ndarray:
 
 def _random_points(scene: Scene, cfg: Config, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Positions (N, 3), world units, and SH coefficients of degree 0 (N, 3)."""
-    count = cfg.scene.init_points if cfg.train.init_points is None else cfg.train.init_points
-    low, high = initial_box(scene, cfg)
+    count = cfg.train.init_points
+    low, high = (np.broadcast_to(np.asarray(corner, np.float64), 3) for corner in scene.init_box)
     return rng.uniform(low, high, size=(count, 3)), _grey(count, rng)
-
-
-def initial_box(scene: Scene, cfg: Config) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest corner (3,) of the box of random initial points, world units."""
-    low, high = scene.init_box if cfg.train.init_box is None else cfg.train.init_box
-    return np.broadcast_to(np.asarray(low, np.float64), 3), np.broadcast_to(np.asarray(high, np.float64), 3)
 
 
 def _grey(count: int, rng: np.random.Generator) -> np.ndarray:
@@ -129,8 +128,7 @@ def from_points(
     for name in ("quat_left", "quat_right"):
         if name in parameters:
             parameters[name][:, 0] = 1.0
-    opacity = cfg.train.init_opacity
-    parameters["opacity_logit"].fill_(float(np.log(opacity / (1.0 - opacity))))
+    parameters["opacity_logit"].fill_(float(np.log(INITIAL_OPACITY / (1.0 - INITIAL_OPACITY))))
     parameters["sh"][:, 0] = torch.from_numpy(sh_dc)
     return Model(kind, parameters)
 

@@ -73,7 +73,7 @@ def kind_of(scene: Scene, cfg: Config) -> ModelKind:
     if static:
         return ModelKind("static", 0, cfg.ablation.sh_degree)
     motion: Motion = "full" if cfg.ablation.rotation_4d else "separable"
-    return ModelKind(motion, cfg.effective_fourier_order, cfg.ablation.sh_degree)
+    return ModelKind(motion, cfg.ablation.fourier_order, cfg.ablation.sh_degree)
 
 
 def background_map(image: Tensor) -> BackgroundMap:

@@ -1,4 +1,4 @@
-"""The paper's background model: Gaussians on a sphere around the scene, frozen after `train.sphere_freeze_after`.
+"""The paper's background model: Gaussians on a sphere around the scene, frozen after 10,000 iterations.
 
 They are ordinary Gaussians with a label (`Model.sphere`). The paper says only that they are fixed after 10,000
 iterations. Our own rules:

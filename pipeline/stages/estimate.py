@@ -116,7 +116,7 @@ def _estimate(cfg: Config, size: Size, threads: int) -> Estimate:
     read, scale = size, cfg.train.resolution_scale
     size = replace(read, width=max(1, round(scale * read.width)), height=max(1, round(scale * read.height)))
     gaussians = min(cfg.train.densify.max_gaussians, MAX_GAUSSIANS)
-    if cfg.effective_background_model == "sphere":
+    if cfg.scene.background_model == "sphere":
         gaussians += cfg.init.sphere_points
     workload = workload_of(gaussians, size)
     clock = time_iteration(workload, threads, TIMED_ITERATIONS, cfg.train.batch, cfg.train.optimiser == "sparse_adam")

@@ -46,7 +46,7 @@ def run(command: Command, log: Callable[[str], None]) -> dict | None:
     data = prepare(cfg, log)
     cfg = for_scene(command, data.scene)
     refuse_small_images(data.scene, cfg.train.resolution_scale)  # before hours of training
-    refuse_large_batch(len(data.scene.train), cfg.train.sampler, cfg.train.batch)
+    refuse_large_batch(len(data.scene.train), cfg.train.batch)
     if data.poses_estimated and not trained:
         log(training_minutes(cfg, data.scene))
 

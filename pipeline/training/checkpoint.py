@@ -43,8 +43,8 @@ class Checkpoint:
     seed: int
     model: Model
     step_count: int  # of Adam
-    moments: tuple[dict[str, Tensor], dict[str, Tensor]] | None  # of Adam; None: dropped after training
-    environment_map_moments: tuple[Tensor, Tensor] | None  # likewise; None also without an environment map
+    moments: tuple[dict[str, Tensor], dict[str, Tensor]]  # of Adam
+    environment_map_moments: tuple[Tensor, Tensor] | None  # likewise; None without an environment map
     statistics: dict[str, Tensor]  # density.statistics.Statistics.state()
     sampler: dict  # sampling.BatchSampler.state()
     split_rng: Tensor  # torch.Generator.get_state()
@@ -56,7 +56,7 @@ def save(path: Path, checkpoint: Checkpoint) -> None:
     """Write `path` atomically. Equal checkpoints give equal bytes. Raises OSError where the disk does."""
     c = checkpoint
     tensors = {f"model.{name}": t for name, t in c.model.state().items()}
-    for order, moments in zip(("first", "second"), c.moments or ()):
+    for order, moments in zip(("first", "second"), c.moments):
         tensors |= {f"{order}.{name}": t for name, t in moments.items()}
     for order, moment in zip(("first", "second"), c.environment_map_moments or ()):
         tensors[f"environment.{order}"] = moment
@@ -109,8 +109,8 @@ def _assemble(header: dict, tensors: dict[str, Tensor]) -> Checkpoint:
         groups.setdefault(group, {})[rest] = tensor
     model = _model(header, groups["model"])
     rows = {name: p.shape for name, p in model.parameters.items()}
-    moments = (groups["first"], groups["second"]) if "first" in groups else None
-    for moment in moments or ():
+    moments = (groups["first"], groups["second"])
+    for moment in moments:
         _require_floats(moment, rows)
     map_moments = groups.get("environment")
     if map_moments is not None:

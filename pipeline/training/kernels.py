@@ -9,7 +9,7 @@ from rasterizer.loss import PhotometricLoss
 class Kernels:
     """Rasterizer and loss; their memory is reused for every view."""
 
-    def __init__(self, ssim_weight: float, mse_weight: float, threads: int) -> None:
+    def __init__(self, mse_weight: float, threads: int) -> None:
         self.rasterizer = Rasterizer(threads=threads)
-        self.criterion = PhotometricLoss(ssim_weight, mse_weight, threads)
+        self.criterion = PhotometricLoss(mse_weight=mse_weight, threads=threads)
         self.threads = threads

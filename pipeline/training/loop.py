@@ -87,7 +87,7 @@ def train(
     if state.iteration == 0:
         weights = {"motion": regularization.motion, "opacity": regularization.opacity}
         run.log({"event": "regularization", "iteration": 0, **weights})
-    views, refinement_views = TrainingViews(scene.train, flows, depths), RefinementViews.of(scene, cfg)
+    views, refinement_views = TrainingViews(scene.train, flows, depths), RefinementViews.of(scene)
 
     with TrainingProgress(state.iteration, cfg.train.iterations, cfg.train.time_budget_s) as progress:
         finished = state.is_finished(cfg.train)
@@ -109,7 +109,7 @@ def train(
                 for event in refine(state, phase, refinement_views, scene, cfg):
                     run.log(event)
             if finished or state.iteration % cfg.train.checkpoint_every == 0:
-                save(state, run, keep_moments=cfg.train.checkpoint_keep_moments or not finished)
+                save(state, run)
             interruption.raise_if_lost()
     best = None if state.best_model is None else in_rotations(state.best_model)
     return TrainResult(

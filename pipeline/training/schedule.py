@@ -9,7 +9,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from pipeline.config.train_schema import DepthConfig, LearningRates, ResolutionStep, TrainConfig
+from pipeline.config.train_schema import LearningRates, ResolutionStep, TrainConfig
+
+SPHERE_FREEZE_AFTER = 10_000  # iterations for which the background sphere is trained, as in the paper
+MAP_UNTIL = 5000  # iterations for which the environment map or the cube map is trained
+MAP_LEARNING_RATE = 2.5e-3  # of their texels: that of the constant coefficients in 3DGS
+DECAY_START = 0.7  # fraction of the schedule after which the decay to `final_factor` begins
+DEPTH_DECAY = 0.267  # weights of the depth loss: × exp(-fraction / this), as in the urban program of the authors
 
 LearningRate = float | tuple[float, ...]  # one for the field, or one per column
 
@@ -42,7 +48,8 @@ def shortened(cfg: TrainConfig, share: float) -> TrainConfig:
     """The whole schedule in `share` (0 to 1) of its iterations: every iteration number is scaled. No time budget.
 
     The intervals of densification, pruning and opacity resets are kept, because each needs the statistics of a number
-    of views; that of additions by error is, too, because only pruning removes those that fit single views.
+    of views; that of additions by error is, too, because only pruning removes those that fit single views. Background
+    models freeze after as many iterations.
     """
 
     def scaled(iteration: int) -> int:
@@ -55,8 +62,6 @@ def shortened(cfg: TrainConfig, share: float) -> TrainConfig:
         time_budget_s=None,
         sh_degree_every=scaled(cfg.sh_degree_every),
         fourier_at=[scaled(start) for start in cfg.fourier_at],
-        sphere_freeze_after=scaled(cfg.sphere_freeze_after),
-        envmap_until=scaled(cfg.envmap_until),
         lr=replace(cfg.lr, decay_iterations=max(1, scaled(cfg.lr.decay_iterations))),
         densify=replace(
             dense, start=scaled(dense.start), stop=scaled(dense.stop), prune_big_after=scaled(dense.prune_big_after)
@@ -75,17 +80,12 @@ def phase(clock: float, cfg: TrainConfig, extent: float, max_sh_degree: int, max
         fourier_order(clock, cfg.fourier_at, max_fourier_order),
         cfg.resolution_scale * resolution(fraction, cfg.resolution_steps),
         densification=clock < cfg.densify.stop,
-        sphere=clock <= cfg.sphere_freeze_after,
-        environment_map=clock <= cfg.envmap_until,
-        depth_decay=depth_decay(fraction, cfg.depth),
+        sphere=clock <= SPHERE_FREEZE_AFTER,
+        environment_map=clock <= MAP_UNTIL,
+        depth_decay=math.exp(-fraction / DEPTH_DECAY),
         dropout=cfg.dropout if any_dropped or cfg.dropout_lifetime > 0 else 0.0,
         dropout_lifetime=None if any_dropped else cfg.dropout_lifetime,
     )
-
-
-def depth_decay(fraction: float, cfg: DepthConfig) -> float:
-    """Factor of the weights of the depth loss after `fraction` of the schedule: exponential decay."""
-    return math.exp(-fraction / cfg.lidar_decay) if cfg.lidar_decay > 0 else 1.0
 
 
 def learning_rates(clock: float, fraction: float, cfg: LearningRates, extent: float) -> dict[str, LearningRate]:
@@ -94,11 +94,11 @@ def learning_rates(clock: float, fraction: float, cfg: LearningRates, extent: fl
     extent: world units; it multiplies the positional rates. The mean's columns are x, y, z, with log-linear decay over
     `decay_iterations`, and t, constant as in the release or with a decay of its own, also multiplied by the extent.
     """
-    decay = cfg.final_factor ** max(0.0, (fraction - cfg.decay_start) / (1 - cfg.decay_start))
+    decay = cfg.final_factor ** max(0.0, (fraction - DECAY_START) / (1 - DECAY_START))
     position = clock / cfg.decay_iterations
     xyz = log_linear(cfg.mean, cfg.mean_final, position) * extent * decay
-    last = cfg.mean_time if cfg.mean_time_final is None else cfg.mean_time_final
-    t = log_linear(cfg.mean_time, last, position) * extent * decay
+    last = cfg.mean if cfg.mean_time_final is None else cfg.mean_time_final
+    t = log_linear(cfg.mean, last, position) * extent * decay
     rotation = cfg.rotation * decay
     return {
         "mean": (xyz, xyz, xyz, t),
@@ -108,7 +108,7 @@ def learning_rates(clock: float, fraction: float, cfg: LearningRates, extent: fl
         "velocity": cfg.velocity * xyz,
         "opacity_logit": cfg.opacity * decay,
         "sh": tuple(rate * decay for rate in sh_learning_rates(cfg)),
-        "environment_map": cfg.environment_map * decay,
+        "environment_map": MAP_LEARNING_RATE * decay,
     }
 
 

@@ -26,6 +26,9 @@ from pipeline.training.stopwatch import Stopwatch
 from rasterizer import Gradients
 from rasterizer.cores import thread_count
 
+MAP_HEIGHT = 500  # rows of the environment map, as in the release; it has twice as many columns
+CUBE_MAP_RESOLUTION = 128  # texels along a side of the cube map's faces
+
 
 @dataclass
 class TrainState:
@@ -73,7 +76,7 @@ class TrainState:
 def start(model: Model, scene: Scene, cfg: Config, run: RunLog, start_seconds: float = 0.0) -> TrainState:
     """A new state with `model`, or the one saved in the run folder. start_seconds: as `loop.train`.
 
-    Raises ValueError for a checkpoint of another seed or kind of model, or one without the moments needed to continue.
+    Raises ValueError for a checkpoint of another seed or kind of model.
     """
     path, threads = run.path / checkpoints.FILE_NAME, thread_count(cfg.threads)
     if not cfg.resume:
@@ -82,10 +85,10 @@ def start(model: Model, scene: Scene, cfg: Config, run: RunLog, start_seconds: f
     if cfg.train.explicit_velocity:
         model = in_velocities(model)
     if model.environment_map is None:  # a new model: init.ply has none
-        if cfg.effective_background_model == "envmap":
-            model.environment_map = EnvironmentMap.grey(cfg.train.envmap_height)
-        elif cfg.effective_background_model == "cubemap":
-            model.environment_map = CubeMap.grey(cfg.train.cubemap_resolution)
+        if cfg.scene.background_model == "envmap":
+            model.environment_map = EnvironmentMap.grey(MAP_HEIGHT)
+        elif cfg.scene.background_model == "cubemap":
+            model.environment_map = CubeMap.grey(CUBE_MAP_RESOLUTION)
     if saved is not None:
         expected, found = (
             f"seed {seed}, {of.kind} and background {of.background_model}"
@@ -99,25 +102,20 @@ def start(model: Model, scene: Scene, cfg: Config, run: RunLog, start_seconds: f
         Adam(model, threads, cfg.train.separate_tilt),
         Statistics(len(model)),
         # One random stream per purpose, so that the draws of one never shift those of another.
-        BatchSampler(scene.train, cfg.train.sampler, cfg.train.batch, stream(cfg.seed, Stream.BATCHES)),
+        BatchSampler(len(scene.train), cfg.train.batch, stream(cfg.seed, Stream.BATCHES)),
         split_stream(cfg.seed),
         cfg.seed,
-        Kernels(cfg.train.ssim_weight, cfg.train.mse_weight, threads),
+        Kernels(cfg.train.mse_weight, threads),
         Gradients.zeros_like(model.gaussians()),
         Stopwatch(start_seconds),
     )
     if saved is not None:
         _restore(state, saved)
-        if saved.moments is None and not state.is_finished(cfg.train):
-            raise ValueError(
-                f"{path}: expected Adam's moments to continue from iteration {saved.iteration}, found none "
-                "(train.checkpoint_keep_moments was false)"
-            )
     run.truncate_after(state.iteration)
     return state
 
 
-def save(state: TrainState, run: RunLog, keep_moments: bool) -> None:
+def save(state: TrainState, run: RunLog) -> None:
     """Write the checkpoint. Raises finite_checks.NonFiniteError, and writes nothing, if the model is not finite."""
     finite_checks.check_model(state.model, state.iteration)
     optimiser = state.optimiser
@@ -129,8 +127,8 @@ def save(state: TrainState, run: RunLog, keep_moments: bool) -> None:
             seed=state.seed,
             model=state.model,
             step_count=optimiser.step_count,
-            moments=(optimiser.first, optimiser.second) if keep_moments else None,
-            environment_map_moments=optimiser.environment_map_moments if keep_moments else None,
+            moments=(optimiser.first, optimiser.second),
+            environment_map_moments=optimiser.environment_map_moments,
             statistics=state.statistics.state(),
             sampler=state.sampler.state(),
             split_rng=state.split_rng.get_state(),
@@ -144,9 +142,8 @@ def _restore(state: TrainState, saved: checkpoints.Checkpoint) -> None:
     """Restore everything except the model, which `state` already has."""
     state.iteration, state.best, state.best_model = saved.iteration, saved.best, saved.best_model
     state.stopwatch = Stopwatch(saved.train_seconds)
-    if saved.moments is not None:
-        state.optimiser.first, state.optimiser.second = saved.moments
-        state.optimiser.environment_map_moments = saved.environment_map_moments
+    state.optimiser.first, state.optimiser.second = saved.moments
+    state.optimiser.environment_map_moments = saved.environment_map_moments
     state.optimiser.step_count = saved.step_count
     state.statistics = Statistics.restored(saved.statistics)
     state.sampler.restore(saved.sampler)

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from datasets.composition import Color
 from datasets.scene import Scene
 from pipeline.config.random_streams import Stream, stream
 from pipeline.config.schema import Config
@@ -24,9 +23,8 @@ from pipeline.training.objective.dropout import draw_dropped, short_lived, witho
 from pipeline.training.objective.flow_loss import flow_loss
 from pipeline.training.objective.losses import view_loss
 from pipeline.training.objective.marginal_jitter import draw_offsets
-from pipeline.training.objective.random_background import over_random_background
 from pipeline.training.objective.regularization import add_regularization_gradients
-from pipeline.training.objective.rigid_loss import add_rigid_gradient
+from pipeline.training.objective.rigid_loss import NEIGHBOURS, RELEASED_NEIGHBOURS, RIGID_EVERY, add_rigid_gradient
 from pipeline.training.objective.still_gaussians import hold_still
 from pipeline.training.schedule import Phase
 from pipeline.training.state import TrainState
@@ -38,7 +36,6 @@ class DrawnView:
     """A training view of a batch, and what is drawn for it."""
 
     target: Target
-    background: Color  # that its image is composed over
     dropped: Tensor | None = None  # (N,) bool, Gaussians that are left out of it; None: none
     rigid: bool = False  # whether the rigid loss is added with this view, at its time
     marginal_offset: float = 0.0  # its temporal marginals are those of its time + this
@@ -78,7 +75,7 @@ class Batch:
             target.camera,
             target.time,
             scene.duration,
-            view.background,
+            scene.background,
             outputs=("color", *self._also(target)),
             flow_dt=None if target.motion is None else target.motion.step,
             flow_camera=None if target.motion is None else target.motion.camera,
@@ -132,18 +129,17 @@ class Batch:
         return 0.0 if target.depth is None else of_source * self._phase.depth_decay
 
     def _needs_sky(self, target: Target) -> bool:
-        return target.sky is not None and max(self._cfg.train.depth.sky_inverse, self._cfg.train.depth.sky_opacity) > 0
+        return target.sky is not None and self._cfg.train.depth.sky_inverse > 0
 
     def _depth_loss(self, rendered: Rendered, target: Target) -> DepthGradient | None:
         """The losses on depth and sky of one view; None without any."""
         if rendered.depth is None or rendered.alpha is None:
             return None
-        weights, found = self._cfg.train.depth, None
+        found = None
         if (weight := self._depth_weight(target)) > 0 and target.depth is not None:
             found = sparse_depth_loss(rendered.depth, rendered.alpha, target.depth, weight)
         if self._needs_sky(target) and target.sky is not None:
-            depth, alpha = rendered.depth, rendered.alpha
-            of_sky = sky_loss(depth, alpha, target.sky, weights.sky_inverse, weights.sky_opacity)
+            of_sky = sky_loss(rendered.depth, rendered.alpha, target.sky, self._cfg.train.depth.sky_inverse)
             found = of_sky if found is None else found + of_sky
         return found
 
@@ -156,21 +152,17 @@ class Batch:
     def _add_rigid_gradient(self, time: float, gradients: Gradients) -> float:
         cfg, threads = self._cfg.train.regularization, self._kernels.threads
         if cfg.rigid_released:  # one view has it for all
-            weight, moment = cfg.rigid, None
+            weight, moment, neighbours = cfg.rigid, None, RELEASED_NEIGHBOURS
         else:
-            weight, moment = cfg.rigid * cfg.rigid_every / self._size, time  # as much as in every view
+            weight, moment, neighbours = cfg.rigid * RIGID_EVERY / self._size, time, NEIGHBOURS  # as in every view
         return self._size * add_rigid_gradient(
-            gradients, self._model, moment, self._scene.duration, cfg.rigid_neighbours, weight, threads
+            gradients, self._model, moment, self._scene.duration, neighbours, weight, threads
         )
 
 
 def draw_batch(state: TrainState, views: TrainingViews, phase: Phase, scene: Scene, cfg: Config) -> list[DrawnView]:
     """The views of the next iteration at the phase's resolution, each with what is drawn for it."""
-    targets = [(views.at(index, phase.resolution), scene.background) for index in state.sampler.next_batch()]
-    if cfg.train.random_background and state.model.environment_map is None:  # else the background is the map
-        rng = stream(cfg.seed, Stream.BACKGROUND, state.iteration)
-        targets = [over_random_background(*target, rng) for target in targets]
-    drawn = [DrawnView(*target) for target in targets]
+    drawn = [DrawnView(views.at(index, phase.resolution)) for index in state.sampler.next_batch()]
     if phase.dropout > 0:
         rng = stream(cfg.seed, Stream.DROPOUT, state.iteration)
         may_drop = torch.tensor(True)
@@ -186,7 +178,7 @@ def draw_batch(state: TrainState, views: TrainingViews, phase: Phase, scene: Sce
         if rules.rigid_released:  # it is the same for all views
             return [replace(drawn[0], rigid=True), *drawn[1:]]
         before = (state.iteration - 1) * len(drawn)  # training views
-        drawn = [replace(view, rigid=(before + i) % rules.rigid_every == 0) for i, view in enumerate(drawn, 1)]
+        drawn = [replace(view, rigid=(before + i) % RIGID_EVERY == 0) for i, view in enumerate(drawn, 1)]
     return drawn
 
 

@@ -102,18 +102,18 @@ def test_a_model_starts_from_the_sweeps_and_has_no_fourier_orders() -> None:
     """What a log does not need is not there: 16 coefficients, as many points as asked for, no sphere."""
     scene = drive()
     cfg = tiny_config()
-    cfg = replace(cfg, init=replace(cfg.init, lidar_points=150), scene=replace(cfg.scene, fourier_order=0))
+    cfg = replace(cfg, init=replace(cfg.init, lidar_points=150), ablation=replace(cfg.ablation, fourier_order=0))
     model = initialise(scene, cfg, np.random.default_rng(0))
     assert 100 <= len(model) <= 150 and model.kind == kind_of(scene, cfg) and model.sphere is None
     assert model.kind.fourier_order == 0 and model.parameters["sh"].shape[1] == 16
-    expected = initial_points(scene, 150, cfg.init.far_share, np.random.default_rng(0))
+    expected = initial_points(scene, 150, np.random.default_rng(0))
     np.testing.assert_allclose(
         model.parameters["mean"].numpy(), np.column_stack([expected.points, expected.times]), 1e-6
     )
     # 65 float32 a Gaussian: mean 4, scale 4, rotations 8, opacity 1, colour 16 · 3.
     assert model.bytes == len(model) * 65 * 4 and rendered_with(model, scene) == (3, 0)
     random = initialise(scene, replace(cfg, init=replace(cfg.init, source="random")), np.random.default_rng(0))
-    assert len(random) == (cfg.train.init_points or cfg.scene.init_points)
+    assert len(random) == cfg.train.init_points
 
 
 def test_depth_targets_are_those_of_the_own_sweep_at_any_size() -> None:

@@ -79,7 +79,7 @@ def test_the_loss_moves_the_rendered_depth_to_the_points(tmp_path: Path) -> None
     scene = replace(scene, train=scene.train[:1], points=points)
     errors = []
     for weight in (0.0, 5.0):
-        cfg = tiny_config(batch=1, densify=DensifyConfig(start=100), depth=DepthConfig(sfm=weight, lidar_decay=0.0))
+        cfg = tiny_config(batch=1, densify=DensifyConfig(start=100), depth=DepthConfig(sfm=weight))
         model = train_tiny(tmp_path / str(weight), cfg, scene).model
         request = Request(view.camera, 0.0, 1.0, scene.background, outputs=("color", "alpha", "depth"))
         image = Rasterizer(threads=1).render(model.gaussians(), request, differentiable=False)

@@ -123,7 +123,7 @@ def test_lidar_is_refused_where_there_is_none(reader: str) -> None:
 def test_a_sphere_around_lidar_points_is_refused() -> None:
     log = drive()
     cfg = replace(tiny_config(background_model="sphere"), init=InitConfig())
-    with pytest.raises(ValueError, match="background_model: expected cubemap, envmap or none for .*, found sphere"):
+    with pytest.raises(ValueError, match="scene.background_model: expected cubemap, envmap or none .*, found sphere"):
         with_points(cfg, log, print)
     assert with_points(replace(cfg, init=InitConfig(source="random")), log, print).scene is log
 

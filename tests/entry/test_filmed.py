@@ -89,7 +89,7 @@ def test_videos_without_poses(finished: Path, shell: Shell) -> None:
 
 
 def test_the_environment_map_is_trained_and_shown(finished: Path, shell: Shell) -> None:
-    shell(*COUNTER, "background_model=envmap", "train.envmap_height=32", "out=envmap")
+    shell(*COUNTER, "scene.background_model=envmap", "out=envmap")
     with_map, with_sphere = (
         json.loads((folder / "metrics.json").read_text()) for folder in (shell.folder / "envmap", finished)
     )

@@ -175,7 +175,7 @@ def test_a_run_of_before_a_key_was_added_is_continued(finished: Path, shell: She
     config = finished / "config.yaml"
     before = config.read_text()
     tree = yaml.safe_load(before)
-    del tree["init"]["far_share"], tree["scene"]["sky_masks"]
+    del tree["init"]["lidar_velocities"], tree["scene"]["sky_masks"]
     config.write_text(yaml.safe_dump(tree))
     try:
         out, _ = shell(*TINY)

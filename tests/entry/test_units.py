@@ -110,8 +110,7 @@ def config(folder: Path, reader: str, seed: int = 0) -> Config:
         eval_every=ITERATIONS,
         sh_degree_every=30,
         fourier_at=[60, 90],
-        init_box=[-1.2, 1.2] if reader == "plenoptic" else None,
-        lr=LearningRates(mean=2e-3, mean_time=2e-3, decay_iterations=ITERATIONS, scale=2e-2),
+        lr=LearningRates(mean=2e-3, decay_iterations=ITERATIONS, scale=2e-2),
     )
     scene = replace(cfg.scene, name="tiny", reader=reader, path=str(folder), downscale=1, cache=str(folder / "cache"))
     return replace(cfg, scene=scene, init=replace(cfg.init, source="random"), seed=seed)

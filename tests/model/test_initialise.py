@@ -18,7 +18,7 @@ from rasterizer.reference.sh import sh_basis
 
 
 def config(**train_keys) -> Config:
-    return Config(scene=SceneConfig(init_points=500), train=TrainConfig(**train_keys))
+    return Config(train=TrainConfig(**{"init_points": 500} | train_keys))
 
 
 def test_spatial_scale_against_brute_force() -> None:
@@ -35,7 +35,7 @@ def test_spatial_scale_of_few_and_coincident_points_is_finite(count: int) -> Non
 
 def test_values_of_a_dynamic_scene() -> None:
     scene = tiny_scene()
-    p = initialise(scene, config(init_time_scale=0.5, init_opacity=0.1), np.random.default_rng(0)).parameters
+    p = initialise(scene, config(init_time_scale=0.5), np.random.default_rng(0)).parameters
     assert len(p["mean"]) == 500
     xyz, t = p["mean"][:, :3], p["mean"][:, 3]
     assert xyz.min() >= -1.2 and xyz.max() <= 1.2 and xyz.std() == pytest.approx(2.4 / 12**0.5, rel=0.05)
@@ -64,10 +64,6 @@ def test_the_model_is_a_function_of_the_rng() -> None:
     one, two, other = (initialise(tiny_scene(), config(), np.random.default_rng(s)).parameters for s in (3, 3, 4))
     assert all(torch.equal(one[name], two[name]) for name in one)
     assert not torch.equal(one["mean"], other["mean"])
-
-
-def test_train_init_points_overrides_the_scenes() -> None:
-    assert len(initialise(tiny_scene(), config(init_points=20), np.random.default_rng(0))) == 20
 
 
 @pytest.mark.parametrize("points, found", [(np.zeros((0, 3)), "empty point cloud"), (np.full((5, 3), np.nan), "NaN")])
@@ -100,9 +96,9 @@ def test_points_of_structure_from_motion_keep_their_positions_and_colours() -> N
 def test_the_sphere_surrounds_the_scene_in_visible_directions_only() -> None:
     scene = tiny_scene()  # cameras on an arc at distance 4 from the origin, looking along +z
     cfg = Config(
-        scene=SceneConfig(init_points=50),
-        init=InitConfig(sphere_points=4000, sphere_radius=5.0),
-        background_model="sphere",
+        scene=SceneConfig(background_model="sphere"),
+        init=InitConfig(sphere_points=4000),
+        train=TrainConfig(init_points=50),
     )
     model = initialise(scene, cfg, np.random.default_rng(0))
     labelled, xyz = model.sphere, model.parameters["mean"][:, :3].double().numpy()
@@ -110,9 +106,9 @@ def test_the_sphere_surrounds_the_scene_in_visible_directions_only() -> None:
     positions = np.concatenate([xyz[:50], [view.camera.position for view in scene.train]])
     centre = (positions.min(axis=0) + positions.max(axis=0)) / 2
     radius = np.linalg.norm(positions - centre, axis=1).max()
-    np.testing.assert_allclose(np.linalg.norm(xyz[50:] - centre, axis=1), 5 * radius, rtol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(xyz[50:] - centre, axis=1), 10 * radius, rtol=1e-5)
     # Of the whole sphere, the points in at least one image enlarged by a tenth; a naive loop.
-    whole = sphere_points(4000, centre, 5 * radius, _after_points(scene, cfg))
+    whole = sphere_points(4000, centre, 10 * radius, _after_points(scene, cfg))
     kept = []
     for point in whole:
         for view in scene.train:
@@ -128,6 +124,6 @@ def test_the_sphere_surrounds_the_scene_in_visible_directions_only() -> None:
 def _after_points(scene: Scene, cfg: Config) -> np.random.Generator:
     """The rng after the draws of the random points and their colours."""
     rng = np.random.default_rng(0)
-    rng.uniform(size=(cfg.scene.init_points, 3))
-    rng.uniform(size=(cfg.scene.init_points, 3))
+    rng.uniform(size=(cfg.train.init_points, 3))
+    rng.uniform(size=(cfg.train.init_points, 3))
     return rng

@@ -234,7 +234,7 @@ def test_of_two_recipes_the_own_is_the_baseline(tmp_path: Path) -> None:
 
 
 def test_lower_is_better_for_some(tmp_path: Path) -> None:
-    """Flicker by sampler: the difference is in levels of 255, and one that is lower is better."""
+    """Flicker by optimiser: the difference is in levels of 255, and one that is lower is better."""
     table = RunTable(
         "flicker",
         "Flicker",
@@ -244,7 +244,7 @@ def test_lower_is_better_for_some(tmp_path: Path) -> None:
     )
     for seed, off in enumerate((-0.001, 0.0, 0.001)):
         for name, flicker in (("pairs", 0.01), ("times", 0.008), ("views", 0.014)):
-            changes = {} if name == "pairs" else {"train.sampler": name}
+            changes = {} if name == "pairs" else {"train.optimiser": name}
             values = {"final.flicker": flicker + off}
             write_run(tmp_path, "synthetic/counter", seed=seed, out=f"{name}{seed}", changes=changes, **values)
     found = table.build(collect(tmp_path))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from tiny import tiny_config, tiny_scene, train_tiny
@@ -35,23 +33,6 @@ def test_non_finite_gradient_names_iteration_view_and_gaussian(tmp_path, monkeyp
     assert "\n" not in str(error.value)
     saved = checkpoint.load(tmp_path / checkpoint.FILE_NAME)
     assert saved.iteration == 7 and saved.model.first_non_finite() is None, "the last checkpoint is kept"
-
-
-def test_the_search_for_the_non_finite_view_uses_the_same_random_backgrounds(tmp_path, monkeypatch) -> None:
-    """Only views over some colours have a NaN."""
-    original = step.Batch.backward
-
-    def backward(self, drawn, gradients):
-        view = original(self, drawn, gradients)
-        if drawn.background[0] > 0.9:
-            gradients.mean[13, 1] = float("nan")
-        return view
-
-    monkeypatch.setattr(step.Batch, "backward", backward)
-    scene = tiny_scene()
-    views = tuple(replace(view, coverage=np.uint8(255) * (view.image[..., 0] > 0)) for view in scene.train)
-    with pytest.raises(finite_checks.NonFiniteError, match=r"iteration \d+, view train/r_\d: .* mean of Gaussian 13"):
-        train_tiny(tmp_path, tiny_config(random_background=True), replace(scene, train=views))
 
 
 def test_non_finite_loss_names_iteration_and_view(tmp_path, monkeypatch) -> None:

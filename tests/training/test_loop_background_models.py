@@ -12,18 +12,19 @@ from test_loop import assert_same_state, batch_losses
 from tiny import TinyRun, tiny_config, tiny_scene, train_tiny
 
 from datasets.scene import Scene
-from pipeline.config.train_schema import DensifyConfig, LearningRates
-from pipeline.data.training_views import TrainingViews, target_of
+from pipeline.config.train_schema import DensifyConfig
+from pipeline.data.training_views import target_of
 from pipeline.model.environment_map import EnvironmentMap
 from pipeline.model.initialise import initialise
-from pipeline.training import checkpoint, finite_checks
+from pipeline.training import checkpoint, finite_checks, schedule, state
 from pipeline.training.kernels import Kernels
 from pipeline.training.schedule import phase
 from pipeline.training.state import start
-from pipeline.training.step import Batch, DrawnView, draw_batch
+from pipeline.training.step import Batch, DrawnView
 from rasterizer import Gradients
 
 BACKGROUND_MODELS = ("sphere", "envmap")
+pytestmark = pytest.mark.usefixtures("small_backgrounds")
 
 
 def final(path: Path) -> checkpoint.Checkpoint:
@@ -74,17 +75,12 @@ def waves(scene: Scene) -> Scene:
     return replace(scene, train=tuple(map(with_waves, scene.train)), test=tuple(map(with_waves, scene.test)))
 
 
-def test_the_environment_map_learns_the_background(tmp_path) -> None:
+def test_the_environment_map_learns_the_background(tmp_path, monkeypatch) -> None:
     """20 Gaussians without densification cannot."""
-    keys = dict(
-        eval_every=1000,
-        checkpoint_every=1000,
-        init_points=20,
-        densify=DensifyConfig(stop=0),
-        envmap_until=150,
-        envmap_height=40,
-        lr=LearningRates(environment_map=0.01),
-    )
+    keys = dict(eval_every=1000, checkpoint_every=1000, init_points=20, densify=DensifyConfig(stop=0))
+    monkeypatch.setattr(schedule, "MAP_UNTIL", 150)
+    monkeypatch.setattr(schedule, "MAP_LEARNING_RATE", 0.01)
+    monkeypatch.setattr(state, "MAP_HEIGHT", 40)
     losses = {
         name: batch_losses(tmp_path / name, waves(tiny_scene()), tiny_config(150, name, **keys))
         for name in ("none", "envmap")
@@ -147,29 +143,14 @@ def test_the_near_plane_is_in_the_scenes_unit(unit: float, visible: bool) -> Non
     """0.2 units are 0.2 or 20 in the world; all Gaussians are nearer than 20."""
     scene, cfg = replace(tiny_scene(), unit=unit), tiny_config()
     model = initialise(scene, cfg, np.random.default_rng(0))
-    batch = Batch(model, scene, cfg, Kernels(0.2, 0.0, 1), phase(1.0, cfg.train, scene.extent, 3, 2), 1)
-    view = batch.backward(
-        DrawnView(target_of(scene.train[0], 1.0), scene.background), Gradients.zeros_like(model.gaussians())
-    )
+    batch = Batch(model, scene, cfg, Kernels(0.0, 1), phase(1.0, cfg.train, scene.extent, 3, 2), 1)
+    view = batch.backward(DrawnView(target_of(scene.train[0], 1.0)), Gradients.zeros_like(model.gaussians()))
     assert (len(view.gradient.visible) > 0) == visible
 
 
 def test_a_trained_models_map_is_kept(tmp_path) -> None:
     cfg, scene = tiny_config(24, "envmap"), tiny_scene()
     model = initialise(scene, cfg, np.random.default_rng(0))
-    model.environment_map = EnvironmentMap.grey(cfg.train.envmap_height)
+    model.environment_map = EnvironmentMap.grey(12)
     model.environment_map.image.fill_(0.9)
     assert (start(model, scene, cfg, TinyRun(tmp_path)).model.environment_map.image == 0.9).all()
-
-
-def test_a_random_background_is_none_behind_a_map(tmp_path) -> None:
-    """The map is what is behind everything, so that the images stay composed over what they were."""
-    cfg = tiny_config(20, "envmap", random_background=True)
-    scene = tiny_scene()
-    view = scene.train[0]
-    transparent = replace(view, coverage=np.zeros(view.image.shape[:2], np.uint8))
-    scene = replace(scene, train=(transparent,) * 2)
-    model = initialise(scene, cfg, np.random.default_rng(0))
-    state = start(model, scene, cfg, TinyRun(tmp_path))
-    drawn = draw_batch(state, TrainingViews(scene.train), state.begin_iteration(scene, cfg), scene, cfg)
-    assert all(torch.equal(view.target.image, target_of(transparent, 1.0).image) for view in drawn)

@@ -14,6 +14,7 @@ from pipeline.data.lidar.velocities import sweep_velocities
 
 MOST_POINTS = 1_000_000  # before thinning: more change no voxel's choice noticeably
 VOXEL_STEPS = 24  # of the bisection: the voxel is found within 1e-5 of its size
+FAR_SHARE = 0.25  # of the points: for what no beam reaches, above the highest one
 SPREAD = 0.1  # standard deviation of the logarithm of a far point's depth around that of the LiDAR below
 FAR_RANGE = (20.0, 200.0)  # metres, log-uniform: far points of columns without LiDAR
 
@@ -31,15 +32,13 @@ class TimedPoints:
         return TimedPoints(self.points[index], self.times[index], self.colors[index], self.velocities[index])
 
 
-def initial_points(
-    scene: Scene, budget: int, far_share: float, rng: np.random.Generator, velocities: bool = True
-) -> TimedPoints:
-    """`budget` points at most: (1 - far_share) of them from LiDAR, the rest far points.
+def initial_points(scene: Scene, budget: int, rng: np.random.Generator, velocities: bool = True) -> TimedPoints:
+    """`budget` points at most: (1 - FAR_SHARE) of them from LiDAR, the rest far points.
 
     velocities: measured between sweeps (velocities.py); else all zero.
     Deterministic in `rng`. Raises ValueError if no camera sees a LiDAR point.
     """
-    far_count = round(budget * far_share)
+    far_count = round(budget * FAR_SHARE)
     lidar = thinned(coloured_points(scene, rng, velocities), budget - far_count, rng)
     return joined([lidar, far_points(scene, far_count, rng)])
 

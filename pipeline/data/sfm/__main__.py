@@ -29,7 +29,7 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--out", type=Path, help="folder to make")
     parser.add_argument("--downscale", type=int, default=1, help="read at 1/DOWNSCALE of the size (default: 1)")
     for setting in fields(InitConfig):
-        if setting.name in ("seed", "max_features", "max_error_px", "min_track", "min_angle_deg", "min_points"):
+        if setting.name in ("max_features", "min_points"):
             parser.add_argument(
                 f"--{setting.name.replace('_', '-')}",
                 type=type(setting.default),

@@ -30,9 +30,7 @@ from rasterizer.camera import MAX_DISTANCE, Camera
 VERSION = 1  # to be increased by every change of this project that alters the result
 CLIP_VERSION = 1  # the same for the two passes over a clip
 # Settings of InitConfig that do not affect structure from motion.
-_UNRELATED = (
-    "source", "min_points", "sphere_points", "sphere_radius", "lidar_points", "lidar_velocities", "far_share"
-)  # fmt: skip
+_UNRELATED = ("source", "min_points", "sphere_points", "lidar_points", "lidar_velocities")
 
 
 def reconstruct_cached(

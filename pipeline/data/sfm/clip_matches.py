@@ -40,7 +40,7 @@ def keep_unmasked_matches(database: Path, masks: Path, request: Request) -> None
             kept.append(f"{names[a]} {names[b]}\n")
     file = database.with_name("kept.txt")
     file.write_text("".join(kept))
-    pycolmap.verify_matches(database, file, verification_options(request))
+    pycolmap.verify_matches(database, file, verification_options())
 
 
 def _still(db: pycolmap.Database, image: pycolmap.Image, masks: Path) -> np.ndarray:

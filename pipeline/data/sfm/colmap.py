@@ -19,6 +19,7 @@ import pycolmap
 from pipeline.data.sfm.clip_matches import TURNS, camera_turns, keep_unmasked_matches, refuse_still_camera
 from pipeline.data.sfm.features import camera_record, extract_features, match_pairs, verification_options
 from pipeline.data.sfm.job import (
+    SEED,
     ColmapResult,
     Request,
     SfmError,
@@ -30,13 +31,18 @@ from pipeline.data.sfm.job import (
 )
 from pipeline.data.sfm.registration import register_held_out
 
+# Points are dropped beyond these:
+MAX_ERROR_PX = 2.0  # reprojection error
+MIN_TRACK = 3  # images that see it; two images agree on a wrong match too easily
+MIN_ANGLE_DEG = 1.5  # between its rays: below, its depth is uncertain
+MAX_DISTANCE = 100.0  # from the cameras' centre, normalised units (Scene.unit); with known poses only
 MIN_MODEL = 3  # photographs; a third one is needed to verify two
 
 
 def main(folder: Path) -> None:
     pycolmap.logging.minloglevel = 3  # errors are reported in one line below
     request = read_request(folder)
-    pycolmap.set_random_seed(request.seed)
+    pycolmap.set_random_seed(SEED)
     try:
         write_result(folder, reconstruct(folder, request))
     except SfmError as error:
@@ -99,13 +105,10 @@ def match_features(database: Path, folder: Path, request: Request) -> None:
     options = pycolmap.FeatureMatchingOptions()
     options.use_gpu, options.num_threads = False, 1
     if request.pairs is not None:
-        match_pairs(database, folder / "pairs.txt", request.pairs, options, request)
+        match_pairs(database, folder / "pairs.txt", request.pairs, options)
         return
     pycolmap.match_exhaustive(
-        database,
-        matching_options=options,
-        verification_options=verification_options(request),
-        device=pycolmap.Device.cpu,
+        database, matching_options=options, verification_options=verification_options(), device=pycolmap.Device.cpu
     )
 
 
@@ -173,11 +176,11 @@ def estimate_cameras(folder: Path, used: list[str], request: Request) -> pycolma
 
 def pipeline_options(request: Request) -> pycolmap.IncrementalPipelineOptions:
     options = pycolmap.IncrementalPipelineOptions()
-    options.random_seed = options.mapper.random_seed = options.triangulation.random_seed = request.seed
+    options.random_seed = options.mapper.random_seed = options.triangulation.random_seed = SEED
     options.num_threads = options.mapper.num_threads = 1
     options.multiple_models, options.min_model_size = False, MIN_MODEL
-    options.triangulation.ignore_two_view_tracks = request.min_track > 2
-    options.triangulation.min_angle = options.mapper.filter_min_tri_angle = request.min_angle_deg
+    options.triangulation.ignore_two_view_tracks = MIN_TRACK > 2
+    options.triangulation.min_angle = options.mapper.filter_min_tri_angle = MIN_ANGLE_DEG
     return options
 
 
@@ -186,14 +189,14 @@ def filter_points(model: pycolmap.Reconstruction, request: Request) -> None:
     model.update_point_3d_errors()
     positions = {i: image.projection_center() for i, image in model.images.items() if image.has_pose}
     centre = np.mean(list(positions.values()), axis=0)
-    farthest = request.max_distance * request.unit if request.poses_known else np.inf
+    farthest = MAX_DISTANCE * request.unit if request.poses_known else np.inf
     for index, point in list(model.points3D.items()):
         rays = [positions[element.image_id] - point.xyz for element in point.track.elements]
         if (
-            point.error > request.max_error_px
-            or len({e.image_id for e in point.track.elements}) < request.min_track
+            point.error > MAX_ERROR_PX
+            or len({e.image_id for e in point.track.elements}) < MIN_TRACK
             or np.linalg.norm(point.xyz - centre) > farthest
-            or widest_angle(rays) < request.min_angle_deg
+            or widest_angle(rays) < MIN_ANGLE_DEG
         ):
             model.delete_point3D(index)
 

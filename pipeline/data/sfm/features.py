@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
-from pipeline.data.sfm.job import Request, image_file, photograph_name
+from pipeline.data.sfm.job import SEED, Request, image_file, photograph_name
 
 
 def extract_features(database: Path, images: Path, files: list[str], request: Request) -> None:
@@ -48,9 +48,7 @@ def set_intrinsics(database: Path, intrinsics: dict[str, list[float]]) -> None:
             db.update_camera(camera)
 
 
-def match_pairs(
-    database: Path, file: Path, pairs: list[list[str]], options: pycolmap.FeatureMatchingOptions, request: Request
-) -> None:
+def match_pairs(database: Path, file: Path, pairs: list[list[str]], options: pycolmap.FeatureMatchingOptions) -> None:
     """Matches and verifies pairs of photographs; writes them to `file`, where COLMAP reads them."""
     file.write_text("".join(f"{image_file(a)} {image_file(b)}\n" for a, b in pairs))
     pairing = pycolmap.ImportedPairingOptions()
@@ -59,15 +57,15 @@ def match_pairs(
         database,
         matching_options=options,
         pairing_options=pairing,
-        verification_options=verification_options(request),
+        verification_options=verification_options(),
         device=pycolmap.Device.cpu,
     )
 
 
-def verification_options(request: Request) -> pycolmap.TwoViewGeometryOptions:
+def verification_options() -> pycolmap.TwoViewGeometryOptions:
     """Geometric verification of matches, seeded."""
     options = pycolmap.TwoViewGeometryOptions()
-    options.ransac.random_seed = request.seed
+    options.ransac.random_seed = SEED
     return options
 
 

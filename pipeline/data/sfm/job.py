@@ -17,6 +17,7 @@ from urllib.parse import unquote
 
 import numpy as np
 
+SEED = 0  # COLMAP's, apart from the run's: runs of several seeds share its result
 ARRAYS = ("points", "colors", "errors", "track_lengths", "observations")  # of a result; the last may be None
 
 
@@ -56,12 +57,7 @@ class Request:
 
     photographs: list[PhotographRecord]
     unit: float  # world units per normalised unit
-    seed: int
     max_features: int
-    max_error_px: float
-    min_track: int
-    min_angle_deg: float
-    max_distance: float
     refine_poses: bool
     shared_intrinsics: bool
     pairs: list[list[str]] | None = None  # names of photographs to match; None: all with all

@@ -14,7 +14,7 @@ import numpy as np
 import pycolmap
 
 from pipeline.data.sfm.features import camera_record, extract_features, verification_options
-from pipeline.data.sfm.job import Request, image_file
+from pipeline.data.sfm.job import SEED, Request, image_file
 
 MIN_PAIRS = 12  # inliers; fewer may be consistent by coincidence
 
@@ -40,7 +40,7 @@ def register_held_out(
         database,
         matching_options=matching,
         pairing_options=pairing,
-        verification_options=verification_options(request),
+        verification_options=verification_options(),
         device=pycolmap.Device.cpu,
     )
 
@@ -62,7 +62,7 @@ def register_held_out(
     # Initial intrinsics: of the shared camera, else of another camera, then refined.
     camera = copy(next(iter(model.cameras.values())))  # which is refined in place
     estimation, refinement = pycolmap.AbsolutePoseEstimationOptions(), pycolmap.AbsolutePoseRefinementOptions()
-    estimation.ransac.random_seed = request.seed
+    estimation.ransac.random_seed = SEED
     estimation.estimate_focal_length = refinement.refine_focal_length = not request.shared_intrinsics
     found = pycolmap.estimate_and_refine_absolute_pose(
         np.array(pixels), np.array(points), camera, estimation, refinement

@@ -31,11 +31,11 @@ from rasterizer.camera import Camera
 def reconstruct(
     photographs: Sequence[Photograph], cfg: InitConfig, unit: float, source: Path, observations: bool = False
 ) -> Reconstruction:
-    """Points, and poses if the photographs have none; deterministic for a `cfg.seed`.
+    """Points, and poses if the photographs have none; deterministic.
 
-    unit: world units per normalised unit, for cfg.max_distance; ignored without poses. source: the photographs' folder,
-    for messages. observations: whether the result has them. Raises ValueError of one line if the photographs do not
-    suffice.
+    unit: world units per normalised unit, for the farthest points; ignored without poses. source: the photographs'
+    folder, for messages. observations: whether the result has them. Raises ValueError of one line if the photographs
+    do not suffice.
     """
     used = [p for p in photographs if not p.held_out]
     if len(used) < 2:
@@ -53,8 +53,8 @@ def reconstruct(
     if len(found.points) < cfg.min_points:
         raise ValueError(
             f"{source}: expected at least {cfg.min_points} points from structure from motion (init.min_points), found "
-            f"{len(found.points)}; more texture or overlap gives more, as do a smaller scene.downscale, a larger "
-            "init.max_error_px, and a smaller init.min_track or init.min_angle_deg; init.source=random needs none"
+            f"{len(found.points)}; more texture or overlap gives more, as does a smaller scene.downscale; "
+            "init.source=random needs none"
         )
     poses = "estimated" if not known else "refined" if cfg.refine_poses else "known"
     sizes = {p.name: p.image.shape for p in needed}
@@ -79,12 +79,7 @@ def request_for(photographs: Sequence[Photograph], cfg: InitConfig, unit: float)
     return Request(
         photographs=[_record(p) for p in photographs],
         unit=unit,
-        seed=cfg.seed,
         max_features=cfg.max_features,
-        max_error_px=cfg.max_error_px,
-        min_track=cfg.min_track,
-        min_angle_deg=cfg.min_angle_deg,
-        max_distance=cfg.max_distance,
         refine_poses=cfg.refine_poses,
         shared_intrinsics=cfg.shared_intrinsics,
     )

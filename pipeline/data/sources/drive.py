@@ -29,9 +29,9 @@ def with_points(cfg: Config, scene: Scene, log: Callable[[str], None]) -> Prepar
             f"init.source: expected auto, sfm or random for {scene.source}, a log without LiDAR, found lidar"
         )
     from_lidar = scene.sweeps and cfg.init.source in ("auto", "lidar")
-    if from_lidar and cfg.effective_background_model == "sphere":
+    if from_lidar and cfg.scene.background_model == "sphere":
         raise ValueError(
-            f"background_model: expected cubemap, envmap or none for {scene.source}, whose points are LiDAR's, "
+            f"scene.background_model: expected cubemap, envmap or none for {scene.source}, whose points are LiDAR's, "
             "found sphere; init.source=sfm or random allows it"
         )
     if from_lidar or cfg.init.source == "random":

@@ -71,5 +71,5 @@ def retrain(model: Model, scene: Scene, cfg: Config, share: float, evaluate_fn: 
     with temporary_run() as run:  # goes on from a checkpoint, as after an interruption
         state = start(model, scene, cfg, run)
         state.iteration = first
-        save(state, run, keep_moments=True)
+        save(state, run)
         return train(model, scene, cfg, run, evaluate_fn).model

@@ -20,6 +20,17 @@ from pipeline.training.density.statistics import Statistics
 from pipeline.training.optimiser import Adam
 from rasterizer.covariance import scaled_axes
 
+TIME_GRADIENT = 1e-4  # ours: threshold of the temporal indicator |∂L/∂μt|, time in units of the duration
+# The rest are the values of 3DGS's program.
+SPLIT_SCALE = 0.01  # × extent: Gaussians up to this scale are cloned, larger ones split
+SPLIT_COUNT = 2  # children of a split
+SPLIT_SHRINK = 1.6  # the children's scales are divided by this
+PRUNE_OPACITY = 0.005  # Gaussians of lower opacity are pruned
+# Largest spatial scale; × extent. 3DGS's paper also prunes by the radius on the screen. Its program never does: it
+# clears the radii before it compares them (https://github.com/graphdeco-inria/gaussian-splatting/issues/123).
+PRUNE_SCALE = 0.1
+RESET_OPACITY = 0.01  # highest opacity after a reset
+
 
 @dataclass(frozen=True)
 class Growth:
@@ -60,13 +71,13 @@ def choose_growth(model: Model, statistics: Statistics, cfg: DensifyConfig, exte
     space, time = statistics.indicators()
     priority, by_time = space / cfg.space_gradient, torch.zeros(len(model), dtype=torch.bool)
     if cfg.use_time_gradient and time_split and model.kind.dims == 4:
-        by_time = time >= cfg.time_gradient
-        priority = torch.maximum(priority, time / cfg.time_gradient)
-    transparent = _transparent(model, cfg)
+        by_time = time >= TIME_GRADIENT
+        priority = torch.maximum(priority, time / TIME_GRADIENT)
+    transparent = _transparent(model)
     others = torch.ones_like(transparent) if model.sphere is None else ~model.sphere
     selected = (priority >= 1) & others & ~transparent
-    large = _spatial_scale(model) > cfg.split_scale * extent
-    added = torch.where(large, cfg.split_count - 1, 1)  # a split replaces its parent
+    large = _spatial_scale(model) > SPLIT_SCALE * extent
+    added = torch.where(large, SPLIT_COUNT - 1, 1)  # a split replaces its parent
 
     room = cfg.max_gaussians - int((others & ~transparent).sum())
     if int(added[selected].sum()) > room:
@@ -77,17 +88,15 @@ def choose_growth(model: Model, statistics: Statistics, cfg: DensifyConfig, exte
     return Growth(clone=selected & ~large, split=selected & large, by_time=by_time)
 
 
-def split_rows(
-    model: Model, mask: Tensor, cfg: DensifyConfig, time_split: bool, rng: torch.Generator
-) -> dict[str, Tensor]:
-    """The `split_count` children of each Gaussian in `mask`, as (count · split_count, …) rows: all first children, then
+def split_rows(model: Model, mask: Tensor, time_split: bool, rng: torch.Generator) -> dict[str, Tensor]:
+    """The SPLIT_COUNT children of each Gaussian in `mask`, as (count · SPLIT_COUNT, …) rows: all first children, then
     all second ones.
 
     With `time_split`, means are sampled from the 4D Gaussian N(μ, R diag(s)² Rᵀ), space and time jointly, and all
     scales shrink. Without it, μt and st are kept, the spatial scales shrink, and positions are sampled from the
     conditional N(μ_xyz, Σ(μt)), not from the spatial marginal, which is extended along the motion.
     """
-    rows = {name: p[mask].repeat(cfg.split_count, *([1] * (p.dim() - 1))) for name, p in model.parameters.items()}
+    rows = {name: p[mask].repeat(SPLIT_COUNT, *([1] * (p.dim() - 1))) for name, p in model.parameters.items()}
     dims = model.kind.dims
     noise = torch.randn(len(rows["mean"]), dims, generator=rng)
     axes = scaled_axes(Model(model.kind, rows).gaussians())  # M = R diag(s), (n, dims, dims)
@@ -99,7 +108,7 @@ def split_rows(
         noise = noise - time_row * (time_row * noise).sum(dim=1, keepdim=True)  # (I - v vᵀ) ε
         rows["mean"][:, :3] += (axes[:, :3] @ noise[:, :, None])[:, :, 0]
         shrunk = 3
-    rows["log_scale"][:, :shrunk] -= torch.log(torch.tensor(cfg.split_shrink))
+    rows["log_scale"][:, :shrunk] -= torch.log(torch.tensor(SPLIT_SHRINK))
     return rows
 
 
@@ -114,20 +123,15 @@ def halved_opacity(logit: Tensor) -> Tensor:
     return torch.log(-torch.expm1(half_log)) - half_log
 
 
-def to_prune(
-    model: Model, radius: Tensor, clock: float, cfg: DensifyConfig, extent: float, train_sphere: bool = True
-) -> Tensor:
-    """(N,) bool: too transparent, or, after `prune_big_after`, too large in space or, with `prune_radius_px`, on the
-    screen (`radius` (N,), pixels).
+def to_prune(model: Model, clock: float, cfg: DensifyConfig, extent: float, train_sphere: bool = True) -> Tensor:
+    """(N,) bool: too transparent, or, after `prune_big_after`, too large in space.
 
     clock: position in the schedule (schedule.py).
     """
-    transparent = _transparent(model, cfg)
+    transparent = _transparent(model)
     prune = transparent
     if clock > cfg.prune_big_after:
-        prune = prune | (_spatial_scale(model) > cfg.prune_scale * extent)
-        if cfg.prune_radius_px > 0:
-            prune = prune | (radius > cfg.prune_radius_px)
+        prune = prune | (_spatial_scale(model) > PRUNE_SCALE * extent)
     if model.sphere is not None:
         prune = torch.where(model.sphere, transparent & train_sphere, prune)
     return prune
@@ -145,8 +149,8 @@ def densify(
 ) -> Densified:
     """Clone, split, then prune the optimiser's model. `statistics` are invalid afterwards.
 
-    New order: unsplit Gaussians, clones, children of splits. New Gaussians have radius 0. A pruning of all Gaussians
-    but the sphere is skipped, because an empty model cannot recover.
+    New order: unsplit Gaussians, clones, children of splits. A pruning of all Gaussians but the sphere is
+    skipped, because an empty model cannot recover.
     """
     model = optimiser.model
     growth = choose_growth(model, statistics, cfg, extent, time_split)
@@ -156,19 +160,16 @@ def densify(
     clones = {name: p[growth.clone] for name, p in model.parameters.items()}
     if cfg.split_by_cause:
         parts = [
-            split_rows(model, growth.split & growth.by_time, cfg, time_split, rng),
-            split_rows(model, growth.split & ~growth.by_time, cfg, False, rng),
+            split_rows(model, growth.split & growth.by_time, time_split, rng),
+            split_rows(model, growth.split & ~growth.by_time, False, rng),
         ]
         children = {name: torch.cat([part[name] for part in parts]) for name in clones}
     else:
-        children = split_rows(model, growth.split, cfg, time_split, rng)
+        children = split_rows(model, growth.split, time_split, rng)
     optimiser.keep(~growth.split)
     optimiser.append({name: torch.cat([clones[name], children[name]]) for name in clones})
 
-    radius = torch.zeros(len(model))
-    unsplit = statistics.radius[~growth.split]
-    radius[: len(unsplit)] = unsplit
-    prune = to_prune(model, radius, clock, cfg, extent, train_sphere)
+    prune = to_prune(model, clock, cfg, extent, train_sphere)
     pruned = int(prune.sum())
     if pruned and leaves_some(model, prune):
         optimiser.keep(~prune)
@@ -183,17 +184,17 @@ def leaves_some(model: Model, pruned: Tensor) -> bool:
     return bool(kept.any())
 
 
-def reset_opacity(optimiser: Adam, cfg: DensifyConfig, train_sphere: bool = True) -> None:
-    """Clamp every opacity to at most `opacity_reset_to` and zero its moments, as 3DGS; a frozen sphere is unchanged."""
-    highest = torch.logit(torch.tensor(cfg.opacity_reset_to, dtype=torch.float64)).item()
+def reset_opacity(optimiser: Adam, train_sphere: bool = True) -> None:
+    """Clamp every opacity to at most RESET_OPACITY and zero its moments, as 3DGS; a frozen sphere is unchanged."""
+    highest = torch.logit(torch.tensor(RESET_OPACITY, dtype=torch.float64)).item()
     sphere, logit = optimiser.model.sphere, optimiser.model.parameters["opacity_logit"]
     rows = slice(None) if sphere is None or train_sphere else ~sphere
     logit[rows] = logit[rows].clamp(max=highest)
     optimiser.zero_moments("opacity_logit", rows)
 
 
-def _transparent(model: Model, cfg: DensifyConfig) -> Tensor:
-    return torch.sigmoid(model.parameters["opacity_logit"]) < cfg.prune_opacity
+def _transparent(model: Model) -> Tensor:
+    return torch.sigmoid(model.parameters["opacity_logit"]) < PRUNE_OPACITY
 
 
 def _spatial_scale(model: Model) -> Tensor:

@@ -65,9 +65,8 @@ class Candidates:
 class ErrorSampler:
     """Draws new Gaussians for a scene; keeps its reduced training images between calls."""
 
-    def __init__(self, scene: Scene, box: tuple[np.ndarray, np.ndarray]) -> None:
-        """box: lowest and highest corner (3,) of where they may be, world units."""
-        self._scene, self._box = scene, box
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
         self._targets: dict[int, Target] = {}
         self._views: dict[float, list[int]] = defaultdict(list)  # of each time
         for index, view in enumerate(scene.train):
@@ -163,7 +162,7 @@ class ErrorSampler:
         x, y = ((column, row) + rng.random((2, count)) - [[camera.cx], [camera.cy]]) / [[camera.fx], [camera.fy]]
         directions = np.stack([x, y, np.ones(count)], axis=1) @ camera.world_to_cam[:3, :3]
         with np.errstate(divide="ignore"):
-            low, high = ((np.asarray(corner) - camera.position) / directions for corner in self._box)
+            low, high = ((np.asarray(corner) - camera.position) / directions for corner in self._scene.init_box)
         first = np.maximum(np.minimum(low, high).max(axis=1), near)
         last = np.maximum(low, high).min(axis=1)
         inside = first < last

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from datasets.scene import Scene, View
 from pipeline.config.random_streams import Stream, stream
 from pipeline.config.schema import Config
-from pipeline.model.initialise import initial_box
 from pipeline.training.density import densification, error_sampling, sensitivity_pruning, visibility_pruning
 from pipeline.training.density.error_sampling import ErrorSampler
 from pipeline.training.schedule import Phase
@@ -23,8 +22,8 @@ class RefinementViews:
     errors: ErrorSampler
 
     @classmethod
-    def of(cls, scene: Scene, cfg: Config) -> RefinementViews:
-        return cls(sensitivity_pruning.scoring_views(scene), ErrorSampler(scene, initial_box(scene, cfg)))
+    def of(cls, scene: Scene) -> RefinementViews:
+        return cls(sensitivity_pruning.scoring_views(scene), ErrorSampler(scene))
 
 
 def refine(state: TrainState, phase: Phase, views: RefinementViews, scene: Scene, cfg: Config) -> list[dict]:
@@ -65,10 +64,10 @@ def refine(state: TrainState, phase: Phase, views: RefinementViews, scene: Scene
             "event": "prune_hidden", "iteration": state.iteration, "pruned": pruned, "n_gaussians": len(state.model),
         })  # fmt: skip
     # After pruning, which makes room below max_gaussians and would remove most of them at once.
-    if cfg.ablation.adds_by_error and error_sampling.due(state.iteration, phase.clock, cfg.train):
+    if cfg.ablation.add_by_error and error_sampling.due(state.iteration, phase.clock, cfg.train):
         events.append(_add_by_error(state, views.errors, cfg))
     if densification.opacity_reset_due(state.iteration, phase.clock, rules):
-        densification.reset_opacity(state.optimiser, rules, phase.sphere)
+        densification.reset_opacity(state.optimiser, phase.sphere)
     return events
 
 

@@ -15,7 +15,6 @@ from torch import Tensor
 from pipeline.data.lidar.depth_targets import SparseDepth
 
 SMALLEST_DEPTH = 1e-6  # of D: below it a pixel shows nothing, and ρ is 0
-LARGEST_ALPHA = 1 - 1e-4  # of -log(1 - α); a pixel is full at a transmittance of 1e-4
 
 
 @dataclass(frozen=True)
@@ -49,14 +48,12 @@ def sparse_depth_loss(depth: Tensor, alpha: Tensor, target: SparseDepth, weight:
     return DepthGradient(weight * error.abs().mean().item(), d_depth, d_alpha)
 
 
-def sky_loss(depth: Tensor, alpha: Tensor, sky: Tensor, inverse_weight: float, opacity_weight: float) -> DepthGradient:
-    """inverse_weight × mean of ρ (the paper's) + opacity_weight × mean of -log(1 - α) (PVG's), both over the sky.
+def sky_loss(depth: Tensor, alpha: Tensor, sky: Tensor, weight: float) -> DepthGradient:
+    """weight × mean of ρ over the sky, as in the paper.
 
-    sky: (1, H, W) in [0, 1], the share of each pixel that is sky; the means are weighted by it.
+    sky: (1, H, W) in [0, 1], the share of each pixel that is sky; the mean is weighted by it.
     """
     share = sky / sky.sum().clamp_min(1.0)
     rho, by_depth, by_alpha = inverse_depth(depth, alpha)
-    through = 1 - alpha.clamp(max=LARGEST_ALPHA)
-    loss = inverse_weight * (share * rho).sum() - opacity_weight * (share * torch.log(through)).sum()
-    d_alpha = share * (inverse_weight * by_alpha + opacity_weight / through)
-    return DepthGradient(loss.item(), inverse_weight * share * by_depth, d_alpha)
+    loss = weight * (share * rho).sum()
+    return DepthGradient(loss.item(), weight * share * by_depth, share * (weight * by_alpha))

@@ -20,6 +20,9 @@ FALLOFF = 100.0  # weight exp(-100 d²), d in world units: 1/e at 0.1; the relea
 MIN_MARGINAL = 0.7  # only Gaussians with temporal marginal p(t) above this
 # Velocities are displacements per this fraction of the duration; the release uses 0.1 with D-NeRF's duration of 1.
 VELOCITY_STEP = 0.1
+NEIGHBOURS = 8  # nearest Gaussians that a Gaussian is compared with
+RELEASED_NEIGHBOURS = 20  # the same in the released form
+RIGID_EVERY = 32  # `rigid_loss` is that of every such training view, × this, for run time; the release's of every step
 
 # That the loss depends on; a model has one of the last two, and without 4D rotation neither.
 FIELDS = ("mean", "log_scale", "quat_left", "quat_right", "velocity")

@@ -85,7 +85,7 @@ def check(folder: Path) -> str:
             ),
             "an iteration, time, seed or step that is no number",
         )
-        for moments in found.moments or ():
+        for moments in found.moments:
             require(
                 {name: (m.shape, m.dtype) for name, m in moments.items()}
                 == {name: (p.shape, p.dtype) for name, p in found.model.parameters.items()},

@@ -71,7 +71,7 @@ def example() -> Files:
                     "config.yaml",
                     f"seed: {seed}\nscene:\n  name: dnerf/lego\n  path: a/b\n  validation_every: 0\n"
                     f"  test_split: val\nablation:\n  name: {model}\n  fourier_order: 1\n"
-                    f"train:\n  name: fast\n  sampler: pairs\n  batch: {seed + 1}\n  iterations: 800\n"
+                    f"train:\n  name: fast\n  batch: {seed + 1}\n  iterations: 800\n"
                     "  resolution_steps:\n  - until: 0.5\n    scale: 0.5\n",
                 ),
                 (

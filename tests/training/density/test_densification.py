@@ -128,7 +128,7 @@ SAMPLES = 20_000
 def test_split_samples_space_and_time_jointly() -> None:
     model = rotated(SAMPLES)
     mask = torch.ones(SAMPLES, dtype=torch.bool)
-    rows = split_rows(model, mask, DensifyConfig(), True, torch.Generator().manual_seed(0))
+    rows = split_rows(model, mask, True, torch.Generator().manual_seed(0))
     assert len(rows["mean"]) == 2 * SAMPLES
     expected = covariance(model)
     assert (torch.cov(rows["mean"].T.double()) - expected).abs().max() < 0.05 * expected.max()
@@ -142,7 +142,7 @@ def test_split_samples_space_and_time_jointly() -> None:
 def test_split_in_space_only_keeps_time_and_samples_the_conditional() -> None:
     model = rotated(SAMPLES)
     mask = torch.ones(SAMPLES, dtype=torch.bool)
-    rows = split_rows(model, mask, DensifyConfig(), False, torch.Generator().manual_seed(0))
+    rows = split_rows(model, mask, False, torch.Generator().manual_seed(0))
     assert torch.equal(rows["mean"][:, 3], torch.full((2 * SAMPLES,), 0.4))
     assert torch.equal(rows["log_scale"][:, 3], torch.full((2 * SAMPLES,), math.log(0.5)))
     assert torch.allclose(rows["log_scale"][:, :3], (model.parameters["log_scale"][0, :3] - math.log(1.6)))
@@ -156,18 +156,15 @@ def test_split_in_space_only_keeps_time_and_samples_the_conditional() -> None:
 @pytest.mark.parametrize("kind", [ModelKind("separable", 0, 0), ModelKind("static", 0, 0)])
 def test_split_of_models_without_4d_rotation(kind: ModelKind) -> None:
     model = rotated(10, kind)
-    rows = split_rows(model, torch.ones(10, dtype=torch.bool), DensifyConfig(), True, torch.Generator().manual_seed(0))
+    rows = split_rows(model, torch.ones(10, dtype=torch.bool), True, torch.Generator().manual_seed(0))
     assert rows["mean"].shape == (20, kind.dims) and (rows["mean"] != model.parameters["mean"].repeat(2, 1)).all()
 
 
 def test_transparent_gaussians_are_always_pruned_and_large_ones_only_later() -> None:
-    model = model_of([0.01, 0.6, 0.01, 0.01])
-    model.parameters["opacity_logit"][3] = -6.0  # 0.0025
-    radius = torch.tensor([1.0, 1.0, 21.0, 1.0])
-    rules = DensifyConfig(prune_radius_px=20)
-    assert to_prune(model, radius, 3000, rules, EXTENT).tolist() == [False, False, False, True]
-    assert to_prune(model, radius, 3001, rules, EXTENT).tolist() == [False, True, True, True]
-    assert to_prune(model, radius, 3001, DensifyConfig(), EXTENT).tolist() == [False, True, False, True]
+    model = model_of([0.01, 0.6, 0.01])
+    model.parameters["opacity_logit"][2] = -6.0  # 0.0025
+    assert to_prune(model, 3000, DensifyConfig(), EXTENT).tolist() == [False, False, True]
+    assert to_prune(model, 3001, DensifyConfig(), EXTENT).tolist() == [False, True, True]
 
 
 def test_densify_clones_splits_prunes_and_updates_moments() -> None:
@@ -217,7 +214,7 @@ def test_opacity_reset_only_lowers_and_zeroes_moments() -> None:
     model.parameters["opacity_logit"][1] = -5.5  # 0.0041, already lower
     optimiser = Adam(model)
     optimiser.first["opacity_logit"].fill_(1.0)
-    reset_opacity(optimiser, DensifyConfig())
+    reset_opacity(optimiser)
     opacity = torch.sigmoid(model.parameters["opacity_logit"])
     assert opacity.tolist() == pytest.approx([0.01, 1 / (1 + math.exp(5.5))], rel=1e-5)
     assert not optimiser.first["opacity_logit"].any()
@@ -241,11 +238,9 @@ def test_the_sphere_is_not_densified_and_not_counted_by_the_cap() -> None:
 def test_the_sphere_is_pruned_only_for_transparency_and_until_it_is_frozen() -> None:
     model = sphere_model([0.6, 0.6, 0.01, 0.01, 0.01], [True, False, True, False, True])
     model.parameters["opacity_logit"][2:4] = -6.0  # 0.0025
-    radius = torch.tensor([99.0, 1.0, 1.0, 1.0, 99.0])
-    rules = DensifyConfig(prune_radius_px=20)
-    late = to_prune(model, radius, 3001, rules, EXTENT)
+    late = to_prune(model, 3001, DensifyConfig(), EXTENT)
     assert late.tolist() == [False, True, True, True, False]
-    frozen = to_prune(model, radius, 3001, rules, EXTENT, train_sphere=False)
+    frozen = to_prune(model, 3001, DensifyConfig(), EXTENT, train_sphere=False)
     assert frozen.tolist() == [False, True, False, True, False]
 
 
@@ -268,13 +263,13 @@ def test_densification_and_opacity_reset_do_not_change_a_frozen_sphere() -> None
         torch.Generator().manual_seed(0),
         train_sphere=False,
     )
-    reset_opacity(optimiser, DensifyConfig(), train_sphere=False)
+    reset_opacity(optimiser, train_sphere=False)
     assert done.split == 2 and int(model.sphere.sum()) == 3 and len(model) == 7
     for name, tensor in model.parameters.items():
         assert torch.equal(tensor[model.sphere], before[name]), name
         assert (optimiser.first[name][model.sphere] == 1).all(), name
     assert (torch.sigmoid(model.parameters["opacity_logit"][~model.sphere]) < 0.0101).all()
-    reset_opacity(optimiser, DensifyConfig())
+    reset_opacity(optimiser)
     assert (torch.sigmoid(model.parameters["opacity_logit"]) < 0.0101).all(), "before it is frozen"
 
 

@@ -17,7 +17,6 @@ from pipeline.model.initialise import initialise
 from pipeline.model.model import Model
 from pipeline.training.density import error_sampling
 from pipeline.training.density.error_sampling import FEWEST_VIEWS, LIFETIME, MIN_ERROR, ErrorSampler, due
-from pipeline.training.density.refinement import RefinementViews
 
 CENTRE, RADIUS = np.array([0.45, -0.2, 0.3]), 0.35  # of the sphere, world units
 COLOR = (40, 200, 90)
@@ -52,7 +51,7 @@ def transparent_model(scene: Scene) -> Model:
 
 def draw(scene: Scene, count: int = 300, model: Model | None = None, seed: int = 0) -> dict[str, torch.Tensor] | None:
     model = transparent_model(scene) if model is None else model
-    return ErrorSampler(scene, scene.init_box).draw(model, tiny_config(), count, np.random.default_rng(seed), threads=1)
+    return ErrorSampler(scene).draw(model, tiny_config(), count, np.random.default_rng(seed), threads=1)
 
 
 @pytest.mark.parametrize("cameras", [1, 4])
@@ -108,7 +107,7 @@ def test_score_and_colour_equal_those_of_a_naive_loop(masked: bool):
     if masked:  # a projection there is as unknown as one outside the image
         counts[:, ::2] = False
         scene = replace(scene, train=tuple(replace(view, mask=counts) for view in scene.train))
-    sampler, rng = ErrorSampler(scene, scene.init_box), np.random.default_rng(3)
+    sampler, rng = ErrorSampler(scene), np.random.default_rng(3)
     views = [6, 7, 8, 9, 10]
     errors = sampler._errors(transparent_model(scene), views, 0.2, 1)
     points = rng.uniform(-1.5, 1.5, size=(200, 3))
@@ -128,17 +127,16 @@ def test_score_and_colour_equal_those_of_a_naive_loop(masked: bool):
         np.testing.assert_allclose(color[i], np.median(colors, axis=0) if known else 0.0, atol=1e-6)
 
 
-@pytest.mark.parametrize("box", [None, [-0.6, 0.6], [-3.0, 3.0]])
-def test_new_gaussians_are_in_the_box_of_the_initial_ones(box: list[float] | None):
-    """train.init_box, if it is given, however large the scene's own is; the images are wrong everywhere."""
+@pytest.mark.parametrize("box", [(-0.6, 0.6), (-1.2, 1.2), (-3.0, 3.0)])
+def test_new_gaussians_are_in_the_box_of_the_initial_ones(box: tuple[float, float]):
+    """The images are wrong everywhere."""
     noise = np.random.default_rng(1)
     scene = sphere_scene(cameras=4)
     wrong = [replace(view, image=noise.integers(100, 255, (32, 32, 3), np.uint8)) for view in scene.train]
-    scene, cfg = replace(scene, train=tuple(wrong)), tiny_config(init_box=box)
-    sampler = RefinementViews.of(scene, cfg).errors
-    rows = sampler.draw(transparent_model(scene), cfg, 300, np.random.default_rng(0), threads=1)
+    scene = replace(scene, train=tuple(wrong), init_box=box)
+    rows = ErrorSampler(scene).draw(transparent_model(scene), tiny_config(), 300, np.random.default_rng(0), threads=1)
     assert rows is not None
-    low, high = (np.min(scene.init_box[0]), np.max(scene.init_box[1])) if box is None else box
+    low, high = box
     found = rows["mean"][:, :3].numpy()
     assert (found >= low - 1e-6).all() and (found <= high + 1e-6).all()
     assert np.abs(found).max() > 0.7 * high, "most of the box"
@@ -164,7 +162,7 @@ def test_the_draw_is_a_function_of_its_generator():
 def test_of_a_long_film_some_times_are_rendered(monkeypatch: pytest.MonkeyPatch):
     scene = sphere_scene(cameras=4)
     monkeypatch.setattr(error_sampling, "MAX_VIEWS", 24)
-    windows = ErrorSampler(scene, scene.init_box)._windows(np.random.default_rng(0))
+    windows = ErrorSampler(scene)._windows(np.random.default_rng(0))
     assert len(windows) == 6 and all(len(views) == 4 for views in windows.values())
     assert all(scene.train[view].time == time for time, views in windows.items() for view in views)
 
@@ -175,7 +173,7 @@ def test_schedule():
     assert not due(20, 20.0, TrainConfig(densify=DensifyConfig(start=20, stop=100)))
 
 
-def train_with(path: Path, time_split: bool = True, add_by_error: bool | None = None, **densify) -> list[dict]:
+def train_with(path: Path, time_split: bool = True, add_by_error: bool = True, **densify) -> list[dict]:
     cfg = tiny_config()
     rules = replace(cfg.train.densify, space_gradient=1e9, use_time_gradient=False, **densify)
     ablation = AblationConfig(time_split=time_split, add_by_error=add_by_error)
@@ -184,15 +182,14 @@ def train_with(path: Path, time_split: bool = True, add_by_error: bool | None = 
     return [row for row in TinyRun(path).rows("log.jsonl") if row["event"] == "add_by_error"]
 
 
-def test_training_adds_up_to_the_cap_and_never_without_densification_in_time(tmp_path: Path):
+def test_training_adds_up_to_the_cap_and_never_without_add_by_error(tmp_path: Path):
     events = train_with(tmp_path / "full", error_points=30, error_points_every=10)
     assert [row["iteration"] for row in events] == [10, 20, 30, 40]
     assert all(0 < row["added"] <= 30 and row["n_gaussians"] <= 400 for row in events)
     capped = train_with(tmp_path / "capped", error_points=30, error_points_every=10, max_gaussians=210)
     assert all(row["n_gaussians"] <= 210 for row in capped)
     rules = dict(error_points=30, error_points_every=10)
-    assert train_with(tmp_path / "ablation", time_split=False, **rules) == []
-    assert len(train_with(tmp_path / "kept", time_split=False, add_by_error=True, **rules)) == 4
+    assert len(train_with(tmp_path / "kept", time_split=False, **rules)) == 4
     assert train_with(tmp_path / "without", add_by_error=False, **rules) == []
 
 

@@ -22,6 +22,7 @@ from pipeline.training.objective.flow_loss import SOFTENING, flow_loss
 from pipeline.training.schedule import phase
 from pipeline.training.step import Batch, DrawnView
 from rasterizer import Gaussians, Gradients, Request
+from rasterizer.loss import PhotometricLoss
 from rasterizer.reference import rasterize as reference
 
 
@@ -72,9 +73,11 @@ def test_the_gradient_of_a_batch_is_that_of_image_and_flow(make_scene: Callable[
     gaussians = random_gaussians(40, "full", torch.Generator().manual_seed(2))  # float64 of float32 values
     model = Model.from_gaussians(gaussians.to(torch.float32))
     target = TrainingViews(scene.train, FlowTargets(scene)).at(1, 1.0)
-    batch = Batch(model, scene, cfg, Kernels(0.0, 0.0, 1), late, 1)  # without SSIM: L1 alone
+    kernels = Kernels(0.0, 1)
+    kernels.criterion = PhotometricLoss(ssim_weight=0.0, threads=1)  # L1 alone
+    batch = Batch(model, scene, cfg, kernels, late, 1)
     gradients = Gradients.zeros_like(model.gaussians())
-    loss = batch.backward(DrawnView(target, scene.background), gradients).loss
+    loss = batch.backward(DrawnView(target), gradients).loss
 
     leaves = {name: tensor.clone().requires_grad_() for name, tensor in gaussians.tensors().items()}
     request = Request(
