@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import multiprocessing
 import os
+import resource
 import runpy
 import signal
 import subprocess
@@ -36,10 +37,13 @@ FORKING.set_forkserver_preload(
 class Command:
     """A command at work. Standard output and error go to files, which can be read meanwhile."""
 
-    def __init__(self, folder: Path, module: str, arguments: tuple[str, ...]) -> None:
+    def __init__(self, folder: Path, module: str, arguments: tuple[str, ...], largest_file: int | None = None) -> None:
+        """largest_file: bytes of a file beyond which the disk is full."""
         self._streams = tempfile.TemporaryDirectory(prefix="command-")
         self._out, self._err = (Path(self._streams.name) / name for name in ("out", "err"))
-        self._process = FORKING.Process(target=_run, args=(folder, module, arguments, self._out, self._err))
+        self._process = FORKING.Process(
+            target=_run, args=(folder, module, arguments, self._out, self._err, largest_file)
+        )
         self._process.start()
 
     def said(self) -> str:
@@ -66,14 +70,22 @@ class Command:
         return self._process.exitcode, self.said(), self._err.read_text()
 
 
-def _run(folder: Path, module: str, arguments: tuple[str, ...], out: Path, err: Path) -> None:
+def _run(folder: Path, module: str, arguments: tuple[str, ...], out: Path, err: Path, largest_file: int | None) -> None:
     """`python -m module arguments`, in the forked process."""
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job, as CI may be, ignores it
     os.chdir(folder)
     for stream, path in ((1, out), (2, err)):
         os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT), stream)
+    if largest_file is not None:
+        limit_files(largest_file)
     sys.argv = [module, *arguments]
     runpy.run_module(module, run_name="__main__", alter_sys=True)
+
+
+def limit_files(largest: int) -> None:
+    """Writes beyond `largest` bytes of a file fail, as on a full disk."""
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (largest, largest))
 
 
 class Shell:
@@ -82,11 +94,13 @@ class Shell:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
 
-    def start(self, *arguments: str, module: str = "pipeline") -> Command:
-        return Command(self.folder, module, arguments)
+    def start(self, *arguments: str, module: str = "pipeline", largest_file: int | None = None) -> Command:
+        return Command(self.folder, module, arguments, largest_file)
 
-    def __call__(self, *arguments: str, status: int = 0, module: str = "pipeline") -> tuple[str, str]:
-        found, out, err = self.start(*arguments, module=module).wait()
+    def __call__(
+        self, *arguments: str, status: int = 0, module: str = "pipeline", largest_file: int | None = None
+    ) -> tuple[str, str]:
+        found, out, err = self.start(*arguments, module=module, largest_file=largest_file).wait()
         assert found == status, err
         return out, err
 

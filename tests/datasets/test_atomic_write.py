@@ -6,38 +6,16 @@ A limit on the size of files (RLIMIT_FSIZE) makes writes fail like a full disk.
 from __future__ import annotations
 
 import errno
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from shell import TINY, Shell
+from shell import FORKING, TINY, Shell, limit_files
 
 from datasets.files.atomic_write import DiskFull, atomic_file, atomic_folder, disk_errors_named, write_text
-from pipeline.config.compose import CONFIG_DIR
+from pipeline.training import checkpoint
 
-LIMITED = """
-import resource, runpy, signal, sys
-signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))
-sys.argv = {argv}
-runpy.run_module("pipeline", run_name="__main__")
-"""
 COMMAND = (*TINY, "out=run")
-
-
-def limited(folder: Path, limit: int, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """`python -m pipeline` with a limit of `limit` bytes per file."""
-    code = LIMITED.format(limit=limit, argv=["pipeline", *arguments])
-    return subprocess.run(
-        [sys.executable, "-c", code],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        timeout=120,
-        env={"PYTHONPATH": str(CONFIG_DIR.parent), "OMP_NUM_THREADS": "1", "PATH": "", "PYTHONDONTWRITEBYTECODE": "1"},
-    )
 
 
 @pytest.fixture(scope="module")
@@ -49,21 +27,18 @@ def completed_run(tmp_path_factory) -> Path:
 
 
 def test_full_disk_while_init_ply_is_written(completed_run: Path) -> None:
-    done = limited(completed_run, 100_000, *COMMAND, "out=other")  # only init.ply is larger
-    assert done.returncode == 1 and "Traceback" not in done.stderr
-    assert done.stderr.startswith("error: other/init.ply: expected room to write it, found no space left (")
-    assert done.stderr.count("\n") == 1 and "make room and give the same command again" in done.stderr
+    _, err = Shell(completed_run)(*COMMAND, "out=other", status=1, largest_file=100_000)  # only init.ply is larger
+    assert err.startswith("error: other/init.ply: expected room to write it, found no space left (")
+    assert err.count("\n") == 1 and "make room and give the same command again" in err
     assert not list((completed_run / "other").glob(".tmp-*")) and not (completed_run / "other/init.ply").exists()
 
 
 def test_full_disk_while_a_checkpoint_is_written(completed_run: Path) -> None:
     size = (completed_run / "run/init.ply").stat().st_size
-    done = limited(
-        completed_run, 2 * size, *COMMAND, "out=third"
-    )  # the checkpoint is larger: it also holds Adam's moments
-    assert done.returncode == 1 and "Traceback" not in done.stderr
-    assert done.stderr.startswith("error: third/checkpoint.safetensors: expected room to write it, found no space left")
-    assert done.stderr.count("\n") == 1
+    # The checkpoint is larger: it also holds Adam's moments.
+    _, err = Shell(completed_run)(*COMMAND, "out=third", status=1, largest_file=2 * size)
+    assert err.startswith("error: third/checkpoint.safetensors: expected room to write it, found no space left")
+    assert err.count("\n") == 1
     assert {path.name for path in (completed_run / "third").iterdir()} == {
         ".lock",
         "config.yaml",
@@ -76,28 +51,23 @@ def test_full_disk_while_a_checkpoint_is_written(completed_run: Path) -> None:
     Shell(completed_run)(*COMMAND, "out=third")  # with space again the run continues
 
 
-def test_full_disk_keeps_the_old_checkpoint(completed_run: Path) -> None:
+def save_on_a_full_disk(path: Path, found: Path) -> None:
+    """Writes the checkpoint `path` once more, with no room for it; the error's name goes to `found`."""
+    saved = checkpoint.load(path)
+    limit_files(10_000)
+    try:
+        checkpoint.save(path, saved)
+    except DiskFull as error:
+        found.write_text(type(error).__name__)
+
+
+def test_full_disk_keeps_the_old_checkpoint(completed_run: Path, tmp_path: Path) -> None:
     path = completed_run / "run" / "checkpoint.safetensors"
     before = path.read_bytes()
-    from pipeline.training import checkpoint
-
-    code = f"""
-import resource, signal
-from pathlib import Path
-from pipeline.training import checkpoint
-saved = checkpoint.load(Path({str(path)!r}))
-signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, 10_000))
-checkpoint.save(Path({str(path)!r}), saved)
-"""
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        env={"PYTHONPATH": str(CONFIG_DIR.parent), "PYTHONDONTWRITEBYTECODE": "1"},
-    )
-    assert "datasets.files.atomic_write.DiskFull: " in done.stderr
+    process = FORKING.Process(target=save_on_a_full_disk, args=(path, tmp_path / "found"))
+    process.start()
+    process.join(120)
+    assert (process.exitcode, (tmp_path / "found").read_text()) == (0, "DiskFull")
     assert path.read_bytes() == before and not list(path.parent.glob(".tmp-*"))
     assert checkpoint.load(path).iteration == checkpoint.saved_iteration(path) == 20
 

@@ -168,6 +168,9 @@ def test_load_scene_by_config(folder: Path, reader: str, monkeypatch: pytest.Mon
     assert {view.name[:10] for view in scene.test} == {"test/cam01"}
 
 
-def test_opencv_is_imported_only_for_videos() -> None:
-    code = "import sys, datasets, datasets.dnerf, datasets.files.frame_store; sys.exit('cv2' in sys.modules)"
+def test_codecs_are_imported_only_for_videos() -> None:
+    code = """import sys, datasets, datasets.dnerf, datasets.files.frame_store
+assert 'cv2' not in sys.modules
+import datasets.synthetic.__main__
+assert 'imageio_ffmpeg' not in sys.modules"""
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0

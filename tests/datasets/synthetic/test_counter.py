@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -204,8 +202,3 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert lines[:3] == ["1/3 cameras", "2/3 cameras", "3/3 cameras"]
     assert "3 cameras, 2 frames each, 32 pixels wide" in lines[3] and len(lines) == 4
     assert cv2.VideoCapture(str(tmp_path / "out" / "cam02.mp4")).get(cv2.CAP_PROP_FRAME_COUNT) == 2
-
-
-def test_encoder_is_imported_only_for_films() -> None:
-    code = "import sys, datasets.synthetic.__main__; sys.exit('imageio_ffmpeg' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
