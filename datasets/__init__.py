@@ -1,25 +1,11 @@
-"""Data sets: one reader per layout on disk, each of which returns a `Scene`.
+"""Data sets: one reader per layout on disk. Opened it is a `Source`, which gives a `Scene`.
 
-settings.py   the settings `scene.*`         kinds.py   which kind of scene they name
-load.py       loads it with its reader       scene.py   Scene, View: what every reader returns
+settings.py   the settings `scene.*`                  scene.py   Scene, View: what every reader returns
+source.py     opens the data that the settings name   readers/   a module a layout
 """
 
 from datasets.files.errors import SceneError
-from datasets.kinds import SceneKind, scene_kind, with_reader
-from datasets.load import load_clip, load_clip_set, load_footage, load_posed, load_scene
 from datasets.scene import Scene, View, validate_scene
+from datasets.source import Source, open_source
 
-__all__ = [
-    "Scene",
-    "SceneError",
-    "SceneKind",
-    "View",
-    "load_clip",
-    "load_clip_set",
-    "load_footage",
-    "load_posed",
-    "load_scene",
-    "scene_kind",
-    "validate_scene",
-    "with_reader",
-]
+__all__ = ["Scene", "SceneError", "Source", "View", "open_source", "validate_scene"]

@@ -24,6 +24,13 @@ def as_color(channels: Sequence[float]) -> Color:
     return cast(Color, tuple(float(channel) for channel in channels))
 
 
+def background_color(setting: str | Sequence[float]) -> Color | None:
+    """scene.background as RGB in [0, 1]; None for auto."""
+    if isinstance(setting, str):
+        return {"auto": None, "black": BLACK, "white": WHITE}[setting]
+    return as_color(setting)
+
+
 def compose(rgba: np.ndarray, background: Color, downscale: int = 1) -> np.ndarray:
     """An RGBA image (H, W, 4) uint8 with straight alpha over `background`, reduced by area average.
 

@@ -1,6 +1,6 @@
 """`Scene`: the posed, timed images that every reader returns, and `validate_scene`, the checks for all of them.
 
-A reader (`datasets/dnerf.py`, …) turns one layout on disk into a `Scene`; no other code depends on the layout.
+A reader (`datasets/readers`) turns one layout on disk into a `Scene`; no other code depends on the layout.
 """
 
 from __future__ import annotations

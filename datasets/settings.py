@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, Optional
 
+from datasets.readers import reader_names
+
 BACKGROUND_MODELS = ("none", "sphere", "envmap", "cubemap")
-LAYOUTS = ("colmap", "nerfstudio", "dynamic_gaussians", "nerfies", "llff")  # folders of other tools (datasets/layouts)
-READERS = ("dnerf", "plenoptic", "video", "synthetic", "kitti", "waymo", "auto", *LAYOUTS)
+WHOLE_SIZE = ("plenoptic", "synthetic", "kitti", "waymo")  # readers that choose no downscale by the size of the images
 SYNC = ("none", "auto", "given")
 SKY_MASKS = ("auto", "none", "files", "estimated")
 STREET_LAYOUTS = ("processed", "kitti_format")
@@ -22,7 +23,7 @@ class SceneConfig:
     # Name of the scene and of its run folder; may contain a slash. By default derived from the folder of scene.path
     name: str = "dnerf"
     # Layout of the data: dnerf | plenoptic | video | synthetic | colmap | nerfstudio | dynamic_gaussians | nerfies |
-    # llff | kitti | waymo | auto: found out and said (datasets/layouts/detect.py)
+    # llff | kitti | waymo (a module of datasets/readers) | auto: found out and said
     reader: str = "dnerf"
     path: Optional[str] = None  # folder of the data; not used by synthetic scenes
     test_split: str = "test"  # dnerf: the held-out split, test | val
@@ -71,7 +72,8 @@ class SceneConfig:
     near: float = 0.2  # near plane in the scene's normalised unit (Scene.unit)
 
     def __post_init__(self) -> None:
-        require(self.reader in READERS, "scene.reader", ", ".join(READERS), self.reader)
+        readers = ("auto", *reader_names())
+        require(self.reader in readers, "scene.reader", ", ".join(readers), self.reader)
         for key, minimum in (("test_cameras", 1), ("drop_cameras", 0)):
             numbers = getattr(self, key)
             require(
@@ -116,7 +118,7 @@ class SceneConfig:
             self.validation_every,
         )
         require(
-            1 <= self.downscale <= 16 or (self.downscale == 0 and self.reader in ("video", "auto", "dnerf", *LAYOUTS)),
+            1 <= self.downscale <= 16 or (self.downscale == 0 and self.reader not in WHOLE_SIZE),
             "scene.downscale",
             "1 to 16",
             self.downscale,

@@ -20,7 +20,7 @@ MAX_SIDE = 65_536  # pixels: float32 still resolves 1/128 pixel there
 MAX_PIXELS = 2**28  # the colour image alone is 3 GB
 MIN_FOCAL, MAX_FOCAL = 1e-6, 1e9  # pixels; MAX_FOCAL also bounds the principal point
 MAX_DISTANCE = 1e12  # world units: the product of three such lengths still fits in float32
-RIGID_TOLERANCE = 1e-2  # of RᵀR - I: poses in files may be off by 1e-3 (datasets/dnerf.py), their inverses by more
+RIGID_TOLERANCE = 1e-2  # of RᵀR - I: poses in files may be off by 1e-3 (readers/dnerf.py), their inverses by more
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from datasets.dnerf import read_dnerf
 from datasets.scene import Scene
+from datasets.settings import SceneConfig
+from datasets.source import open_source
 
 SIZE = 8
 ANGLE_X = 0.7
@@ -55,4 +56,6 @@ def write_folder(root: Path) -> Path:
 
 
 def read(folder: Path, **options: object) -> Scene:
-    return read_dnerf(folder, name="toy", **options)
+    """By the reader of the layout, over black."""
+    cfg = SceneConfig("toy", "dnerf", str(folder), **{"background": "black", **options})
+    return open_source(cfg, log=lambda line: None).scene()

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 from imageio_ffmpeg import get_ffmpeg_exe
 
-from datasets import Scene
-from datasets.plenoptic import read_plenoptic
+from datasets import Scene, Source
+from datasets.settings import SceneConfig
+from datasets.source import open_source
 
 WIDTH, HEIGHT = 64, 48
 FRAMES = 6
@@ -72,6 +73,20 @@ def write_folder(root: Path, numbers: Sequence[int] = (0, 1, 2)) -> Path:
 
 
 def read(folder: Path, **options: object) -> Scene:
-    """`read_plenoptic` with settings for small folders; frames are cached beside the folder."""
-    defaults = dict(name="plenoptic/toy", downscale=1, cache=folder.parent / "cache", threads=2, log=lambda text: None)
-    return read_plenoptic(folder, **{**defaults, **options})
+    """The scene with settings for small folders; frames are cached beside the folder."""
+    return opened(folder, **options).scene()
+
+
+def opened(
+    folder: Path,
+    reader: str = "plenoptic",
+    cache: str | Path | None = None,
+    threads: int = 2,
+    log: Callable[[str], None] = lambda text: None,
+    **options: object,
+) -> Source:
+    """The source; nothing is decoded. cache: beside the folder without one."""
+    cache = str(cache or folder.parent / "cache")
+    given = {"name": f"{reader}/toy", "downscale": 1, "cache": cache, **options}
+    cfg = SceneConfig(reader=reader, path=str(folder), **given)
+    return open_source(cfg, threads=threads, log=log)

@@ -1,4 +1,4 @@
-"""Reader of clips by cameras that move, without poses: a video file, a folder of images in order, or several videos.
+"""Clips by cameras that move, without poses: a video file, a folder of images in order, or several videos.
 
 survey.py     one pass in small: sharpness, motion, brightness, cuts, bars
 choose.py     the part of the clip and the frames that are used
@@ -7,20 +7,3 @@ scene.py      scene_of_views(): the scene of frames with cameras
 still.py      whether the camera of a video stands still
 several.py    open_clip_set(): several cameras, of which some move, on one clock
 """
-
-from datasets.clip.footage import Clip, ClipFrame, ClipOptions, is_clip, open_clip
-from datasets.clip.several import ClipSet, SetOptions, cameras_move, open_clip_set
-from datasets.clip.still import stands_still
-
-__all__ = [
-    "Clip",
-    "ClipFrame",
-    "ClipOptions",
-    "ClipSet",
-    "SetOptions",
-    "cameras_move",
-    "is_clip",
-    "open_clip",
-    "open_clip_set",
-    "stands_still",
-]

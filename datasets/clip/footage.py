@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -14,35 +14,22 @@ from datasets.cameras.lens import Undistortion, imaged, undistort
 from datasets.clip.choose import Choice, choose
 from datasets.clip.scene import playback_rate, scene_of_views
 from datasets.clip.survey import MOST_SURVEYED, survey
-from datasets.composition import BLACK, Color, chosen_downscale, reduced_camera
+from datasets.composition import BLACK, Color, background_color, chosen_downscale, reduced_camera
 from datasets.files.errors import SceneError
 from datasets.files.image_files import read_rgba
 from datasets.ordinal import ordinal
 from datasets.plenoptic.decode import reduce_image
 from datasets.plenoptic.unsynchronised import covering
-from datasets.plenoptic.videos import FOOTAGE_SUFFIXES
+from datasets.plenoptic.videos import video_paths
 from datasets.scene import Scene, View, make_camera
+from datasets.settings import SceneConfig
+from datasets.source import Log
 from datasets.video_files.decode import IMAGE_RATE, Frame, image_frames, image_paths, video_frames
 from datasets.video_files.probe import Header, probe
 from rasterizer.camera import Camera
 
 FEWEST_FRAMES = 12  # with fewer neither motion nor a held-out frame can be told
 SFM_SIDE = 1024  # pixels: the longer side of the images that structure from motion gets is not longer
-
-Log = Callable[[str], None]
-
-
-@dataclass(frozen=True)
-class ClipOptions:
-    """How a clip is read: settings of SceneConfig."""
-
-    name: str  # of the scene
-    downscale: int = 0  # 0: chosen so that the longer side is at most 640 pixels
-    most: int = 300  # frames in use
-    first_frame: int = 0
-    test_every: int = 8  # every so many-th frame is held out
-    log: Log = print
-    background: Color = BLACK  # RGB in [0, 1], under transparent pixels of images
 
 
 @dataclass(frozen=True)
@@ -65,7 +52,7 @@ class Clip:
     reduced: int  # the frames' images are at 1/reduced of that
     downscale: int  # of the training images
     choice: Choice
-    options: ClipOptions
+    cfg: SceneConfig
 
     def to_scene(self, cameras: Mapping[str, Camera], radial: float = 0.0, unit: float | None = None) -> Scene:
         """The scene of the frames that have a camera (name -> camera of its photograph). Other frames are left out.
@@ -74,7 +61,7 @@ class Clip:
         """
         kept = [frame for frame in self.frames if frame.name in cameras]
         cameras = {frame.name: self.frame_camera(cameras[frame.name]) for frame in kept}
-        held_out = _held_out(self.source, len(kept), self.options.test_every)
+        held_out = _held_out(self.source, len(kept), self.cfg.test_every)
         views: dict[str, list[View]] = {"train": [], "test": []}
         lens, size = Undistortion.of(cameras[kept[0].name], radial) if radial else None, _size(kept[0].image)
         maps = lens.maps(size) if lens else None
@@ -86,13 +73,13 @@ class Clip:
             views[split].append(View(camera, frame.time - kept[0].time, image, f"{split}/{frame.name}", mask=mask))
         return scene_of_views(
             views,
-            name=self.options.name,
+            name=self.cfg.name,
             source=self.source,
             duration=kept[-1].time - kept[0].time,
             unit=unit,
             rate=playback_rate([frame.time for frame in kept]),
-            test_split=f"every {ordinal(self.options.test_every)} frame",
-            background=self.options.background,
+            test_split=f"every {ordinal(self.cfg.test_every)} frame",
+            background=background_color(self.cfg.background) or BLACK,
         )
 
     @property
@@ -125,50 +112,50 @@ def is_clip(path: Path) -> bool:
     """Whether `path` is a video file, or a folder with a single video, or with images and no video."""
     if not path.is_dir():
         return path.is_file()
-    videos = _videos(path)
+    videos = video_paths(path)
     return len(videos) == 1 or (not videos and bool(image_paths(path)))
 
 
-def open_clip(path: Path, options: ClipOptions) -> Clip:
+def open_clip(path: Path, cfg: SceneConfig, log: Log) -> Clip:
     """Reads the frames in use of a clip. SceneError for what cannot be used, with what to do instead."""
     if not path.exists():
         raise SceneError(path, "a video, or a folder of videos or of images in order", "nothing there")
-    if path.is_dir() and (videos := _videos(path)):
+    if path.is_dir() and (videos := video_paths(path)):
         path = videos[0]
-    if options.test_every == 0:
+    if cfg.test_every == 0:
         raise SceneError("scene.test_every", "at least 2 for one camera that moves", "0")
-    clip = survey_clip(path, options).read()
-    _held_out(path, len(clip.frames), options.test_every)  # before structure from motion
+    clip = survey_clip(path, cfg, cfg.frames, log).read()
+    _held_out(path, len(clip.frames), cfg.test_every)  # before structure from motion
     return clip
 
 
-def survey_clip(path: Path, options: ClipOptions, still: bool = False) -> SurveyedClip:
-    """Chooses the frames in use. still: of a camera that stands still, whose frames may be alike."""
+def survey_clip(path: Path, cfg: SceneConfig, most: int, log: Log, still: bool = False) -> SurveyedClip:
+    """Chooses the frames in use, `most` at most. still: the camera stands still, so that frames may be alike."""
     header = None if path.is_dir() else probe(path)
-    source = _Source(path, header, options.background)
+    source = _Source(path, header, background_color(cfg.background) or BLACK)
     if header:
         for note in header.notes():
-            options.log(f"{path.name}: {note}")
+            log(f"{path.name}: {note}")
     total = source.count()
     every = max(1, -(-total // MOST_SURVEYED))
-    found = survey((f for f in source.frames(every=every) if f.index >= options.first_frame), total)
+    found = survey((f for f in source.frames(every=every) if f.index >= cfg.first_frame), total)
     if found is None:
-        _refuse_late_first_frame(source, options.first_frame, every, total)
+        _refuse_late_first_frame(source, cfg.first_frame, every, total)
         if header is None and (images := image_paths(path)):
             read_rgba(images[0])  # says what it is instead
         raise SceneError(path, "frames that can be decoded", "none")
-    choice = choose(found, options.most, still)
+    choice = choose(found, most, still)
     for note in choice.notes:
-        options.log(f"{path.name}: {note}")
+        log(f"{path.name}: {note}")
     if len(choice.indices) < FEWEST_FRAMES:
         sharp = len(choose(found, found.total, still).indices)
         if sharp >= FEWEST_FRAMES:
             raise SceneError(
                 f"{path}: scene.frames",
                 f"more, to use {FEWEST_FRAMES} of the clip's {sharp} sharp frames at least",
-                f"{options.most}, which uses {len(choice.indices)}",
+                f"{most}, which uses {len(choice.indices)}",
             )
-        start = f" from scene.first_frame={options.first_frame} on" if options.first_frame else ""
+        start = f" from scene.first_frame={cfg.first_frame} on" if cfg.first_frame else ""
         raise SceneError(
             path,
             f"at least {FEWEST_FRAMES} sharp frames of one take",
@@ -177,8 +164,8 @@ def survey_clip(path: Path, options: ClipOptions, still: bool = False) -> Survey
     left, top, right, bottom = found.content
     size = (right - left, bottom - top)
     if header is not None and size != header.size:
-        options.log(f"{path.name}: black bars are cut off, {size[0]} x {size[1]} pixels are left")
-    return SurveyedClip(source, choice, found.content, options)
+        log(f"{path.name}: black bars are cut off, {size[0]} x {size[1]} pixels are left")
+    return SurveyedClip(source, choice, found.content, cfg)
 
 
 @dataclass(frozen=True)
@@ -188,7 +175,7 @@ class SurveyedClip:
     source: _Source
     choice: Choice
     content: tuple[int, int, int, int]  # left, top, right, bottom of the image without bars, pixels
-    options: ClipOptions
+    cfg: SceneConfig
 
     @property
     def size(self) -> tuple[int, int]:
@@ -198,10 +185,10 @@ class SurveyedClip:
 
     def read(self, size: tuple[int, int] | None = None) -> Clip:
         """The clip with its frames. size: (width, height) that they are scaled to cover; None: their own."""
-        source, options = self.source, self.options
+        source = self.source
         left, top, right, bottom = self.content
         size = size or self.size
-        downscale = options.downscale or chosen_downscale(size)
+        downscale = self.cfg.downscale or chosen_downscale(size)
         reduced = min(_sfm_reduction(size), downscale)  # training images are never enlarged
         times = dict(zip(self.choice.indices, self.choice.times))
         frames = []
@@ -210,7 +197,7 @@ class SurveyedClip:
                 image = covering(np.ascontiguousarray(frame.image[top:bottom, left:right]), size)
                 frames.append(ClipFrame(f"frame_{frame.index:05d}", times[frame.index], reduce_image(image, reduced)))
         _refuse_other_sizes(source.path, frames)
-        return Clip(source.path, source.header, tuple(frames), size, reduced, downscale, self.choice, options)
+        return Clip(source.path, source.header, tuple(frames), size, reduced, downscale, self.choice, self.cfg)
 
 
 @dataclass(frozen=True)
@@ -231,10 +218,6 @@ class _Source:
         if self.header is None:
             return image_frames(image_paths(self.path), keep, every, self.background)
         return video_frames(self.path, self.header, keep, every)
-
-
-def _videos(folder: Path) -> list[Path]:
-    return sorted(p for p in folder.iterdir() if p.suffix.lower() in FOOTAGE_SUFFIXES and not p.name.startswith("."))
 
 
 def _held_out(path: Path, count: int, every: int) -> set[int]:

@@ -3,32 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from datasets.cameras.color import ColorCorrection
 from datasets.cameras.lens import Undistortion, imaged, undistort
-from datasets.clip.footage import FEWEST_FRAMES, Clip, ClipFrame, ClipOptions, survey_clip
+from datasets.clip.footage import FEWEST_FRAMES, Clip, ClipFrame, survey_clip
 from datasets.clip.scene import playback_rate, scene_of_views
 from datasets.clip.still import stands_still
+from datasets.composition import BLACK, background_color
 from datasets.files.errors import SceneError
 from datasets.ordinal import ordinal
 from datasets.plenoptic.sync import select_cameras
 from datasets.plenoptic.unsynchronised import offsets_of
 from datasets.plenoptic.videos import VideoFile, find_footage, probe
 from datasets.scene import Scene, View
+from datasets.settings import SceneConfig
+from datasets.source import Log
 from rasterizer.camera import Camera
-
-
-@dataclass(frozen=True)
-class SetOptions:
-    """Beside ClipOptions: the settings of several cameras."""
-
-    test_cameras: Sequence[int] = ()  # held out; empty: every so many-th frame of each camera
-    drop_cameras: Sequence[int] = ()  # ignored
-    sync: str = "auto"  # as scene.sync
-    offsets: Sequence[float] = ()
-    still: bool = True  # whether a camera of the set may stand still
 
 
 @dataclass(frozen=True)
@@ -57,8 +49,13 @@ class ClipSet:
 
     source: Path
     cameras: tuple[MovingCamera, ...]
-    options: ClipOptions
-    settings: SetOptions
+    cfg: SceneConfig
+
+    @property
+    def test_cameras(self) -> Sequence[int]:
+        """Numbers of cameras held out as a whole; none: every so many-th frame of each camera is held out."""
+        # [0] is the default of cameras that stand still; of those that move every frame is a view of its own.
+        return self.cfg.test_cameras if _holds_out_cameras(self.cfg) else ()
 
     @property
     def size(self) -> tuple[int, int]:
@@ -114,25 +111,25 @@ class ClipSet:
         longest = max(self.cameras, key=lambda camera: len(kept[camera.name]))
         return scene_of_views(
             views,
-            name=self.options.name,
+            name=self.cfg.name,
             source=self.source,
             duration=end - start,
             unit=unit,
             rate=playback_rate([frame.time for frame in kept[longest.name]]),
             test_split=self._split(),
-            background=self.options.background,
+            background=background_color(self.cfg.background) or BLACK,
         )
 
     def _held_out(self, camera: MovingCamera, count: int) -> Sequence[int]:
         """Places among its `count` frames."""
-        if self.settings.test_cameras:
-            return range(count) if camera.number in self.settings.test_cameras else ()
-        return range(self.options.test_every // 2, count, self.options.test_every)
+        if self.test_cameras:
+            return range(count) if camera.number in self.test_cameras else ()
+        return range(self.cfg.test_every // 2, count, self.cfg.test_every)
 
     def _split(self) -> str:
-        if self.settings.test_cameras:
-            return "camera " + ", ".join(map(str, sorted(self.settings.test_cameras)))
-        return f"every {ordinal(self.options.test_every)} frame of each camera"
+        if self.test_cameras:
+            return "camera " + ", ".join(map(str, sorted(self.test_cameras)))
+        return f"every {ordinal(self.cfg.test_every)} frame of each camera"
 
 
 def cameras_move(root: Path, drop_cameras: Sequence[int], assumed: bool = False) -> bool:
@@ -144,22 +141,21 @@ def cameras_move(root: Path, drop_cameras: Sequence[int], assumed: bool = False)
     return len(files) > 1 and (assumed or not all(stands_still(file.path) for file in files))
 
 
-def open_clip_set(root: Path, options: ClipOptions, settings: SetOptions) -> ClipSet:
+def open_clip_set(root: Path, cfg: SceneConfig, log: Log) -> ClipSet:
     """Reads the frames in use of all cameras. SceneError for what cannot be used, with what to do instead."""
     files = find_footage(root)
-    keep = select_cameras([file.number for file in files], root, settings.test_cameras, settings.drop_cameras)
+    held_out = cfg.test_cameras if _holds_out_cameras(cfg) else ()
+    keep = select_cameras([file.number for file in files], root, held_out, cfg.drop_cameras)
     kept = [file for file in files if file.number in keep]
-    still = [settings.still and stands_still(file.path) for file in kept]
-    options.log(_said(kept, still))
-    videos = probe(files, keep, settings.drop_cameras)
+    still = [cfg.moving_cameras is not True and stands_still(file.path) for file in kept]
+    log(_said(kept, still))
+    videos = probe(files, keep, cfg.drop_cameras)
     offsets = None
-    if settings.sync != "none":
+    if cfg.sync != "none":
         moving = not all(still)
-        offsets = offsets_of(root, videos, settings.sync, settings.offsets, options.log, moving)
-    share = max(FEWEST_FRAMES, options.most // len(kept))
-    surveyed = [
-        survey_clip(file.path, replace(options, most=share), stands) for file, stands in zip(kept, still, strict=True)
-    ]
+        offsets = offsets_of(root, videos, cfg.sync, cfg.offsets, log, moving)
+    share = max(FEWEST_FRAMES, cfg.frames // len(kept))
+    surveyed = [survey_clip(file.path, cfg, share, log, stands) for file, stands in zip(kept, still, strict=True)]
     size = min(clip.size[0] for clip in surveyed), min(clip.size[1] for clip in surveyed)
     none = (0.0,) * len(kept)
     starts, drifts = (none, none) if offsets is None else (offsets.seconds, offsets.drift)
@@ -168,13 +164,17 @@ def open_clip_set(root: Path, options: ClipOptions, settings: SetOptions) -> Cli
         for file, clip, start, drift, stands in zip(kept, surveyed, starts, drifts, still, strict=True)
     )
     _refuse_other_times(root, cameras)
-    found = ClipSet(root, cameras, options, settings)
+    found = ClipSet(root, cameras, cfg)
     if not found.counts()[1]:
         longest = max(len(camera.clip.frames) for camera in cameras)
         raise SceneError(
-            f"{root}: scene.test_every", f"below {2 * longest}, twice the frames of a camera", f"{options.test_every}"
+            f"{root}: scene.test_every", f"below {2 * longest}, twice the frames of a camera", f"{cfg.test_every}"
         )
     return found
+
+
+def _holds_out_cameras(cfg: SceneConfig) -> bool:
+    return cfg.test_every == 0 or list(cfg.test_cameras) != [0]
 
 
 def _refuse_other_times(root: Path, cameras: Sequence[MovingCamera]) -> None:

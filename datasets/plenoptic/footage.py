@@ -13,7 +13,7 @@ import numpy as np
 from datasets.cameras.color import ColorCorrection
 from datasets.cameras.lens import Undistortion, imaged, undistort
 from datasets.canonical import FRAMES_PER_UNIT
-from datasets.composition import BLACK, Color, as_color, reduced_camera
+from datasets.composition import BLACK, background_color, reduced_camera
 from datasets.files.errors import SceneError
 from datasets.ground_truth import StoredTruth, film_truth_file
 from datasets.plenoptic.decode import DecodeOptions, Stream, decode, store_folder
@@ -32,43 +32,13 @@ from datasets.scene import (
     make_camera,
     validate_scene,
 )
+from datasets.settings import SceneConfig
 from rasterizer.camera import Camera
 from rasterizer.cores import thread_count
 
 # Rates outside this range are taken to be per millisecond, per frame or the like, not per second.
 PLAYBACK_RATES = (5.0, 1000.0)
 ROUNDING = 0.1  # frames: images that are later or earlier by less are at equal steps
-
-
-@dataclass(frozen=True)
-class FootageOptions:
-    """How footage is read: settings of SceneConfig. Lists and strings become tuples and paths."""
-
-    name: str  # of the scene
-    downscale: int = 2
-    test_cameras: Sequence[int] = (0,)  # held out
-    drop_cameras: Sequence[int] = ()  # ignored
-    first_frame: int = 0
-    frames: int = 300  # largest number in use
-    cache: str | Path = "results/cache"  # the folder of the frame stores
-    background: Color = BLACK  # RGB in [0, 1], under transparent pixels
-    threads: int = 0  # 0: all cores
-    log: Log = print
-    sync: str = "none"  # none: as filmed | auto: by sound, else by the picture | given: by `offsets`
-    offsets: Sequence[float] = ()  # seconds at which each camera started, in the order of the names
-
-    def __post_init__(self) -> None:
-        for name, value in (
-            ("test_cameras", tuple(self.test_cameras)),
-            ("drop_cameras", tuple(self.drop_cameras)),
-            ("cache", Path(self.cache)),
-            ("background", as_color(self.background)),
-        ):
-            object.__setattr__(self, name, value)
-
-    @property
-    def cores(self) -> int:
-        return thread_count(self.threads)
 
 
 @dataclass(frozen=True)
@@ -79,7 +49,9 @@ class Footage:
     streams: tuple[Stream, ...]  # the cameras in use
     count: int  # frames in use, of each camera
     content: str  # hash of all files of the data set
-    options: FootageOptions
+    cfg: SceneConfig
+    threads: int  # for decoding; 0: all cores
+    log: Log
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -93,12 +65,17 @@ class Footage:
     @property
     def held_out(self) -> tuple[str, ...]:
         """Names of the test cameras."""
-        return tuple(stream.name for stream in self.streams if stream.number in self.options.test_cameras)
+        return tuple(stream.name for stream in self.streams if stream.number in self.cfg.test_cameras)
 
     @property
     def size(self) -> tuple[int, int]:
         """(width, height) in pixels, before downscaling."""
         return self.streams[0].size
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(width, height) of training images."""
+        return self.size[0] // self.cfg.downscale, self.size[1] // self.cfg.downscale
 
     @property
     def rate(self) -> float:
@@ -114,11 +91,11 @@ class Footage:
         """Name -> the first frame in use of each camera, (height, width, 3) uint8 RGB at full size, undistorted."""
 
         def first(stream: Stream) -> np.ndarray:
-            image = next(iter(stream.read(self.options.first_frame, 1, 1)))
+            image = next(iter(stream.read(self.cfg.first_frame, 1, 1)))
             lens = (undistortion or {}).get(stream.name)
             return undistort(image, lens.maps(stream.size)) if lens and any(lens.coefficients) else image
 
-        with ThreadPoolExecutor(self.options.cores) as pool:
+        with ThreadPoolExecutor(thread_count(self.threads)) as pool:
             return dict(zip(self.names, pool.map(first, self.streams)))
 
     def to_scene(
@@ -137,11 +114,11 @@ class Footage:
         corrected, held-out ones included. estimated: whether the poses are of a unit of length of their own, so that
         no depth is known. SceneError, before decoding, if the scene is invalid.
         """
-        options = self.options
+        cfg = self.cfg
         self._check_cameras(cameras)
         undistortion = {name: lens for name, lens in (undistortion or {}).items() if any(lens.coefficients)}
         small = {
-            name: make_camera(self.source / name, partial(reduced_camera, cameras[name], options.downscale))
+            name: make_camera(self.source / name, partial(reduced_camera, cameras[name], cfg.downscale))
             for name in self.names
         }
         init_box = init_box or _camera_cube(list(small.values()), unit)
@@ -157,20 +134,22 @@ class Footage:
         blanks = {name: [blank] * self.count for name in self.names}
         validate_scene(self._scene(small, blanks, unit, init_box, truth, masks))
 
-        decoding = DecodeOptions(options.first_frame, self.count, options.downscale)
-        folder = store_folder(Path(options.cache), options.name, self.content, decoding, undistortion, colors or {})
-        images = decode(self.streams, folder, decoding, undistortion, colors or {}, options.cores, options.log)
+        decoding = DecodeOptions(cfg.first_frame, self.count, cfg.downscale)
+        folder = store_folder(Path(cfg.cache), cfg.name, self.content, decoding, undistortion, colors or {})
+        images = decode(
+            self.streams, folder, decoding, undistortion, colors or {}, thread_count(self.threads), self.log
+        )
         return validate_scene(self._scene(small, images, unit, init_box, truth, masks))
 
     def _truth(self, stream: Stream, estimated: bool) -> list[StoredTruth] | None:
         """The ground truth of a camera's frames in use; None without one, and where frames are scaled or cropped."""
-        file, first = film_truth_file(self.source, stream.name), self.options.first_frame
+        file, first = film_truth_file(self.source, stream.name), self.cfg.first_frame
         numbers: Sequence[int] = range(first, first + self.count)
         if isinstance(stream, AlignedStream):
             file, numbers = file if stream.video.size == stream.size else None, stream.indices
         if file is None:
             return None
-        return [StoredTruth(file, number, self.options.downscale, has_depth=not estimated) for number in numbers]
+        return [StoredTruth(file, number, self.cfg.downscale, has_depth=not estimated) for number in numbers]
 
     def _time(self, stream: Stream, index: int) -> float:
         """Of a frame in use: its own where cameras were not synchronised, or images are not at equal steps."""
@@ -180,7 +159,7 @@ class Footage:
 
     def _lateness(self, stream: Stream, index: int) -> float:
         """Frames by which a frame in use is later than at equal steps; 0 for what may be rounding."""
-        late = stream.late[self.options.first_frame + index] if isinstance(stream, ImageSequence) else 0.0
+        late = stream.late[self.cfg.first_frame + index] if isinstance(stream, ImageSequence) else 0.0
         return late if abs(late) > ROUNDING else 0.0
 
     @cached_property
@@ -198,19 +177,15 @@ class Footage:
             camera = cameras.get(stream.name)
             if camera is None:
                 raise SceneError(
-                    stream.path,
-                    "a pose for each camera",
-                    f"none; {drop_advice(stream.number, self.options.drop_cameras)}",
+                    stream.path, "a pose for each camera", f"none; {drop_advice(stream.number, self.cfg.drop_cameras)}"
                 )
             if (camera.width, camera.height) != self.size:
                 raise SceneError(
                     stream.path, "a camera of {} x {} pixels".format(*self.size), f"{camera.width} x {camera.height}"
                 )
-        if min(self.size) < self.options.downscale:
+        if min(self.size) < self.cfg.downscale:
             raise SceneError(
-                self.source,
-                f"at least {self.options.downscale} pixels a side (downscale)",
-                "{} x {}".format(*self.size),
+                self.source, f"at least {self.cfg.downscale} pixels a side (downscale)", "{} x {}".format(*self.size)
             )
 
     def _scene(
@@ -231,7 +206,7 @@ class Footage:
                     cameras[stream.name],
                     self._time(stream, index),
                     image,
-                    f"{split}/{stream.name}_{self.options.first_frame + index:04d}",
+                    f"{split}/{stream.name}_{self.cfg.first_frame + index:04d}",
                     truth=None if truth is None else truth[index],
                     mask=masks[stream.name],
                     filmed_by=stream.name,
@@ -240,12 +215,12 @@ class Footage:
             ]
         train, test = tuple(views["train"]), tuple(views["test"])
         return Scene(
-            name=self.options.name,
+            name=self.cfg.name,
             train=train,
             test=test,
             duration=max(self.count / self.rate, *(self._time(stream, self.count - 1) for stream in self.streams)),
             time_start=0.0,
-            background=self.options.background,
+            background=background_color(self.cfg.background) or BLACK,
             extent=camera_extent([view.camera for view in train]),
             init_box=init_box,
             source=self.source,
@@ -253,7 +228,7 @@ class Footage:
             unit=unit,
             frame_rate=self.rate,
             playback_rate=self.playback_rate,
-            test_split="camera " + ", ".join(map(str, sorted(self.options.test_cameras))),
+            test_split="camera " + ", ".join(map(str, sorted(self.cfg.test_cameras))),
         )
 
 

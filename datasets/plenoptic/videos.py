@@ -104,6 +104,11 @@ def find_cameras(root: Path) -> list[VideoFile]:
     ]
 
 
+def video_paths(folder: Path) -> list[Path]:
+    """The videos of a folder, sorted. Hidden files are not the user's: file managers write them."""
+    return sorted(p for p in folder.iterdir() if p.suffix.lower() in FOOTAGE_SUFFIXES and not p.name.startswith("."))
+
+
 def find_footage(root: Path) -> list[VideoFile]:
     """All videos of a folder, in the natural order of their names.
 
@@ -112,11 +117,7 @@ def find_footage(root: Path) -> list[VideoFile]:
     if not root.is_dir():
         found = "a file" if root.exists() else "nothing there"
         raise SceneError(root, "a video, or a folder of videos or images in order", found)
-    # Hidden files are not the user's: file managers write them.
-    paths = sorted(
-        (path for path in root.iterdir() if path.suffix.lower() in FOOTAGE_SUFFIXES and not path.name.startswith(".")),
-        key=lambda path: natural_order(path.name),
-    )
+    paths = sorted(video_paths(root), key=lambda path: natural_order(path.name))
     if not paths:
         raise SceneError(root, f"videos ({', '.join(FOOTAGE_SUFFIXES)}) or images in order", "none")
     stems = [path.stem for path in paths]

@@ -1,6 +1,6 @@
 """Writes a photographed synthetic scene in the D-NeRF layout, atomically, with ground truth of its test views.
 
-transforms_{train,val,test}.json, {train,val}/r_N.png, test/r_NNN.png     as datasets/dnerf.py reads them
+transforms_{train,val,test}.json, {train,val}/r_N.png, test/r_NNN.png     as datasets/readers/dnerf.py reads them
 test/r_NNN.npz     moving, depth, flow, flow_valid, flow_dt, see datasets/ground_truth.py
 meta.json          the arguments that made the scene
 """

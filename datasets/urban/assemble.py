@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import replace
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from PIL import Image
@@ -15,6 +18,7 @@ from datasets.ground_truth import StoredTruth, any_moving
 from datasets.ordinal import ordinal
 from datasets.scene import Scene, Sweep, View, bounding_cube, camera_extent, make_camera, validate_scene
 from datasets.settings import SceneConfig
+from datasets.source import Calibration, Log, Photograph, Source
 from datasets.urban.log import DrivingLog, LogImage, LogSweep, SweepPoints
 from datasets.urban.moving import with_moving_masks
 from datasets.urban.projection import depth_image, in_image, project
@@ -24,8 +28,40 @@ from rasterizer.camera import Camera
 UNIT = 5.0  # metres per normalised unit: the near plane is at 1 m
 BY_MASKS = "masks of the data"
 SURROUNDINGS = 30.0  # metres on every side of the way, in which random points are drawn
+SFM_IMAGES = 60  # evenly spaced, that structure from motion takes
 
-Log = Callable[[str], None]
+
+@dataclass(frozen=True)
+class DriveSource(Source):
+    """A driving log: cameras on a car, with LiDAR or without. Its times are of one clock, its poses known."""
+
+    cfg: SceneConfig
+    log: DrivingLog
+    say: Log
+    unit: float = UNIT
+
+    @property
+    def path(self) -> Path:
+        return self.log.source
+
+    @cached_property
+    def _scene(self) -> Scene:
+        return scene_of_log(self.log, self.cfg, self.say)
+
+    @property
+    def points(self) -> Literal["sfm", "lidar"]:
+        return "lidar" if self._scene.sweeps else "sfm"
+
+    def photographs(self) -> list[Photograph]:
+        views = self._scene.train
+        chosen = np.unique(np.linspace(0, len(views) - 1, SFM_IMAGES).round().astype(int))
+        return [
+            Photograph(view.name.replace("/", "_"), np.asarray(view.image), view.camera)
+            for view in (views[index] for index in chosen)
+        ]
+
+    def scene(self, found: Calibration | None = None) -> Scene:
+        return self._scene
 
 
 def scene_of_log(log: DrivingLog, cfg: SceneConfig, say: Log = lambda line: None) -> Scene:

@@ -1,7 +1,7 @@
-"""Prepares the input of a run: reads the scene, runs structure from motion where needed, and normalises both.
+"""Prepares the input of a run: opens its data, runs structure from motion where needed, and normalises both.
 
-Data are read in the units of their files (sources/). The result is in canonical coordinates (datasets/canonical.py), as
-is everything computed from it.
+Data are read in the units of their files. The result is in canonical coordinates (datasets/canonical.py), as is
+everything computed from it.
 """
 
 from __future__ import annotations
@@ -9,27 +9,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from datasets import SceneKind, scene_kind, with_reader
+import numpy as np
+
+from datasets import Scene, Source, open_source
 from datasets.canonical import canonical_of, canonicalise
 from datasets.scene import ScenePoints
 from pipeline.config.schema import Config
+from pipeline.data.from_motion import structure_from_motion, transformed
 from pipeline.data.prepared import Prepared
-from pipeline.data.sources.clips import from_clip, from_clips
-from pipeline.data.sources.drive import from_drive
-from pipeline.data.sources.photographs import from_photographs
-from pipeline.data.sources.reconstruct import transformed
-from pipeline.data.sources.videos import from_posed_videos, from_videos
-
-Source = Callable[[Config, Callable[[str], None]], Prepared]
-
-SOURCES: dict[SceneKind, Source] = {
-    "photographs": from_photographs,
-    "posed_videos": from_posed_videos,
-    "videos": from_videos,
-    "clip": from_clip,
-    "clips": from_clips,
-    "drive": from_drive,
-}
+from pipeline.data.sfm.reconstruction import Reconstruction
 
 
 def prepare(cfg: Config, log: Callable[[str], None]) -> Prepared:
@@ -38,27 +26,58 @@ def prepare(cfg: Config, log: Callable[[str], None]) -> Prepared:
     Normalisation comes last, because it depends on poses that structure from motion may estimate or refine. Raises
     ValueError for invalid data or settings.
     """
-    cfg = replace(cfg, scene=with_reader(cfg.scene, log))
-    kind = scene_kind(cfg.scene)
-    _check(cfg, kind)
-    data = SOURCES[kind](cfg, log)
-    transform = canonical_of(data.scene)
+    source = open_source(cfg.scene, threads=cfg.threads, log=log)
+    cfg = replace(cfg, scene=source.cfg)
+    points = points_from(cfg, source)
+    cloud, folder, found = None, None, None
+    if points == "sfm" or source.poses != "given":
+        cloud, folder, found = structure_from_motion(cfg, source, log)
+    scene = source.scene(found)
+    if points == "given":
+        cloud = _given_points(cfg, scene, log)
+    elif points != "sfm":
+        cloud = None  # it has found the poses
+    transform = canonical_of(scene)
     if not transform.is_identity:
         log(f"normalised: {transform}")
-        cloud = None if data.cloud is None else transformed(data.cloud, transform)
-        data = replace(data, scene=canonicalise(data.scene, transform), cloud=cloud, canonical=transform)
-    if data.cloud is None:
-        return data
-    return replace(data, scene=replace(data.scene, points=ScenePoints(data.cloud.points, data.cloud.colors)))
+        cloud = None if cloud is None else transformed(cloud, transform)
+    initial = None if cloud is None else ScenePoints(cloud.points, cloud.colors)
+    scene = replace(canonicalise(scene, transform), points=initial)
+    return Prepared(scene, cloud, folder, transform, poses_estimated=source.poses == "of every frame")
 
 
-def _check(cfg: Config, kind: SceneKind) -> None:
-    """ValueError for settings of several cameras' videos, or of driving logs, where there are none."""
-    if cfg.init.source == "lidar" and kind != "drive":
+def points_from(cfg: Config, source: Source) -> str:
+    """Where the initial points come from: given (with the files), sfm, lidar or random. Those of LiDAR are taken from
+    the scene's sweeps later (model/initialise.py). ValueError for settings that do not fit the source."""
+    lidar, asked = source.points == "lidar", cfg.init.source
+    if asked == "lidar" and not lidar:
         raise ValueError("init.source: expected auto, random or sfm for a scene without LiDAR, found lidar")
-    several = kind in ("posed_videos", "videos", "clips")
-    if cfg.scene.color_correction is True and (not several or cfg.init.source == "random"):
-        why = "random points" if several else "a scene that is not several videos"
+    if asked == "sfm" and source.points == "given":
+        raise ValueError(
+            f"init.source: expected auto or random for {cfg.scene.name}, which has one camera per time, found sfm"
+        )
+    if cfg.scene.color_correction is True and (not source.several_videos or asked == "random"):
+        why = "random points" if source.several_videos else "a scene that is not several videos"
         raise ValueError(f"scene.color_correction: expected auto or false for {why}, found true")
-    if cfg.scene.moving_cameras is True and kind != "clips":
+    if cfg.scene.moving_cameras is True and not (source.several_videos and source.poses == "of every frame"):
         raise ValueError("scene.moving_cameras: expected auto or false for a scene without several videos, found true")
+    if lidar and asked in ("auto", "lidar") and cfg.scene.background_model == "sphere":
+        raise ValueError(
+            f"scene.background_model: expected cubemap, envmap or none for {source.path}, whose points are LiDAR's, "
+            "found sphere; init.source=sfm or random allows it"
+        )
+    return source.points if asked == "auto" else asked
+
+
+def _given_points(cfg: Config, scene: Scene, log: Callable[[str], None]) -> Reconstruction | None:
+    """The points that came with the data; None without any, and where they are too few."""
+    if scene.points is None:
+        return None
+    count = len(scene.points.positions)
+    if count < cfg.init.min_points:
+        log(f"the folder's {count} points are fewer than init.min_points={cfg.init.min_points}: random points instead")
+        return None
+    unknown = np.zeros(count)
+    return Reconstruction(
+        scene.points.positions, scene.points.colors, unknown, unknown.astype(int), {}, "known", len(scene.train), 0.0
+    )

@@ -7,13 +7,12 @@ from pathlib import Path
 
 from datasets.canonical import Canonical
 from datasets.scene import Scene
-from pipeline.data.sfm.photograph import Reconstruction
+from pipeline.data.sfm.reconstruction import Reconstruction
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """A scene and its initial points: in canonical coordinates, of a source (pipeline/data/sources) in those of the
-    files."""
+    """A scene and its initial points, in canonical coordinates."""
 
     scene: Scene
     cloud: Reconstruction | None  # None: random points, or those of LiDAR

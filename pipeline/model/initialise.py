@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from datasets.scene import Scene
 from pipeline.config.schema import Config
 from pipeline.data.lidar.initial_points import initial_points
-from pipeline.data.sfm.photograph import Reconstruction
+from pipeline.data.sfm.reconstruction import Reconstruction
 from pipeline.model.model import Model, kind_of
 from pipeline.model.sphere import sphere_points
 from pipeline.model.transformed import rotations_of

@@ -21,7 +21,7 @@ from datasets.validation import hold_out_poses
 from pipeline.config.random_streams import Stream, stream
 from pipeline.config.schema import Config
 from pipeline.config.train_schema import TrainConfig
-from pipeline.data.sfm.photograph import Reconstruction
+from pipeline.data.sfm.reconstruction import Reconstruction
 from pipeline.evaluation.quick_evaluate import held_out_psnr
 from pipeline.model.initialise import initialise
 from pipeline.model.model import Model, kind_of

@@ -13,12 +13,12 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 
-from datasets import Scene, load_clip, load_clip_set, load_footage, load_scene, scene_kind
+from datasets import Scene, Source, open_source
+from datasets.source import Size
 from pipeline.config.schema import Config
 from pipeline.data.optical_flow import CACHE_LIMIT_BYTES as FLOW_CACHE_LIMIT_BYTES
 from pipeline.data.optical_flow import measured_size
@@ -31,9 +31,6 @@ from rasterizer.bench.workloads import Workload, make_workload
 from rasterizer.cores import thread_count
 from rasterizer.gaussians import Gaussians
 
-if TYPE_CHECKING:
-    from datasets.plenoptic import Footage
-
 # float32 values per Gaussian of the full model in training: parameters, Adam's two moments and the best model so far,
 # stored gradients (17) and statistics (7); and 9 for each view of a batch.
 PARAMETERS = 161
@@ -41,20 +38,8 @@ FLOATS_PER_GAUSSIAN, FLOATS_PER_VIEW = PARAMETERS * 4 + 17 + 7, 9
 CHECKPOINT_FLOATS = PARAMETERS * 4 + 4  # parameters, moments, best model; statistics
 PROGRAM_MB = 600.0  # Python and torch
 MAX_GAUSSIANS = 500_000  # assumed where train.densify.max_gaussians is higher
-TIMED_FRAMES, TIMED_ITERATIONS = 12, 3
+TIMED_ITERATIONS = 3
 LARGE_SCENE_BYTES = 1e9  # of decoded frames, above which a run logs its estimate
-
-
-@dataclass(frozen=True)
-class Size:
-    """Size of a scene as a run reads it."""
-
-    train_views: int
-    test_views: int
-    width: int
-    height: int
-    stored_bytes: int  # decoded frames in the cache; 0: images are kept in memory
-    decode_seconds: float
 
 
 @dataclass(frozen=True)
@@ -83,14 +68,19 @@ class Estimate:
 
 def estimate(cfg: Config) -> Estimate:
     """Measure for a few seconds. Raises the errors of reading the scene."""
-    threads = thread_count(cfg.threads)
-    return _estimate(cfg, measure_size(cfg, threads), threads)
+    return _of_source(cfg, open_source(cfg.scene, threads=cfg.threads))
+
+
+def _of_source(cfg: Config, source: Source) -> Estimate:
+    size, threads = source.size(), thread_count(cfg.threads)
+    seconds = source.seconds_per_frame() * (size.train_views + size.test_views) / threads
+    return _estimate(cfg, size, threads, source.stored_bytes, seconds)
 
 
 def training_minutes(cfg: Config, scene: Scene) -> str:
     """A line for a scene that is read: how long its training will take on this machine."""
     camera, threads = scene.train[0].camera, thread_count(cfg.threads)
-    found = _estimate(cfg, Size(len(scene.train), len(scene.test), camera.width, camera.height, 0, 0.0), threads)
+    found = _estimate(cfg, Size(len(scene.train), len(scene.test), camera.width, camera.height), threads)
     return (
         f"{len(scene.train)} training frames of {camera.width} x {camera.height}, {len(scene.test)} held out; training "
         f"will take about {duration(found.train_seconds)}, evaluations {duration(found.evaluate_seconds)}"
@@ -103,16 +93,14 @@ def estimate_if_large(cfg: Config, log: Callable[[str], None]) -> Estimate | Non
     log: takes lines of text while a synthetic scene is rendered. What there is to say of other videos, reading them for
     the run says.
     """
-    if scene_kind(cfg.scene) not in ("posed_videos", "videos"):
-        return None
-    footage = load_footage(
+    source = open_source(
         cfg.scene, threads=cfg.threads, log=log if cfg.scene.reader == "synthetic" else lambda line: None
     )
-    decoded_bytes = 3 * footage.size[0] * footage.size[1] * len(footage.names) * footage.count
-    return estimate(cfg) if decoded_bytes / footage.options.downscale**2 > LARGE_SCENE_BYTES else None
+    return _of_source(cfg, source) if source.stored_bytes > LARGE_SCENE_BYTES else None
 
 
-def _estimate(cfg: Config, size: Size, threads: int) -> Estimate:
+def _estimate(cfg: Config, size: Size, threads: int, stored_bytes: int = 0, decode_seconds: float = 0.0) -> Estimate:
+    """stored_bytes: of decoded frames in the cache; 0: images are kept in memory."""
     read, scale = size, cfg.train.resolution_scale
     size = replace(read, width=max(1, round(scale * read.width)), height=max(1, round(scale * read.height)))
     gaussians = min(cfg.train.densify.max_gaussians, MAX_GAUSSIANS)
@@ -135,53 +123,21 @@ def _estimate(cfg: Config, size: Size, threads: int) -> Estimate:
     quick = cfg.train.iterations // cfg.train.eval_every * min(size.test_views, cfg.train.eval_views) * 2 * view
     final = (1 + cfg.evaluate.best_on_test) * size.test_views * (2 * view + measured / threads)
     pixels = size.width * size.height
-    images = 0 if read.stored_bytes else (read.train_views + read.test_views) * 3 * read.width * read.height
+    images = 0 if stored_bytes else (read.train_views + read.test_views) * 3 * read.width * read.height
     floats = min((size.train_views * 3 * pixels) * 4, CACHE_LIMIT_BYTES)
     measured_pixels = math.prod(measured_size(read.width, read.height)) if cfg.train.regularization.flow > 0 else 0
     flows = min(size.train_views * 4 * measured_pixels, FLOW_CACHE_LIMIT_BYTES)  # two numbers in half precision
     resident = 4 * gaussians * (FLOATS_PER_GAUSSIAN + FLOATS_PER_VIEW * cfg.train.batch) + images + floats + flows
     return Estimate(
         gaussians,
-        size.stored_bytes / 1e9,
+        stored_bytes / 1e9,
         4 * gaussians * (CHECKPOINT_FLOATS + PARAMETERS) / 1e9,
         resident / 1e9 + PROGRAM_MB / 1e3,
-        size.decode_seconds,
+        decode_seconds,
         iteration,
         train,
         quick + final,
     )
-
-
-def measure_size(cfg: Config, threads: int) -> Size:
-    """From the headers of videos and the timing of a few frames; other scenes are read."""
-    kind = scene_kind(cfg.scene)
-    if kind == "clip":
-        clip = load_clip(cfg.scene, log=lambda line: None)
-        width, height = (side // clip.downscale for side in clip.size)
-        tests = len(clip.frames) // cfg.scene.test_every
-        return Size(len(clip.frames) - tests, tests, width, height, 0, 0.0)
-    if kind == "clips":
-        found = load_clip_set(cfg.scene, log=lambda line: None)
-        train, tests = found.counts()
-        return Size(train, tests, *found.size, 0, 0.0)
-    if kind in ("posed_videos", "videos"):
-        footage = load_footage(cfg.scene, threads=cfg.threads)
-        width, height = (side // footage.options.downscale for side in footage.size)
-        tests, cameras = len(footage.held_out), len(footage.names)
-        stored = 3 * width * height * cameras * footage.count
-        seconds = seconds_per_frame(footage) * cameras * footage.count / threads
-        return Size((cameras - tests) * footage.count, tests * footage.count, width, height, stored, seconds)
-    scene = load_scene(cfg.scene, threads=cfg.threads)
-    camera = scene.train[0].camera
-    return Size(len(scene.train), len(scene.test), camera.width, camera.height, 0, 0.0)
-
-
-def seconds_per_frame(footage: Footage) -> float:
-    """Decoding time on one thread."""
-    started, count = time.perf_counter(), min(TIMED_FRAMES, footage.count)
-    for _ in footage.streams[0].read(footage.options.first_frame, count, 1):
-        pass
-    return (time.perf_counter() - started) / count
 
 
 def workload_of(gaussians: int, size: Size) -> Workload:

@@ -9,7 +9,8 @@ from pathlib import Path
 import av
 import numpy as np
 
-from datasets.clip import Clip, ClipOptions, open_clip
+from datasets.clip.footage import Clip, open_clip
+from datasets.settings import SceneConfig
 
 SIZE = (96, 64)  # of textured_plane, pixels
 CLOCK = 90_000  # ticks a second of the files' time
@@ -72,4 +73,5 @@ def frames(count: int, seed: int = 0, step: float = 1.5) -> list[np.ndarray]:
 def opened(path: Path, **options: int) -> tuple[Clip, str]:
     """The clip, and everything that was said of it."""
     lines: list[str] = []
-    return open_clip(path, ClipOptions("clip", log=lines.append, **options)), "\n".join(lines)
+    cfg = SceneConfig("clip", "video", **{"downscale": 0, **options})
+    return open_clip(path, cfg, lines.append), "\n".join(lines)

@@ -9,8 +9,9 @@ import pytest
 from clips import textured_plane, write_clip
 
 from datasets.cameras.color import ColorCorrection
-from datasets.clip import stands_still
+from datasets.clip.still import stands_still
 from datasets.settings import SceneConfig
+from datasets.source import Photograph
 from datasets.synthetic.rig import rig
 from datasets.synthetic.scenes import counter
 from datasets.synthetic.trace import trace
@@ -19,7 +20,6 @@ from pipeline.data.prepare import prepare
 from pipeline.data.prepared import Prepared
 from pipeline.data.sfm.clip import reconstruct_clip
 from pipeline.data.sfm.pairs import by_lens, pairs_of
-from pipeline.data.sfm.photograph import Photograph
 from pipeline.evaluation.pictures.camera_path import look_at
 from rasterizer.camera import Camera
 

@@ -11,12 +11,13 @@ from plenoptic_folder import write_video
 
 from datasets.cameras.color import ColorCorrection
 from datasets.settings import SceneConfig
+from datasets.source import Photograph
 from datasets.synthetic.film import film
 from datasets.synthetic.write_film import FilmSettings
 from pipeline.config.schema import Config, InitConfig
 from pipeline.data.colors import color_corrections, recolored
 from pipeline.data.prepare import prepare
-from pipeline.data.sfm.photograph import Photograph, Reconstruction
+from pipeline.data.sfm.reconstruction import Reconstruction
 from pipeline.data.sfm.run import reconstruct
 
 FILM = FilmSettings(scene="counter", seed=1, size=240, cameras=6, frames=1, samples=3)

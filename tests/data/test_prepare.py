@@ -5,22 +5,20 @@ from __future__ import annotations
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from test_lidar_points import drive
 from tiny import tiny_config
 
+from datasets import open_source
 from datasets.canonical import canonical_of
-from datasets.plenoptic import open_plenoptic
 from datasets.settings import SceneConfig
 from datasets.synthetic import build_scene
 from pipeline.config.schema import Config, InitConfig
-from pipeline.data.prepare import prepare
+from pipeline.data.from_motion import near_depth
+from pipeline.data.prepare import points_from, prepare
 from pipeline.data.prepared import Prepared
-from pipeline.data.sources.drive import with_points
-from pipeline.data.sources.reconstruct import near_depth
-from pipeline.data.sources.videos import training_photographs
 from rasterizer import Camera
 
 
@@ -50,11 +48,11 @@ def test_points_come_from_full_size_frames(folder: Path) -> None:
 
 
 def test_training_photographs(folder: Path) -> None:
-    posed = open_plenoptic(folder, name="counter", downscale=1, cache=folder.parent / "cache")
-    photographs = training_photographs(posed)
+    posed = open_source(SceneConfig("counter", "plenoptic", str(folder)), log=print)
+    photographs = posed.photographs()
     assert [p.name for p in photographs] == ["cam01", "cam02", "cam03", "cam04"]  # cam00 is held out
     for photograph in photographs:
-        np.testing.assert_array_equal(photograph.image, posed.first_images()[photograph.name])
+        np.testing.assert_array_equal(photograph.image, posed.footage.first_images()[photograph.name])
         assert photograph.camera is posed.cameras[photograph.name]
 
 
@@ -121,11 +119,13 @@ def test_lidar_is_refused_where_there_is_none(reader: str) -> None:
 
 
 def test_a_sphere_around_lidar_points_is_refused() -> None:
-    log = drive()
+    source = SimpleNamespace(points="lidar", poses="given", several_videos=False, path="log")
     cfg = replace(tiny_config(background_model="sphere"), init=InitConfig())
-    with pytest.raises(ValueError, match="scene.background_model: expected cubemap, envmap or none .*, found sphere"):
-        with_points(cfg, log, print)
-    assert with_points(replace(cfg, init=InitConfig(source="random")), log, print).scene is log
+    with pytest.raises(
+        ValueError, match="scene.background_model: expected cubemap, envmap or none for log, .* found sphere"
+    ):
+        points_from(cfg, source)
+    assert points_from(replace(cfg, init=InitConfig(source="random")), source) == "random"
 
 
 def test_near_depth_is_the_5_percent_quantile() -> None:

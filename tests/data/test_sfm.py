@@ -11,6 +11,7 @@ import pytest
 from PIL import Image
 
 from datasets.scene import camera_extent
+from datasets.source import Photograph
 from datasets.synthetic.film import depth_of, film
 from datasets.synthetic.world import World
 from datasets.synthetic.write_film import FilmSettings
@@ -18,7 +19,7 @@ from pipeline.config.schema import InitConfig
 from pipeline.data.sfm.__main__ import main, read_photographs
 from pipeline.data.sfm.cache import CLIP_VERSION, clip_reconstruct_cached, fingerprint, load, reconstruct_cached, save
 from pipeline.data.sfm.job import image_file, photograph_name
-from pipeline.data.sfm.photograph import CalibratedCamera, Photograph, Reconstruction
+from pipeline.data.sfm.reconstruction import CalibratedCamera, Reconstruction
 from pipeline.data.sfm.run import reconstruct
 from rasterizer import Camera
 

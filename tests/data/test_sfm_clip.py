@@ -9,13 +9,14 @@ import cv2
 import numpy as np
 import pytest
 
+from datasets.source import Photograph
 from datasets.synthetic.rig import rig
 from datasets.synthetic.scenes import counter
 from datasets.synthetic.trace import trace
 from pipeline.config.schema import InitConfig
 from pipeline.data.sfm.clip import reconstruct_clip
 from pipeline.data.sfm.moving_masks import fundamental_matrix
-from pipeline.data.sfm.photograph import Photograph, Reconstruction
+from pipeline.data.sfm.reconstruction import Reconstruction
 from pipeline.evaluation.pictures.camera_path import look_at
 from rasterizer.camera import Camera
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import dnerf_folder
 import numpy as np
 import pytest
 from tiny import tiny_scene
 from tiny_film import RATE, tiny_film
 
 from datasets.canonical import DISTANCE, Canonical, canonical_of, canonical_space, canonicalise
-from datasets.dnerf import read_dnerf
 from datasets.scene import Scene, View, camera_extent, validate_scene
 from datasets.synthetic import PHOTOGRAPHED, build_scene
 from pipeline.evaluation.pictures.camera_path import look_at
@@ -251,9 +251,8 @@ def test_30_frames_a_second_give_the_identity() -> None:
 
 @pytest.mark.parametrize("name", PHOTOGRAPHED)
 def test_photographed_synthetic_scenes_give_the_identity(name: str, tmp_path: Path) -> None:
-    scene = read_dnerf(
-        build_scene(tmp_path / name, scene=name, seed=0, size=16, train_views=8, test_views=2), name=name, downscale=1
-    )
+    folder = build_scene(tmp_path / name, scene=name, seed=0, size=16, train_views=8, test_views=2)
+    scene = dnerf_folder.read(folder, downscale=1)
     assert canonical_of(scene).is_identity and canonicalised(scene) is scene
     assert (scene.unit, scene.init_box, scene.time_start, scene.duration) == (1.0, (-1.2, 1.2), 0.0, 1.0)
 

@@ -317,5 +317,5 @@ def test_invalid_input_is_refused_in_one_line(folder: Path, case: str) -> None:
 @pytest.mark.parametrize(("make", "found"), [(lambda p: None, "nothing there"), (lambda p: p.write_text(""), "a file")])
 def test_path_must_be_a_folder(tmp_path: Path, make: Callable[[Path], object], found: str) -> None:
     make(tmp_path / "scene")
-    with pytest.raises(SceneError, match=f"expected a folder in the D-NeRF layout, found {found}"):
+    with pytest.raises(SceneError, match=f"expected a folder in the layout of dnerf, found {found}"):
         read(tmp_path / "scene")

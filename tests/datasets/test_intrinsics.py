@@ -6,13 +6,13 @@ import json
 import math
 from pathlib import Path
 
+import dnerf_folder
 import numpy as np
 import pytest
 from dnerf_folder import blender_pose
 from PIL import Image
 
 from datasets.cameras.intrinsics import merge_intrinsics, read_distortion
-from datasets.dnerf import read_dnerf
 from datasets.files.errors import SceneError
 
 WIDTH, HEIGHT = 64, 48
@@ -38,7 +38,7 @@ def write(root: Path, intrinsics: dict, image: np.ndarray | None = None, **of_se
 
 
 def read(root: Path, **options: object):
-    return read_dnerf(root, name="toy", **{"downscale": 1, **options})
+    return dnerf_folder.read(root, **{"downscale": 1, **options})
 
 
 def test_pixel_intrinsics_override_the_centred_default(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import pytest
 from tiny import tiny_scene
 from tiny_film import tiny_film
 
-from datasets import SceneError, load_clip, load_clip_set, load_posed, load_scene
+from datasets import SceneError, open_source
 from datasets.settings import SceneConfig
 from datasets.validation import hold_out_every, hold_out_outermost, hold_out_poses
 
@@ -49,16 +49,17 @@ def test_too_few_views_are_refused():
         hold_out_every(tiny_scene(views=3), 8)
 
 
-@pytest.mark.parametrize("load", [load_scene, load_posed])
-def test_validation_every_is_refused_for_videos(load, tmp_path):
+def test_validation_every_is_refused_for_videos(tmp_path):
     film = SceneConfig(name="synthetic/counter", reader="synthetic", validation_every=8, cache=str(tmp_path / "cache"))
     with pytest.raises(SceneError, match="scene.validation_every: expected 0 for .* synthetic/counter .*found 8"):
-        load(film)
+        open_source(film)
     assert not (tmp_path / "cache").exists()  # refused before rendering
 
 
-@pytest.mark.parametrize("load", [load_clip, load_clip_set])
-def test_validation_every_is_refused_for_clips(load, tmp_path):
-    clip = SceneConfig(name="video", reader="video", path=str(tmp_path), validation_every=8)
+@pytest.mark.parametrize("videos", [1, 2])
+def test_validation_every_is_refused_for_clips(videos, tmp_path):
+    for number in range(videos):
+        (tmp_path / f"{number}.mp4").touch()
+    clip = SceneConfig("video", "video", str(tmp_path), validation_every=8, moving_cameras=True)
     with pytest.raises(SceneError, match="scene.validation_every: expected 0 for clips .*found 8"):
-        load(clip)  # before the videos are looked for
+        open_source(clip)  # before the videos are opened

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets.layouts import LayoutOptions, read_layout
-from datasets.layouts.detect import detect
 from datasets.scene import Scene
+from datasets.settings import SceneConfig
+from datasets.source import detect, open_source
 from fuzz.target import require
 
 
@@ -57,4 +57,5 @@ def check_scene(scene: Scene) -> None:
 def check_layout(layout: str, folder: Path) -> None:
     """What scene=auto does with a folder of this layout: it is recognised, or refused, and read."""
     detect(folder)
-    check_scene(read_layout(layout, folder, LayoutOptions("fuzz", test_every=3, log=lambda line: None)))
+    cfg = SceneConfig("fuzz", layout, str(folder), test_every=3, downscale=0)
+    check_scene(open_source(cfg, log=lambda line: None).scene())

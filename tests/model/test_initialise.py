@@ -11,7 +11,7 @@ from datasets.scene import Scene
 from datasets.settings import SceneConfig
 from pipeline.config.schema import AblationConfig, Config, InitConfig
 from pipeline.config.train_schema import TrainConfig
-from pipeline.data.sfm.photograph import Reconstruction
+from pipeline.data.sfm.reconstruction import Reconstruction
 from pipeline.model.initialise import from_points, initialise, nearest_distance
 from pipeline.model.sphere import sphere_points
 from rasterizer.reference.sh import sh_basis

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from kitti_folder import frames_of
 
+from datasets.readers.kitti import open_kitti
+from datasets.readers.waymo import open_waymo
 from datasets.settings import SceneConfig
-from datasets.urban import open_log
 from datasets.urban.assemble import scene_of_log
 from datasets.urban.log import DrivingLog
 from datasets.urban.projection import depth_image
@@ -30,7 +31,7 @@ def folder(name: str) -> Path:
 
 @pytest.fixture(scope="module")
 def kitti() -> DrivingLog:
-    return open_log("kitti", folder("kitti/odometry/sequences/04"))
+    return open_kitti(folder("kitti/odometry/sequences/04"))
 
 
 @pytest.mark.parametrize("layout", ["processed14", "processed10", "kitti_format"])
@@ -47,7 +48,7 @@ def test_a_real_clip_survives_each_layout(layout: str, kitti: DrivingLog, tmp_pa
             write_kitti_format(tmp_path, index, frame)
         else:
             write_processed(tmp_path, index, frame, int(layout.removeprefix("processed")))
-    found = open_log("waymo", tmp_path)
+    found = open_waymo(tmp_path)
     by_key = {(image.number, image.frame): image for image in found.images}
     for image in images:
         other = by_key[image.number - 2, image.frame].camera

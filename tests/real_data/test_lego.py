@@ -6,13 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from datasets.dnerf import read_dnerf
+from datasets import open_source
+from datasets.settings import SceneConfig
 
 pytestmark = pytest.mark.data
 
 
 def test_lego(lego: Path) -> None:
-    scene = read_dnerf(lego, name="dnerf/lego", test_split="val")
+    scene = open_source(SceneConfig("dnerf/lego", "dnerf", str(lego), test_split="val")).scene()
     assert (len(scene.train), len(scene.test)) == (50, 11)
     assert scene.train[0].image.shape == (400, 400, 3)
     assert scene.train[0].camera.fx == pytest.approx(1111.11 / 2, rel=1e-4)  # the known focal length

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from datasets.source import Photograph
 from pipeline.config.schema import InitConfig
 from pipeline.data.sfm.__main__ import SUFFIXES, main, read_photographs
-from pipeline.data.sfm.photograph import Photograph, Reconstruction
+from pipeline.data.sfm.reconstruction import Reconstruction
 from pipeline.data.sfm.run import reconstruct
 
 pytestmark = pytest.mark.data

@@ -16,9 +16,10 @@ from dataclasses import replace
 import numpy as np
 
 from datasets.cameras.color import ColorCorrection
+from datasets.source import Photograph
 from pipeline.data.colors.fit import around_most, disagreement, fit
 from pipeline.data.colors.matches import Matches, matched_colors
-from pipeline.data.sfm.photograph import Photograph, Reconstruction
+from pipeline.data.sfm.reconstruction import Reconstruction
 
 FOLDS = 5
 LEAST_LOWER, LEAST_SHARE = 0.5, 0.1  # of 255; of the disagreement before

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from pipeline.data.sfm.photograph import Photograph, Reconstruction
+from datasets.source import Photograph
+from pipeline.data.sfm.reconstruction import Reconstruction
 
 # Pixels: a colour is a Gaussian mean, as a feature at an edge moves by a fraction of a pixel from image to image.
 BLUR, REACH = 1.5, 7

@@ -10,9 +10,9 @@ import numpy as np
 from PIL import Image
 
 from datasets.files.errors import DataError
+from datasets.source import Photograph
 from pipeline.config.schema import InitConfig
 from pipeline.data.sfm.cache import save
-from pipeline.data.sfm.photograph import Photograph
 from pipeline.data.sfm.run import reconstruct
 from pipeline.terminal.command_line import CommandParser, command
 

@@ -19,11 +19,12 @@ import numpy as np
 
 from datasets.files.atomic_write import atomic_folder, write_json
 from datasets.files.errors import DataError, read_json
+from datasets.source import Photograph
 from pipeline.config.schema import InitConfig
 from pipeline.data.sfm.clip import reconstruct_clip
 from pipeline.data.sfm.job import ARRAYS
-from pipeline.data.sfm.photograph import CalibratedCamera, Photograph, Reconstruction
 from pipeline.data.sfm.plot import plot_reconstruction
+from pipeline.data.sfm.reconstruction import CalibratedCamera, Reconstruction
 from pipeline.data.sfm.run import reconstruct
 from rasterizer.camera import MAX_DISTANCE, Camera
 

@@ -15,11 +15,12 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from datasets.source import Photograph
 from pipeline.config.schema import InitConfig
 from pipeline.data.sfm.job import ColmapResult, SfmError, image_file, write_request
 from pipeline.data.sfm.moving_masks import moving_masks
 from pipeline.data.sfm.pairs import by_lens, pairs_of
-from pipeline.data.sfm.photograph import CalibratedCamera, Photograph, Reconstruction
+from pipeline.data.sfm.reconstruction import CalibratedCamera, Reconstruction
 from pipeline.data.sfm.run import calibrated, request_for, run_colmap
 
 LEAST_REGISTERED = 0.8  # of the frames

@@ -13,7 +13,8 @@ from collections.abc import Mapping, Sequence
 import cv2
 import numpy as np
 
-from pipeline.data.sfm.photograph import CalibratedCamera, Photograph
+from datasets.source import Photograph
+from pipeline.data.sfm.reconstruction import CalibratedCamera
 from rasterizer.camera import Camera
 
 WIDTH = 384  # pixels: of the images that flow is measured in

@@ -7,7 +7,7 @@ from itertools import combinations, groupby
 
 import numpy as np
 
-from pipeline.data.sfm.photograph import Photograph
+from datasets.source import Photograph
 
 # Frames matched with each frame, by their distance in time: near ones overlap most, far ones keep the path from
 # drifting and find a place that is seen again.

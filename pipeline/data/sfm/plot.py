@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.data.sfm.photograph import Reconstruction
+from pipeline.data.sfm.reconstruction import Reconstruction
 from rasterizer.camera import Camera
 
 AXIS_PERCENTILE = 98.0  # of the points; outliers lie outside the axes

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from PIL import Image
 
+from datasets.source import Photograph
 from pipeline.config.schema import InitConfig
 from pipeline.data.sfm.job import (
     ColmapResult,
@@ -23,7 +24,7 @@ from pipeline.data.sfm.job import (
     read_result,
     write_request,
 )
-from pipeline.data.sfm.photograph import CalibratedCamera, Photograph, Reconstruction
+from pipeline.data.sfm.reconstruction import CalibratedCamera, Reconstruction
 from pipeline.runs.provenance import PROJECT_ROOT
 from rasterizer.camera import Camera
 

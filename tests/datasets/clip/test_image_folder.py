@@ -10,9 +10,9 @@ import pytest
 from clips import SIZE, frames, opened, textured_plane
 from PIL import ExifTags, Image
 
-from datasets import load_clip
 from datasets.files.errors import SceneError
 from datasets.files.image_files import read_rgba
+from datasets.readers.video import open_source
 from datasets.settings import SceneConfig
 from datasets.video_files.decode import image_paths
 from rasterizer.camera import Camera
@@ -84,7 +84,7 @@ def test_transparent_pixels_have_the_background(tmp_path: Path) -> None:
         cv2.imwrite(str(tmp_path / f"{i:02d}.png"), np.concatenate([image[..., ::-1], alpha], axis=2))
     for setting, color in (("auto", (0, 0, 0)), ("white", (1, 1, 1)), ([1, 0, 0.2], (1, 0, 0.2))):
         cfg = SceneConfig("clip", "video", str(tmp_path), background=setting, downscale=1)
-        clip = load_clip(cfg, log=lambda line: None)
+        clip = open_source(cfg, 1, lambda line: None).clip
         assert (clip.frames[3].image[20:40, 30:60] == np.multiply(color, 255)).all()
         assert (clip.frames[3].image[:20] == images[3][:20]).all()
         cameras = {f.name: Camera(*SIZE, 90, 90, 48, 32, moved(i)) for i, f in enumerate(clip.frames)}

@@ -12,7 +12,7 @@ import pytest
 from clips import SIZE, frames, opened, write_clip
 from imageio_ffmpeg import get_ffmpeg_exe
 
-from datasets.clip import is_clip
+from datasets.clip.footage import is_clip
 from datasets.files.errors import SceneError
 
 
@@ -123,7 +123,7 @@ def test_a_file_that_ends_early_is_used_as_far_as_it_goes(tmp_path: Path) -> Non
 def test_a_long_clip_is_thinned(tmp_path: Path) -> None:
     small = [cv2.resize(image, (48, 32)) for image in frames(40)]
     path = write_clip(tmp_path / "a.mp4", (small[abs(i % 78 - 39)] for i in range(4100)), evenly(4100))
-    clip, said = opened(path, most=50)
+    clip, said = opened(path, frames=50)
     assert 40 <= len(clip.frames) <= 50 and "are used" in said
     assert np.diff([frame.time for frame in clip.frames]).max() < 3 * (4100 / 30) / 50
 
@@ -139,7 +139,7 @@ def test_too_few_frames_are_refused(tmp_path: Path, count: int) -> None:
     [
         ({"first_frame": 40}, r"a\.mp4: scene\.first_frame: expected below the 20 frames of the clip, found 40"),
         ({"first_frame": 12}, r"sharp frames of one take, found 8 of 20 from scene\.first_frame=12 on; film"),
-        ({"most": 5}, r"a\.mp4: scene\.frames: expected more, to use 12 of the clip's 20 .*found 5, which uses 5"),
+        ({"frames": 5}, r"a\.mp4: scene\.frames: expected more, to use 12 of the clip's 20 .*found 5, which uses 5"),
         ({"test_every": 40}, r"a\.mp4: scene\.test_every: expected below 40, twice the frames in use, found 40"),
     ],
 )

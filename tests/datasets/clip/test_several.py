@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from clips import SOUND_RATE, textured_plane, write_clip
 
-from datasets import load_clip_set, scene_kind
-from datasets.clip import ClipSet, stands_still
+from datasets.clip.several import ClipSet
+from datasets.clip.still import stands_still
 from datasets.files.errors import SceneError
+from datasets.readers.video import ClipSetSource, FootageSource, open_source
 from datasets.scene import Scene
 from datasets.settings import SceneConfig
 from rasterizer.camera import Camera
@@ -56,7 +57,7 @@ def opened(videos: Path, **settings: object) -> tuple[ClipSet, str]:
     lines: list[str] = []
     defaults: dict = {"sync": "auto", "moving_cameras": "auto", "downscale": 1}
     cfg = SceneConfig("set", "video", str(videos), **{**defaults, **settings})
-    return load_clip_set(cfg, log=lines.append), "\n".join(lines)
+    return open_source(cfg, 1, lines.append).clips, "\n".join(lines)
 
 
 def scene_of(found: ClipSet) -> Scene:
@@ -73,16 +74,14 @@ def scene_of(found: ClipSet) -> Scene:
 def test_who_moves(videos: Path) -> None:
     assert [stands_still(videos / f"{name}.mp4") for name in RATES] == [False, False, True]
     cfg = SceneConfig("set", "video", str(videos), moving_cameras="auto")
-    assert scene_kind(cfg) == "clips"
-    still = SceneConfig("set", "video", str(videos))  # not looked at
-    assert scene_kind(still) == "videos"
+    assert isinstance(open_source(cfg, 1, str), ClipSetSource)
 
 
 def test_only_cameras_that_stand_still_are_read_as_before(videos: Path, tmp_path: Path) -> None:
     for name in ("one", "two"):
         write_clip(tmp_path / f"{name}.mp4", [disc_over_still_plane(i / 10, (96, 64)) for i in range(20)], range(20))
     cfg = SceneConfig("set", "video", str(tmp_path), moving_cameras="auto")
-    assert scene_kind(cfg) == "videos"
+    assert isinstance(open_source(cfg, 1, str), FootageSource)
 
 
 def test_frames_have_times_of_the_common_clock(videos: Path) -> None:

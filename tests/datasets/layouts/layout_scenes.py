@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from layout_folders import COUNT, HEIGHT, WIDTH, cameras, picture
 from PIL import Image
 
-from datasets import load_scene, with_reader
+from datasets import open_source
 from datasets.scene import Scene
 from datasets.settings import SceneConfig
 
@@ -17,9 +16,8 @@ from datasets.settings import SceneConfig
 def read(path: Path, **settings: object) -> tuple[Scene, list[str]]:
     """The scene of scene=auto, and the lines that it logs."""
     lines: list[str] = []
-    cfg = SceneConfig(name="x", reader="auto", path=str(path), downscale=0)
-    cfg = replace(with_reader(cfg, lines.append), **settings)  # type: ignore[arg-type]
-    return load_scene(cfg, log=lines.append), lines
+    cfg = SceneConfig(**{"name": "x", "reader": "auto", "path": str(path), "downscale": 0, **settings})
+    return open_source(cfg, log=lines.append).scene(), lines
 
 
 def check(scene: Scene, order: list[int] | None = None) -> None:

@@ -174,7 +174,7 @@ def test_damaged_colmap_files_end_in_one_line(tmp_path: Path, size: int) -> None
 
 
 def test_a_rotation_is_colmaps() -> None:
-    from datasets.layouts.colmap import rotation_of
+    from datasets.readers.colmap import rotation_of
 
     quaternion = np.array([0.3, -0.5, 0.7, 0.2])
     expected = Rotation.from_quat(quaternion[[1, 2, 3, 0]]).as_matrix()

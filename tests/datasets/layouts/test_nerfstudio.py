@@ -14,7 +14,7 @@ from layout_scenes import check, check_ramp, fisheye, read, write_ramp
 from PIL import Image
 
 from datasets.files.errors import SceneError
-from datasets.layouts.nerfstudio import read_ply_points
+from datasets.readers.nerfstudio import read_ply_points
 from datasets.scene import View
 
 

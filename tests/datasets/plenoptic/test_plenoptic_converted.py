@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import plenoptic_folder
 import pytest
 from plenoptic_folder import (
     BLOCK,
@@ -21,7 +22,7 @@ from plenoptic_folder import (
 )
 
 from datasets import SceneError
-from datasets.plenoptic import Footage, read_footage
+from datasets.plenoptic.footage import Footage
 from datasets.scene import Scene, View
 from rasterizer.camera import Camera
 
@@ -57,7 +58,8 @@ def write_hdr(folder: Path) -> Path:
 def opened(folder: Path, **options: object) -> tuple[Footage, list[str]]:
     """The footage, and what was said of it."""
     lines: list[str] = []
-    return read_footage(folder, name="own", cache=folder.parent / "own", log=lines.append, **options), lines
+    source = plenoptic_folder.opened(folder, "video", folder.parent / "own", log=lines.append, **options)
+    return source.footage, lines
 
 
 def scene_of(footage: Footage) -> Scene:

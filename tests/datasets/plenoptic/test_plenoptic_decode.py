@@ -18,6 +18,7 @@ from types import SimpleNamespace
 
 import cv2
 import numpy as np
+import plenoptic_folder
 import pytest
 from plenoptic_folder import FRAMES, write_camera
 from rich.console import Console
@@ -25,7 +26,6 @@ from rich.console import Console
 from datasets import Scene, SceneError
 from datasets.cameras.lens import Undistortion
 from datasets.plenoptic import decode as decoding
-from datasets.plenoptic import read_plenoptic
 from datasets.plenoptic.decode import fingerprint
 from datasets.plenoptic.display import DecodingDisplay
 from datasets.plenoptic.videos import Video
@@ -38,8 +38,7 @@ def folder(video_folder: Path, tmp_path: Path) -> Path:
 
 
 def read(folder: Path, cache: str = "cache", **options: object) -> Scene:
-    defaults = dict(name="plenoptic/toy", cache=folder.parent / cache, threads=1, log=lambda text: None)
-    return read_plenoptic(folder, **{**defaults, **options})
+    return plenoptic_folder.read(folder, cache=folder.parent / cache, **{"downscale": 2, "threads": 1, **options})
 
 
 def pixels(scene: Scene) -> np.ndarray:
@@ -108,8 +107,9 @@ def test_fingerprint_covers_name_size_and_both_ends(tmp_path: Path) -> None:
 
 KILLED = """
 import sys, time
-from datasets.plenoptic import read_plenoptic
+from datasets import open_source
 from datasets.plenoptic.videos import Video
+from datasets.settings import SceneConfig
 original = Video.read
 def slow(self, *arguments):
     for index, image in enumerate(original(self, *arguments)):
@@ -118,7 +118,8 @@ def slow(self, *arguments):
             time.sleep(60)
         yield image
 Video.read = slow
-read_plenoptic(sys.argv[1], name="plenoptic/toy", cache=sys.argv[2], threads=1, log=lambda text: None)
+cfg = SceneConfig("plenoptic/toy", "plenoptic", sys.argv[1], cache=sys.argv[2])
+open_source(cfg, threads=1, log=lambda text: None).scene()
 """
 
 

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from clips import textured_plane, write_clip
-from plenoptic_folder import FRAMES, HEIGHT, RATE, WIDTH, inside, picture, write_camera, write_folder
+from plenoptic_folder import FRAMES, HEIGHT, RATE, WIDTH, inside, opened, picture, write_camera, write_folder
 
-from datasets import SceneError, load_footage, load_scene
-from datasets.plenoptic import Footage, Undistortion, open_plenoptic, read_footage
+from datasets import SceneError, open_source
+from datasets.cameras.lens import Undistortion
+from datasets.plenoptic.footage import Footage
 from datasets.plenoptic.unsynchronised import AlignedStream
+from datasets.readers.video import read_footage
 from datasets.settings import SceneConfig
 from rasterizer.camera import Camera
 
@@ -31,9 +34,9 @@ def filmed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def read(folder: Path, **options: object) -> Footage:
-    defaults = dict(name="video/toy", cache=folder.parent / "cache", downscale=2, threads=2, log=lambda text: None)
-    return read_footage(folder, **{**defaults, **options})
+def read(folder: Path, log: Callable[[str], None] = str, **options: object) -> Footage:
+    given = {"name": "video/toy", "cache": folder.parent / "cache", "downscale": 2, **options}
+    return read_footage(folder, SceneConfig(reader="video", **given), 2, log)
 
 
 def cameras(footage: Footage) -> dict[str, Camera]:
@@ -65,9 +68,9 @@ def test_cameras_have_the_numbers_of_their_names_as_with_poses(tmp_path: Path) -
     ]
     assert read(folder, drop_cameras=[1]).held_out == ("cam2",)
     chosen = {"test_cameras": [2], "drop_cameras": [1]}
-    posed = open_plenoptic(folder, name="plenoptic/toy", **chosen).footage
+    posed = opened(folder, **chosen)
     footage = read(folder, **chosen)
-    assert footage.held_out == posed.held_out == ("cam2",) and set(footage.names) == set(posed.names)
+    assert footage.held_out == posed.held_out == ("cam2",) and set(footage.names) == set(posed.footage.names)
 
 
 @pytest.mark.parametrize(
@@ -213,15 +216,10 @@ def test_invalid_footage_is_refused(filmed: Path, tmp_path: Path, damage, messag
     assert "\n" not in str(caught.value)
 
 
-def test_load_footage_by_config(filmed: Path, tmp_path: Path) -> None:
-    cfg = SceneConfig(name="video", reader="video", path=str(filmed), cache=str(tmp_path), test_cameras=[1, 3])
-    assert load_footage(cfg).held_out == ("GX 03", "right")
-    with pytest.raises(SceneError, match="scene.reader: expected several cameras with known poses: .* found 'video'"):
-        load_scene(cfg)
-    with pytest.raises(SceneError, match="scene.reader: expected several cameras with known poses: .* found 'dnerf'"):
-        load_footage(SceneConfig(path=str(filmed)))
-    with pytest.raises(SceneError, match="scene.path: expected the folder of the data"):
-        load_footage(SceneConfig(reader="video"))
+def test_a_video_without_a_path_is_named() -> None:
+    for reader in ("video", "auto"):
+        with pytest.raises(SceneError, match="scene.path: expected the folder of the data"):
+            open_source(SceneConfig(reader=reader))
 
 
 def test_matroska_has_as_many_frames_as_packets_and_their_times(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from plenoptic_folder import HEIGHT, WIDTH, picture, read, write_camera
 
 from datasets import SceneError
 from datasets.files.frame_store import StoredFrame
-from datasets.layouts.detect import detect
+from datasets.source import detect
 
 FRAMES = 3
 # Like the released program's converter: sizes are floats, the principal point is an integer.
@@ -60,11 +60,11 @@ def edit(folder: Path, change: Callable[[dict], object], split: str = "train") -
 
 
 def test_the_layout_is_detected(folder: Path) -> None:
-    assert detect(folder).reader == "plenoptic"
+    assert detect(folder)[0] == "plenoptic"
     edit(folder, lambda content: content["frames"][1].update(transform_matrix=blender_pose(0.5)))  # a camera moves
-    assert detect(folder).reader == "dnerf"
+    assert detect(folder)[0] == "dnerf"
     (folder / "transforms_train.json").write_text("[1")
-    assert detect(folder).reader == "dnerf"  # which says what is wrong
+    assert detect(folder)[0] == "dnerf"  # which says what is wrong
 
 
 def test_images_become_stored_frames(folder: Path) -> None:
@@ -107,7 +107,7 @@ def test_the_cameras_of_the_test_file_are_held_out(folder: Path) -> None:
 def test_times_that_the_test_file_holds_out_are_left_to_the_reader_of_d_nerf(folder: Path) -> None:
     frames = [entry for camera in range(3) for entry in entries(camera)]
     written_anew(folder, [f for i, f in enumerate(frames) if i % 3 != 1], frames[1::3])
-    assert detect(folder).reader == "dnerf"
+    assert detect(folder)[0] == "dnerf"
 
 
 def test_intrinsics_at_another_scale_and_of_single_entries(folder: Path) -> None:

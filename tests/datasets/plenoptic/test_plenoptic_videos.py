@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from plenoptic_folder import FOCAL, FRAMES, HEIGHT, NEAR, RATE, WIDTH, inside, picture, read, write_camera, write_folder
 
-from datasets import load_scene
+from datasets import open_source
 from datasets.files.frame_store import StoredFrame
-from datasets.layouts.detect import detect
 from datasets.settings import SceneConfig
+from datasets.source import detect
 
 # Levels of 255, inside a block: 1 to 2 from limited range, the rest from x264 at crf 1.
 CODEC = 4
@@ -110,7 +110,7 @@ def test_camera_numbers_with_gaps(tmp_path: Path) -> None:
 def test_names_may_differ_in_case_and_have_an_underscore(folder: Path, name: str) -> None:
     for number in range(3):
         (folder / f"cam{number:02d}.mp4").rename(folder / name.format(number))
-    assert detect(folder).reader == "plenoptic"
+    assert detect(folder)[0] == "plenoptic"
     scene = read(folder, test_cameras=[1])
     stem = name.format(1)[:-4]
     assert [view.name for view in scene.test] == [f"test/{stem}_{frame:04d}" for frame in range(FRAMES)]
@@ -119,15 +119,15 @@ def test_names_may_differ_in_case_and_have_an_underscore(folder: Path, name: str
 
 def test_poses_that_are_not_used_are_named(folder: Path) -> None:
     unused = "poses_bounds.npy is there and not used: the videos are not called cam00.mp4"
-    assert unused not in detect(folder).line
+    assert unused not in detect(folder)[1]
     for number in range(3):
         (folder / f"cam{number:02d}.mp4").rename(folder / f"{number:02d}.mp4")
-    found = detect(folder)
-    assert found.reader == "video" and unused in found.line and "\n" not in found.line
+    reader, line = detect(folder)
+    assert reader == "video" and unused in line and "\n" not in line
     (folder / "images").mkdir()  # whose poses they are
     cv2.imwrite(str(folder / "images" / "0.png"), picture(0, 0))
-    found = detect(folder)
-    assert found.reader == "llff" and unused not in found.line
+    reader, line = detect(folder)
+    assert reader == "llff" and unused not in line
 
 
 def test_videos_of_different_lengths_with_enough_common_frames(folder: Path) -> None:
@@ -141,7 +141,7 @@ def test_frame_rates_29_97_and_30_are_equal(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("reader", ["plenoptic", "synthetic"])
-def test_load_scene_by_config(folder: Path, reader: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_scene_by_config(folder: Path, reader: str, monkeypatch: pytest.MonkeyPatch) -> None:
     if reader == "synthetic":
         import datasets.synthetic as synthetic
 
@@ -163,13 +163,13 @@ def test_load_scene_by_config(folder: Path, reader: str, monkeypatch: pytest.Mon
         frames=FRAMES,
         test_cameras=[1],
     )
-    scene = load_scene(cfg, log=lambda text: None)
+    scene = open_source(cfg, log=lambda text: None).scene()
     assert scene.name == name and scene.train[0].image.shape == (HEIGHT // 2, WIDTH // 2, 3)
     assert {view.name[:10] for view in scene.test} == {"test/cam01"}
 
 
 def test_codecs_are_imported_only_for_videos() -> None:
-    code = """import sys, datasets, datasets.dnerf, datasets.files.frame_store
+    code = """import sys, datasets, datasets.readers.dnerf, datasets.files.frame_store
 assert 'cv2' not in sys.modules
 import datasets.synthetic.__main__
 assert 'imageio_ffmpeg' not in sys.modules"""

@@ -47,12 +47,18 @@ def film(*arguments: object, **options: int) -> Callable[[Path], None]:
     return lambda folder: write_camera(folder / "cam01.mp4", 1, *arguments, **options)
 
 
+def small_films(folder: Path, width: int, height: int) -> None:
+    for number in range(3):
+        write_camera(folder / f"cam{number:02d}.mp4", number, width=width, height=height)
+    np.save(folder / "poses_bounds.npy", np.stack([pose_row(number, (width, height)) for number in range(3)]))
+
+
 DROP = r"scene\.drop_cameras=\[1\] leaves camera 1 out"
 POSES = r"poses_bounds\.npy"
 INVALID_INPUT: dict[str, tuple[Callable[[Path], object], dict, str]] = {
     "no videos": (lambda f: [path.unlink() for path in f.glob("*")], {}, "expected cam00.mp4 … and .* found neither"),
-    "not a folder": (lambda f: (shutil.rmtree(f), f.write_text("")), {}, "Plenoptic Video layout, found a file"),
-    "nothing": (lambda f: shutil.rmtree(f), {}, "expected a folder in the Plenoptic Video layout, found nothing there"),
+    "not a folder": (lambda f: (shutil.rmtree(f), f.write_text("")), {}, "in the layout of plenoptic, found a file"),
+    "nothing": (lambda f: shutil.rmtree(f), {}, "expected a folder in the layout of plenoptic, found nothing there"),
     "not a video": (
         lambda f: (f / "cam01.mp4").write_text("hello"),
         {},
@@ -100,7 +106,11 @@ INVALID_INPUT: dict[str, tuple[Callable[[Path], object], dict, str]] = {
         {"first_frame": FRAMES},
         "scene.first_frame: expected below the 6 frames of each camera, found 6",
     ),
-    "too small for the downscale": (lambda f: None, {"downscale": 49}, r"at least 49 pixels a side .* found 64 x 48"),
+    "too small for the downscale": (
+        lambda f: small_films(f, 16, 8),
+        {"downscale": 9},
+        r"at least 9 pixels a side .* found 16 x 8",
+    ),
     "no such test camera": (
         lambda f: None,
         {"test_cameras": [7]},

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from clips import SOUND_RATE, write_clip
 
-from datasets.plenoptic import read_footage
+from datasets.readers.video import read_footage
+from datasets.settings import SceneConfig
 from datasets.sync import Offsets, find_offsets
 from datasets.sync.offsets import offsets_of, with_drift
 from datasets.sync.signals import Signal, picture_signals
@@ -61,9 +63,9 @@ def test_by_the_picture_within_half_a_frame(with_sound: list[Path], starts: np.n
     np.testing.assert_allclose(found.seconds, starts - starts[0], atol=0.5 / max(RATES[:3]))
 
 
-def test_frames_keep_their_own_times(with_sound: list[Path], starts: np.ndarray, tmp_path: Path) -> None:
+def test_frames_keep_their_own_times(with_sound: list[Path], starts: np.ndarray) -> None:
     """Real times, between the ticks of the common clock; nothing is rounded to a frame."""
-    footage = read_footage(with_sound[0].parent, name="x", sync="auto", cache=tmp_path, log=lambda line: None)
+    footage = read_footage(with_sound[0].parent, SceneConfig("x", "video", sync="auto"), 1, lambda line: None)
     assert {stream.count for stream in footage.streams} == {footage.count} and footage.rate == pytest.approx(
         24, rel=0.01
     )
@@ -73,14 +75,14 @@ def test_frames_keep_their_own_times(with_sound: list[Path], starts: np.ndarray,
         np.testing.assert_allclose(stream.times, times - origin, atol=2e-3)  # of the offsets
 
 
-def test_given_offsets_are_used(with_sound: list[Path], tmp_path: Path) -> None:
+def test_given_offsets_are_used(with_sound: list[Path]) -> None:
     lines: list[str] = []
-    options = {"name": "x", "cache": tmp_path, "sync": "given", "log": lines.append}
-    footage = read_footage(with_sound[0].parent, offsets=(1.0, 1.5, 1.0, 1.0), **options)
+    cfg = SceneConfig("x", "video", sync="given", offsets=[1.0, 1.5, 1.0, 1.0])
+    footage = read_footage(with_sound[0].parent, cfg, 1, lines.append)
     assert "cam1 +500.0 ms" in lines[0]
     assert footage.streams[0].indices[0] == 12 and footage.streams[1].indices[0] == 0  # half a second of 24 a second
     with pytest.raises(ValueError, match="scene.offsets: expected 4 numbers"):
-        read_footage(with_sound[0].parent, offsets=(1.0,), **options)
+        read_footage(with_sound[0].parent, replace(cfg, offsets=[1.0]), 1, lines.append)
 
 
 def test_a_drifting_clock_is_found() -> None:

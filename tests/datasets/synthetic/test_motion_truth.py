@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets import load_scene
+from datasets import open_source
 from datasets.ground_truth import StoredTruth
 from datasets.settings import SceneConfig
 from datasets.synthetic import build_scene
@@ -89,7 +89,7 @@ def test_truth_of_the_counter_equals_a_full_trace(tmp_path: Path) -> None:
 def test_a_film_from_a_later_frame_at_half_size_has_the_truth_of_its_frames(tmp_path: Path) -> None:
     common = {"reader": "synthetic", "size": 64, "cameras": 3, "frames": 4, "cache": str(tmp_path)}
     cfg = SceneConfig(name="synthetic/counter", downscale=2, first_frame=1, **common)
-    scene = load_scene(cfg, threads=1)
+    scene = open_source(cfg, threads=1).scene()
     assert [view.name for view in scene.test] == [f"test/cam00_{frame:04d}" for frame in (1, 2, 3)]
     for frame, view in enumerate(scene.test, 1):
         assert view.truth is not None
@@ -105,7 +105,7 @@ def test_a_film_from_a_later_frame_at_half_size_has_the_truth_of_its_frames(tmp_
 def test_moving_pixels_of_photographed_scenes(name: str, moves_there: bool, tmp_path: Path) -> None:
     """Lamps change their light and nothing else; of the others, a moving body's flow is not that of a still world."""
     cfg = SceneConfig(name=f"synthetic/{name}", reader="synthetic", downscale=1, cache=str(tmp_path), **SMALL)
-    views = load_scene(cfg).test
+    views = open_source(cfg).scene().test
     masks = []
     for view in views:
         assert view.truth is not None
@@ -125,7 +125,7 @@ def test_a_scene_in_other_units_has_its_truth_in_them(tmp_path: Path) -> None:
     from datasets.canonical import Canonical, canonicalise
 
     cfg = SceneConfig(name="synthetic/wheel", reader="synthetic", downscale=1, cache=str(tmp_path), **SMALL)
-    scene = load_scene(cfg)
+    scene = open_source(cfg).scene()
     moved = canonicalise(scene, Canonical((0.5, -1.0, 2.0), 3.0, 0.0, 0.25))
     before, after = scene.test[0].truth, moved.test[0].truth
     assert before is not None and after is not None

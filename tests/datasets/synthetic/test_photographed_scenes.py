@@ -6,11 +6,11 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import dnerf_folder
 import numpy as np
 import pytest
 
-from datasets import load_scene
-from datasets.dnerf import read_dnerf
+from datasets import open_source
 from datasets.files.errors import SceneError
 from datasets.ground_truth import StoredTruth
 from datasets.settings import SceneConfig
@@ -70,8 +70,8 @@ def test_an_arc_is_filmed_by_one_camera_and_tested_beside_it() -> None:
 @pytest.mark.parametrize(("name", "is_clip"), [("wheel", True), ("still", False)])
 def test_a_scene_filmed_along_an_arc_is_a_clip(name: str, is_clip: bool, tmp_path: Path) -> None:
     settings = SceneConfig(f"synthetic/{name}", "synthetic", downscale=1, cache=str(tmp_path), **SMALL)
-    assert load_scene(settings).capture == ("monocular" if is_clip else "static")
-    assert load_scene(replace(settings, camera_path="arc")).capture == ("clip" if is_clip else "static")
+    assert open_source(settings).scene().capture == ("monocular" if is_clip else "static")
+    assert open_source(replace(settings, camera_path="arc")).scene().capture == ("clip" if is_clip else "static")
 
 
 def test_a_scene_with_cameras_of_its_own_is_not_filmed_along_an_arc(tmp_path: Path) -> None:
@@ -95,7 +95,7 @@ def test_round_trip_of_traced_images(name: str, tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr("datasets.synthetic.write.trace", keep)
     folder = build_scene(tmp_path / name, scene=name, seed=0, **SMALL)
     for background in ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)):
-        scene = read_dnerf(folder, name=name, downscale=1, background=background)
+        scene = dnerf_folder.read(folder, downscale=1, background=background)
         traced = [*originals[:3], *originals[-2:]]  # written as train, val, test
         for view, truth in zip(scene.train + scene.test, traced, strict=True):
             expected = 255 * (truth.color + (1 - truth.alpha) * background[0])
@@ -120,7 +120,7 @@ def test_round_trip_of_traced_images(name: str, tmp_path: Path, monkeypatch: pyt
 def test_surfaces_lie_in_the_box_of_random_points(name: str, tmp_path: Path) -> None:
     folder = build_scene(tmp_path / name, scene=name, seed=1, size=24, train_views=3, test_views=8)
     corner = np.zeros(3)
-    for view in read_dnerf(folder, name=name, downscale=1).test:
+    for view in dnerf_folder.read(folder, downscale=1).test:
         depth, camera = StoredTruth(folder / f"{view.name}.npz").read().depth, view.camera
         assert depth is not None
         rows, columns = np.nonzero(depth)
@@ -179,9 +179,9 @@ def test_to_rgba_has_straight_alpha() -> None:
     assert rgba[0, 1, 3] == 113 and abs(int(rgba[0, 1, 0]) - 128) <= 1  # straight, not premultiplied
 
 
-def test_load_scene_by_config(tmp_path: Path) -> None:
+def test_scene_by_config(tmp_path: Path) -> None:
     cfg = SceneConfig(name="synthetic/lamp", reader="synthetic", downscale=1, cache=str(tmp_path), **SMALL)
-    scene = load_scene(cfg)
+    scene = open_source(cfg).scene()
     assert (scene.name, len(scene.train), len(scene.test)) == ("synthetic/lamp", 3, 2)
     assert scene.train[0].image.shape == (24, 24, 3) and scene.source.parent == tmp_path
 
@@ -200,7 +200,7 @@ def test_load_scene_by_config(tmp_path: Path) -> None:
 def test_invalid_config_is_refused(changes: dict, message: str, tmp_path: Path) -> None:
     fields = {"name": "synthetic/lamp", "reader": "synthetic", "cache": str(tmp_path), **SMALL, **changes}
     with pytest.raises(SceneError, match=message):
-        load_scene(SceneConfig(**fields))
+        open_source(SceneConfig(**fields)).scene()
     assert list(tmp_path.iterdir()) == []
 
 

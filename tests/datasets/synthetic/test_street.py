@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets import load_scene
+from datasets import open_source
 from datasets.scene import Scene
 from datasets.settings import SceneConfig
 from datasets.synthetic import build_scene
@@ -27,7 +27,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def street(cache: Path, layout: str = "processed", **changes: object) -> Scene:
     common = {"reader": "synthetic", "downscale": 1, "size": SIZE, "frames": FRAMES, "test_every": FRAMES}
     cfg = SceneConfig(name="synthetic/street", cache=str(cache), layout=layout, **{**common, **changes})
-    return load_scene(cfg, log=lambda line: None)
+    return open_source(cfg, log=lambda line: None).scene()
 
 
 @pytest.fixture(scope="module")

@@ -9,11 +9,11 @@ import kitti_folder as k
 import numpy as np
 import pytest
 
-from datasets import load_scene
+from datasets import open_source
 from datasets.files.errors import SceneError
+from datasets.readers.kitti import open_kitti
 from datasets.scene import Sweep
 from datasets.settings import SceneConfig
-from datasets.urban import open_log
 from datasets.urban.assemble import scene_of_log
 from datasets.urban.moving import RangeImage, moving_mask, moving_points
 from datasets.urban.projection import hidden, project, seen
@@ -32,7 +32,7 @@ def frames(views: tuple) -> list[int]:
 def test_every_nth_frame_is_held_out_with_all_its_cameras_and_its_sweep(tmp_path: Path) -> None:
     folder = k.write_odometry(tmp_path, 9)
     lines: list[str] = []
-    scene = load_scene(config(folder, test_every=4), log=lines.append)
+    scene = open_source(config(folder, test_every=4), log=lines.append).scene()
     assert frames(scene.test) == [3, 7] and frames(scene.train) == [0, 1, 2, 4, 5, 6, 8]
     assert len(scene.test) == 4 and [sweep.frame for sweep in scene.test_sweeps] == [3, 7]
     assert frames(scene.sweeps) == frames(scene.train) and "every 4th frame" in lines[0]
@@ -40,33 +40,37 @@ def test_every_nth_frame_is_held_out_with_all_its_cameras_and_its_sweep(tmp_path
 
 
 def test_validation_holds_out_training_frames_instead(tmp_path: Path) -> None:
-    scene = load_scene(config(k.write_odometry(tmp_path, 9), test_every=4, validation_every=4), log=lambda line: None)
+    scene = open_source(
+        config(k.write_odometry(tmp_path, 9), test_every=4, validation_every=4), log=lambda line: None
+    ).scene()
     assert frames(scene.test) == [2, 8] and not {3, 7} & set(frames(scene.train + scene.test))
 
 
 def test_frames_and_cameras_are_selected(tmp_path: Path) -> None:
     folder = k.write_odometry(tmp_path, 9)
-    scene = load_scene(config(folder, first_frame=2, frames=5, log_cameras=[3], test_every=5), log=lambda line: None)
+    scene = open_source(
+        config(folder, first_frame=2, frames=5, log_cameras=[3], test_every=5), log=lambda line: None
+    ).scene()
     assert frames(scene.train + scene.test) == [2, 3, 4, 5, 6] and frames(scene.test) == [6]
     assert {view.name for view in scene.test} == {"test/cam3_000006"}
     for key, wrong in (("log_cameras", [1]), ("first_frame", 50), ("test_every", 10), ("validation_every", 30)):
         with pytest.raises(SceneError, match=f"scene.{key}: expected"):
-            load_scene(config(folder, **{key: wrong}), log=lambda line: None)
+            open_source(config(folder, **{key: wrong}), log=str).scene()
 
 
 def test_cameras_that_are_triggered_one_after_another_are_several(tmp_path: Path) -> None:
     """KITTI's cameras have times of their own, tenths of a millisecond apart: no two images have the same."""
-    scene = load_scene(config(k.write_raw(tmp_path, 9), test_every=9))
+    scene = open_source(config(k.write_raw(tmp_path, 9), test_every=9)).scene()
     assert len({view.time for view in scene.train}) == len(scene.train) == 16
     assert scene.capture == "drive" and scene.several_cameras and scene.frame_count == 8
     of_one = sorted(view.time for view in scene.train if "cam2" in view.name)
     assert scene.frame_spacing == pytest.approx((of_one[-1] - of_one[0]) / 7, rel=1e-9)
-    alone = load_scene(config(k.write_raw(tmp_path / "alone", 9), test_every=9, log_cameras=[2]))
+    alone = open_source(config(k.write_raw(tmp_path / "alone", 9), test_every=9, log_cameras=[2])).scene()
     assert not alone.several_cameras
 
 
 def test_truth_of_distorted_images_is_not_read(tmp_path: Path) -> None:
-    log = open_log("kitti", k.write_odometry(tmp_path, 9))
+    log = open_kitti(k.write_odometry(tmp_path, 9))
     bent = (0.05, 0.0, 0.0, 0.0, 0.0)
     images = tuple(replace(i, truth=i.path, distortion=bent if i.number == 3 else ()) for i in log.images)
     scene = scene_of_log(replace(log, images=images), config(tmp_path, test_every=4))

@@ -11,7 +11,9 @@ import pytest
 from PIL import Image
 
 from datasets.files.errors import SceneError
-from datasets.urban import open_log
+from datasets.readers.kitti import open_kitti
+from datasets.settings import SceneConfig
+from datasets.source import open_source
 from datasets.urban.log import DrivingLog, LogImage
 
 LAYOUTS = {"odometry": k.write_odometry, "raw": k.write_raw, "tracking": k.write_tracking}
@@ -20,7 +22,7 @@ LAYOUTS = {"odometry": k.write_odometry, "raw": k.write_raw, "tracking": k.write
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_points_project_as_the_data_set_says(layout: str, tmp_path: Path) -> None:
     """pixel = P_n · R_rect · Tr · X for each point of a sweep, whatever the poses. Pixel centres are integers there."""
-    log = open_log("kitti", LAYOUTS[layout](tmp_path))
+    log = open_kitti(LAYOUTS[layout](tmp_path))
     rectification = np.eye(3) if layout == "odometry" else k.RECTIFICATION
     assert {image.number for image in log.images} == {2, 3} and log.frames == k.FRAMES
     for image in log.images:
@@ -39,7 +41,7 @@ def projected(log: DrivingLog, image: LogImage) -> np.ndarray:
 
 
 def test_odometry_has_the_poses_and_times_of_its_files(tmp_path: Path) -> None:
-    log = open_log("kitti", k.write_odometry(tmp_path))
+    log = open_kitti(k.write_odometry(tmp_path))
     cam0_to_cam2 = np.linalg.inv(k.projections()[2][:, :3]) @ k.projections()[2][:, 3]
     for image in (image for image in log.images if image.number == 2):
         expected = np.linalg.inv(k.cam0_to_world(image.frame))
@@ -51,7 +53,7 @@ def test_odometry_has_the_poses_and_times_of_its_files(tmp_path: Path) -> None:
 @pytest.mark.parametrize("layout", ["raw", "tracking"])
 def test_oxts_poses_are_metres_in_the_first_imu_frame(layout: str, tmp_path: Path) -> None:
     """6e-6° of latitude are 0.668 m on a sphere of 6378137 m, 9e-6° of longitude at 49° 0.657 m; poses are theirs."""
-    log = open_log("kitti", LAYOUTS[layout](tmp_path))
+    log = open_kitti(LAYOUTS[layout](tmp_path))
     origins = np.array([sweep.read().origin for sweep in log.sweeps])
     way = np.linalg.norm(np.diff(origins, axis=0), axis=1)
     east, north = np.radians([9e-6 * np.cos(np.radians(49)), 6e-6]) * 6378137.0
@@ -59,7 +61,7 @@ def test_oxts_poses_are_metres_in_the_first_imu_frame(layout: str, tmp_path: Pat
 
 
 def test_cameras_of_a_raw_drive_have_their_own_times(tmp_path: Path) -> None:
-    log = open_log("kitti", k.write_raw(tmp_path))
+    log = open_kitti(k.write_raw(tmp_path))
     times = {(image.number, image.frame): image.time for image in log.images}
     assert times[2, 0] == 0.0 and times[3, 0] == pytest.approx(1e-4, abs=1e-6)  # microseconds are read
     assert times[2, 3] == pytest.approx(0.3, abs=1e-6)
@@ -69,7 +71,7 @@ def test_cameras_of_a_raw_drive_have_their_own_times(tmp_path: Path) -> None:
 def test_a_path_may_be_relative(layout: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also where it lacks the names of the folders that the layout is known by."""
     folder = LAYOUTS[layout](tmp_path)
-    expected = [image.camera.world_to_cam for image in open_log("kitti", folder).images]
+    expected = [image.camera.world_to_cam for image in open_kitti(folder).images]
     name = folder.name
     for start, path in (
         (folder.parent, name),
@@ -78,7 +80,7 @@ def test_a_path_may_be_relative(layout: str, tmp_path: Path, monkeypatch: pytest
         (folder, f"../{name}/."),
     ):
         monkeypatch.chdir(start)
-        found = [image.camera.world_to_cam for image in open_log("kitti", Path(path)).images]
+        found = [image.camera.world_to_cam for image in open_kitti(Path(path)).images]
         np.testing.assert_array_equal(found, expected)
 
 
@@ -88,12 +90,12 @@ def test_images_that_are_not_rectified_are_refused(tmp_path: Path) -> None:
     calibration = folder.parent / "calib_cam_to_cam.txt"
     sizes = f"S_02: 2.8e+01 1.6e+01\nS_rect_02: {k.WIDTH:e} {k.HEIGHT:e}\n"
     calibration.write_text(calibration.read_text() + sizes)
-    assert len(open_log("kitti", folder).images) == 2 * k.FRAMES
+    assert len(open_kitti(folder).images) == 2 * k.FRAMES
     extract = folder.rename(folder.with_name("2011_09_26_drive_0001_extract"))
     for path in (extract / "image_02" / "data").iterdir():
         Image.open(path).resize((28, 16)).save(path)
     with pytest.raises(SceneError, match=r"0\.png: expected 24 x 12 pixels, .* S_rect, .* found 28 x 16$") as refused:
-        open_log("kitti", extract)
+        open_kitti(extract)
     assert "\n" not in str(refused.value)
 
 
@@ -157,7 +159,7 @@ def test_damage_is_refused_in_one_line(name: str, tmp_path: Path) -> None:
     damage, message = DAMAGES[name]
     damage(tmp_path)
     with pytest.raises(SceneError) as refused:
-        log = open_log("kitti", folder)
+        log = open_kitti(folder)
         for sweep in log.sweeps:
             sweep.read()
     assert message in str(refused.value) and "\n" not in str(refused.value)
@@ -165,14 +167,14 @@ def test_damage_is_refused_in_one_line(name: str, tmp_path: Path) -> None:
 
 def test_another_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match=r"sequences/NN \(odometry\)"):
-        open_log("kitti", tmp_path)
+        open_kitti(tmp_path)
     with pytest.raises(SceneError, match="nothing there"):
-        open_log("kitti", tmp_path / "absent")
+        open_source(SceneConfig("log", "kitti", str(tmp_path / "absent")))
 
 
 def test_a_camera_may_miss_a_frame(tmp_path: Path) -> None:
     folder = k.write_odometry(tmp_path)
     (folder / "image_3" / "000002.png").unlink()
-    log = open_log("kitti", folder)
+    log = open_kitti(folder)
     assert log.frames == k.FRAMES and len(log.images) == 2 * k.FRAMES - 1
     assert Image.open(log.images[0].path).size == (k.WIDTH, k.HEIGHT)

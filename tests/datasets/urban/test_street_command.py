@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from datasets.readers.waymo import open_waymo
 from datasets.synthetic.__main__ import main
-from datasets.urban import open_log
 
 
 def test_a_driving_log_is_written_and_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -16,5 +16,5 @@ def test_a_driving_log_is_written_and_said(tmp_path: Path, capsys: pytest.Captur
     lines = capsys.readouterr().out.splitlines()
     assert lines[:-1] == ["1/3 frames", "2/3 frames", "3/3 frames"]
     assert f"{folder}: a driving log of 3 frames, with LiDAR, images 32 pixels wide, in " in lines[-1]
-    log = open_log("waymo", folder)
+    log = open_waymo(folder)
     assert log.frames == len(log.sweeps) == 3 and {image.camera.width for image in log.images} == {32}

@@ -10,8 +10,10 @@ import pytest
 from PIL import Image
 
 from datasets.files.errors import SceneError
+from datasets.readers.kitti import open_kitti
+from datasets.readers.waymo import open_waymo
 from datasets.settings import SceneConfig
-from datasets.urban import open_log
+from datasets.source import open_source
 from datasets.urban.assemble import scene_of_log
 from datasets.urban.log import DrivingLog
 from datasets.urban.waymo.processed import columns_of
@@ -28,14 +30,14 @@ def velo_to_world(frame: int) -> np.ndarray:
 
 def written(layout: str, root: Path) -> tuple[DrivingLog, DrivingLog]:
     """(a KITTI log, the same read from a Waymo layout)."""
-    log = open_log("kitti", k.write_odometry(root / "kitti"))
+    log = open_kitti(k.write_odometry(root / "kitti"))
     out = root / layout
     for index, frame in enumerate(k.frames_of(log, [velo_to_world(f) for f in range(log.frames)], NUMBERS)):
         if layout == "kitti_format":
             write_kitti_format(out, index, frame)
         else:
             write_processed(out, index, frame, columns=int(layout.removeprefix("processed")))
-    return log, open_log("waymo", out)
+    return log, open_waymo(out)
 
 
 @pytest.mark.parametrize("layout", ["processed14", "processed10", "kitti_format"])
@@ -104,7 +106,7 @@ SIZES = {0: (24, 16), 1: (24, 16), 3: (24, 10)}
 def test_a_side_camera_of_another_height_masks_and_distortion(tmp_path: Path) -> None:
     for index in range(4):
         write_processed(tmp_path / "log", index, frame(index, SIZES, (-0.1, 0.02, 0.0, 0.0, 0.0)))
-    log = open_log("waymo", tmp_path / "log")
+    log = open_waymo(tmp_path / "log")
     cfg = SceneConfig(name="log", reader="waymo", test_every=4, log_cameras=[0, 1, 3])
     scene = scene_of_log(log, cfg)
     assert {view.image.shape for view in scene.train} == {(8, 12, 3), (5, 12, 3)}
@@ -138,7 +140,7 @@ def test_damage_is_refused_in_one_line(name: str, tmp_path: Path) -> None:
         content = content if "lidar" not in file or len(content) % 4 else np.full(14, 99.5, "<f4").tobytes()
         (tmp_path / "log" / file).write_bytes(content)
     with pytest.raises(SceneError) as refused:
-        scene_of_log(open_log("waymo", tmp_path / "log"), SceneConfig(name="log", reader="waymo", test_every=4))
+        scene_of_log(open_waymo(tmp_path / "log"), SceneConfig(name="log", reader="waymo", test_every=4))
     assert message in str(refused.value) and "\n" not in str(refused.value)
 
 
@@ -147,12 +149,12 @@ def test_a_mask_of_another_size_is_refused(tmp_path: Path) -> None:
         write_processed(tmp_path, index, frame(index, SIZES, (0.0,) * 5))
     Image.new("L", (23, 16)).save(tmp_path / "sky_masks" / "001_0.png")
     with pytest.raises(SceneError, match=r"sky_masks/001_0.png: expected 24 x 16 pixels as its image, found 23 x 16"):
-        scene_of_log(open_log("waymo", tmp_path), SceneConfig(name="log", reader="waymo", test_every=4))
+        scene_of_log(open_waymo(tmp_path), SceneConfig(name="log", reader="waymo", test_every=4))
 
 
 def test_what_is_no_log_is_refused(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match="none of their folders"):
-        open_log("waymo", tmp_path)
+        open_waymo(tmp_path)
     (tmp_path / "file").write_text("")
     with pytest.raises(SceneError, match="a file"):
-        open_log("waymo", tmp_path / "file")
+        open_source(SceneConfig("log", "waymo", str(tmp_path / "file")))

@@ -14,7 +14,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from datasets.files.errors import SceneError
-from datasets.urban import open_log
+from datasets.readers.waymo import open_waymo
 from datasets.urban.waymo.components import TIME
 from datasets.urban.waymo.convert import convert, main
 from datasets.urban.waymo.labelled_boxes import moving_boxes
@@ -148,7 +148,7 @@ def test_a_segment_is_converted_and_read(tmp_path: Path, capsys: pytest.CaptureF
     write_segment(tmp_path / "training")
     assert main([str(tmp_path / "training"), "--out", str(tmp_path / "out"), "--cameras", "0", "1"]) == 0
     assert f"scene=waymo scene.path={tmp_path / 'out'}" in capsys.readouterr().out
-    log = open_log("waymo", tmp_path / "out")
+    log = open_waymo(tmp_path / "out")
     assert log.frames == 3 and {image.number for image in log.images} == {0, 1}
     beams = -0.3 + (np.arange(ROWS) + 0.5) / ROWS * 0.35
     for frame, sweep in enumerate(log.sweeps):

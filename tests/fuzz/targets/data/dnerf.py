@@ -1,4 +1,4 @@
-"""Target datasets/dnerf.py: transforms files and PNGs."""
+"""Target datasets/readers/dnerf.py: transforms files and PNGs."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from dnerf_folder import blender_pose
 from hypothesis.strategies import SearchStrategy
 from PIL import Image
 
-from datasets.dnerf import read_dnerf
+from datasets import open_source
+from datasets.settings import SceneConfig
 from fuzz.edits.bytes import changed_files
 from fuzz.edits.json import edit_json
 from fuzz.scene_checks import check_scene
@@ -55,7 +56,8 @@ def changes(files: Files) -> SearchStrategy[Changes]:
 
 def check(folder: Path) -> str:
     with valid_or_refused(folder) as outcome:
-        check_scene(read_dnerf(folder, name="fuzz/dnerf", downscale=2, background=None))
+        cfg = SceneConfig("fuzz/dnerf", "dnerf", str(folder))
+        check_scene(open_source(cfg, log=lambda line: None).scene())
     return outcome[0]
 
 

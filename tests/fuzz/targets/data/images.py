@@ -8,7 +8,8 @@ from pathlib import Path
 from dnerf_folder import blender_pose
 from hypothesis.strategies import SearchStrategy
 
-from datasets.plenoptic import read_plenoptic
+from datasets import open_source
+from datasets.settings import SceneConfig
 from fuzz.edits.bytes import changed_files
 from fuzz.edits.json import edit_json
 from fuzz.scene_checks import check_scene
@@ -46,11 +47,8 @@ def changes(files: Files) -> SearchStrategy[Changes]:
 
 def check(folder: Path) -> str:
     with valid_or_refused(folder) as outcome:
-        check_scene(
-            read_plenoptic(
-                folder, name="fuzz/images", downscale=2, cache=folder / "cache", threads=1, log=lambda text: None
-            )
-        )
+        cfg = SceneConfig("fuzz/images", "plenoptic", str(folder), cache=str(folder / "cache"))
+        check_scene(open_source(cfg, threads=1, log=lambda text: None).scene())
     return outcome[0]
 
 

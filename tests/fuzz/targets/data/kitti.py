@@ -1,4 +1,4 @@
-"""Target datasets/urban/kitti.py: an odometry sequence and a raw drive, with their text files, sweeps and PNGs."""
+"""Target datasets/readers/kitti.py: an odometry sequence and a raw drive, with their text files, sweeps and PNGs."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from pathlib import Path
 from hypothesis.strategies import SearchStrategy
 from kitti_folder import write_odometry, write_raw
 
+from datasets.readers.kitti import open_kitti
 from datasets.settings import SceneConfig
-from datasets.urban import open_log
 from datasets.urban.assemble import scene_of_log
 from fuzz.edits.bytes import changed_files, edit_text
 from fuzz.scene_checks import check_scene
@@ -36,7 +36,7 @@ def check(folder: Path) -> str:
     with valid_or_refused(folder) as outcome:
         for drive in DRIVES:
             cfg = SceneConfig(name="fuzz/kitti", reader="kitti", test_every=3)
-            check_scene(scene_of_log(open_log("kitti", folder / drive), cfg))
+            check_scene(scene_of_log(open_kitti(folder / drive), cfg))
     return outcome[0]
 
 

@@ -13,7 +13,7 @@ from fuzz.edits.bytes import changed_files
 from fuzz.edits.json import edit_json
 from fuzz.target import Changes, Files, Target, read_files, require, valid_or_refused
 from pipeline.data.sfm.cache import load, save
-from pipeline.data.sfm.photograph import CalibratedCamera, Reconstruction
+from pipeline.data.sfm.reconstruction import CalibratedCamera, Reconstruction
 from rasterizer import Camera
 
 POINTS = 4

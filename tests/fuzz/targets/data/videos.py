@@ -9,7 +9,8 @@ import numpy as np
 from hypothesis.strategies import SearchStrategy
 from plenoptic_folder import write_video
 
-from datasets.plenoptic import read_plenoptic
+from datasets import open_source
+from datasets.settings import SceneConfig
 from fuzz.edits.arrays import edit_npy
 from fuzz.edits.bytes import changed_files
 from fuzz.scene_checks import check_scene
@@ -40,11 +41,8 @@ def changes(files: Files) -> SearchStrategy[Changes]:
 
 def check(folder: Path) -> str:
     with valid_or_refused(folder) as outcome:
-        check_scene(
-            read_plenoptic(
-                folder, name="fuzz/videos", downscale=2, cache=folder / "cache", threads=1, log=lambda text: None
-            )
-        )
+        cfg = SceneConfig("fuzz/videos", "plenoptic", str(folder), cache=str(folder / "cache"))
+        check_scene(open_source(cfg, threads=1, log=lambda text: None).scene())
     return outcome[0]
 
 

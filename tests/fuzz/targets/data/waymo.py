@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from hypothesis.strategies import SearchStrategy
 
+from datasets.readers.waymo import open_waymo
 from datasets.settings import SceneConfig
-from datasets.urban import open_log
 from datasets.urban.assemble import scene_of_log
 from datasets.urban.write import Frame, FrameCamera, write_kitti_format, write_processed
 from fuzz.edits.bytes import changed_files, edit_text
@@ -52,7 +52,7 @@ def check(folder: Path) -> str:
     with valid_or_refused(folder) as outcome:
         for layout in ("processed", "kitti_format"):
             cfg = SceneConfig(name="fuzz/waymo", reader="waymo", test_every=3, downscale=1)
-            check_scene(scene_of_log(open_log("waymo", folder / layout), cfg))
+            check_scene(scene_of_log(open_waymo(folder / layout), cfg))
     return outcome[0]
 
 

@@ -1,4 +1,4 @@
-"""Target datasets/layouts/colmap.py: a model as binary files, and one as text."""
+"""Target datasets/readers/colmap.py: a model as binary files, and one as text."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Target datasets/layouts/dynamic_gaussians.py: train_meta.json and init_pt_cld.npz."""
+"""Target datasets/readers/dynamic_gaussians.py: train_meta.json and init_pt_cld.npz."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Target datasets/layouts/llff.py: images and poses_bounds.npy of one camera."""
+"""Target datasets/readers/llff.py: images and poses_bounds.npy of one camera."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Target datasets/layouts/nerfies.py: dataset.json, metadata.json, a camera file for each image, points.npy."""
+"""Target datasets/readers/nerfies.py: dataset.json, metadata.json, a camera file for each image, points.npy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Target datasets/layouts/nerfstudio.py: transforms.json, masks and a .ply."""
+"""Target datasets/readers/nerfstudio.py: transforms.json, masks and a .ply."""
 
 from __future__ import annotations
 

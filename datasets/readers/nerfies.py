@@ -28,28 +28,43 @@ from datasets.composition import chosen_downscale
 from datasets.files.errors import SceneError, read_json
 from datasets.files.image_files import common_size
 from datasets.files.json_values import get_key, read_number
-from datasets.layouts.photograph import LayoutOptions, Photograph
-from datasets.layouts.photographs import scene_points, to_scene
+from datasets.photographs.photograph import PosedFile
+from datasets.photographs.scene import scene_points, to_scene
 from datasets.scene import Scene, ScenePoints, make_camera
+from datasets.settings import SceneConfig
+from datasets.source import Log, PosedImages, Source, data_folder
 from rasterizer.camera import Camera
 
 TIME_KEYS = ("time_id", "warp_id", "appearance_id")
 LATEST = 1e9  # frames
 
 
-def read_nerfies(root: Path, options: LayoutOptions) -> Scene:
+TITLE, PRECEDENCE = "Nerfies, HyperNeRF or DyCheck", 20
+
+
+def matches(path: Path) -> str | None:
+    if not (path / "dataset.json").is_file():
+        return "no dataset.json"
+    return None if (path / "camera").is_dir() and (path / "rgb").is_dir() else "no camera/ and rgb/"
+
+
+def open_source(cfg: SceneConfig, threads: int, log: Log) -> Source:
+    return PosedImages(cfg, lambda: read_nerfies(data_folder(cfg), cfg, log))
+
+
+def read_nerfies(root: Path, cfg: SceneConfig, log: Log) -> Scene:
     """The scene, with the layout's own split where it holds out frames."""
     ids, test = _split(root)
-    factor, remaining = _scale_folder(root, options.downscale, ids)
+    factor, remaining = _scale_folder(root, cfg.downscale, ids)
     metadata = _object(root / "metadata.json") if (root / "metadata.json").is_file() else {}
     size = common_size([root / "rgb" / f"{factor}x" / f"{name}.png" for name in ids])
     photographs = [_photograph(root, name, factor, size, metadata, name in test if test else None) for name in ids]
     points = _read_points(root / "points.npy")
-    options.log(
+    log(
         f"Nerfies: {len(ids)} frames of rgb/{factor}x, {size[0]} x {size[1]}, {len(test)} held out by the folder, "
         f"{len(points.positions) if points else 0} points"
     )
-    return to_scene(root, photographs, replace(options, downscale=remaining), points)
+    return to_scene(root, photographs, replace(cfg, downscale=remaining), log, points)
 
 
 def _split(root: Path) -> tuple[list[str], set[str]]:
@@ -94,7 +109,7 @@ def _scale_folder(root: Path, downscale: int, ids: list[str]) -> tuple[int, int]
 
 def _photograph(
     root: Path, name: str, factor: int, size: tuple[int, int], metadata: dict[str, Any], test: bool | None
-) -> Photograph:
+) -> PosedFile:
     camera, lens = _camera(root / "camera" / f"{name}.json", size)
     record = metadata.get(name) if isinstance(metadata.get(name), dict) else {}
     assert isinstance(record, dict)
@@ -105,7 +120,7 @@ def _photograph(
     masks = [root / "covisible" / f"{other}x" / "val" / f"{name}.png" for other in factors]
     mask = next((path for path in masks if path.is_file()), None)
     path = root / "rgb" / f"{factor}x" / f"{name}.png"
-    return Photograph(name, path, camera, lens, time, group, test, mask)
+    return PosedFile(name, path, camera, lens, time, group, test, mask)
 
 
 def _camera(file: Path, size: tuple[int, int]) -> tuple[Camera, Undistortion | None]:

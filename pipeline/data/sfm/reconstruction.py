@@ -1,4 +1,4 @@
-"""Input and output types of structure from motion: Photograph and Reconstruction."""
+"""`Reconstruction`: the result of structure from motion."""
 
 from __future__ import annotations
 
@@ -7,23 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from rasterizer.camera import Camera
-
-
-@dataclass(frozen=True)
-class Photograph:
-    """One image; all photographs of a reconstruction show the same moment, or are frames of a clip."""
-
-    name: str  # of the camera, unique
-    image: np.ndarray  # (H, W, 3) uint8
-    camera: Camera | None = None  # None: pose and intrinsics are to be estimated
-    held_out: bool = False  # only its pose is estimated; points and other poses must not depend on it
-    lens: str = ""  # of several cameras that move: the one that took it; its photographs share intrinsics and colours
-    time: float = 0.0  # seconds of the common clock, of several cameras that move
-
-    @property
-    def camera_name(self) -> str:
-        """Of the camera that took it: photographs of cameras that stand still are called after their camera."""
-        return self.lens or self.name
 
 
 @dataclass(frozen=True)

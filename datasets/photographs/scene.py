@@ -16,14 +16,22 @@ import numpy as np
 
 from datasets.cameras.lens import both, imaged, undistort, undistort_rgba
 from datasets.canonical import canonical_space
-from datasets.composition import BLACK, Color, chosen_background, chosen_downscale, compose, coverage, reduced_camera
+from datasets.composition import (
+    BLACK,
+    Color,
+    background_color,
+    chosen_background,
+    chosen_downscale,
+    compose,
+    coverage,
+    reduced_camera,
+)
 from datasets.files.errors import SceneError
 from datasets.files.image_files import has_alpha, is_file, read_rgba
 from datasets.files.natural_order import natural_order
-from datasets.layouts.file_names import stand_still, with_times
-from datasets.layouts.image_size import of_one_size
-from datasets.layouts.photograph import LayoutOptions, Photograph
-from datasets.layouts.selection import FEWEST, held_out_names, within_limits, without_cameras
+from datasets.photographs.file_names import stand_still, with_times
+from datasets.photographs.photograph import PosedFile, of_one_size
+from datasets.photographs.selection import FEWEST, held_out_names, within_limits, without_cameras
 from datasets.scene import (
     PLAYBACK_RATE,
     Scene,
@@ -34,6 +42,8 @@ from datasets.scene import (
     make_camera,
     validate_scene,
 )
+from datasets.settings import SceneConfig
+from datasets.source import Log
 from rasterizer.camera import MAX_DISTANCE, Camera
 
 KEPT_BYTES = 1 << 30  # of decoded images, which are then kept; more are read again at each use
@@ -46,7 +56,7 @@ class FileImage:
 
     dtype = np.dtype(np.uint8)
 
-    def __init__(self, photograph: Photograph, shape: tuple[int, int, int], downscale: int, background: Color) -> None:
+    def __init__(self, photograph: PosedFile, shape: tuple[int, int, int], downscale: int, background: Color) -> None:
         self.shape: tuple[int, ...] = shape
         self._photograph, self._downscale, self._background = photograph, downscale, background
         self.keep = False
@@ -63,27 +73,28 @@ class FileImage:
 
 
 def to_scene(
-    root: Path, photographs: Sequence[Photograph], options: LayoutOptions, points: ScenePoints | None = None
+    root: Path, photographs: Sequence[PosedFile], cfg: SceneConfig, log: Log, points: ScenePoints | None = None
 ) -> Scene:
     """The scene of photographs in any order. SceneError where they do not make one."""
-    photographs = without_cameras(root, photographs, options)
-    photographs = with_times(sorted(photographs, key=lambda photograph: natural_order(photograph.name)), options)
+    photographs = without_cameras(root, photographs, cfg)
+    photographs = with_times(sorted(photographs, key=lambda photograph: natural_order(photograph.name)), log)
     if len(photographs) < FEWEST:
         raise SceneError(root, f"at least {FEWEST} photographs with a camera", f"{len(photographs)}")
-    photographs = within_limits(root, photographs, options)
+    photographs = within_limits(root, photographs, cfg, log)
     (name, count), *_ = Counter(photograph.name for photograph in photographs).most_common(1)
     if count > 1:
         raise SceneError(root, "each photograph once", f"{name} {count} times")
     photographs, size = of_one_size(photographs)
     if any(photograph.size for photograph in photographs):
-        options.log("images of different sizes are cut at the right and below, to {} x {}".format(*size))
-    downscale = options.downscale or chosen_downscale(size)
+        log("images of different sizes are cut at the right and below, to {} x {}".format(*size))
+    downscale = cfg.downscale or chosen_downscale(size)
     if min(size) < downscale:
         raise SceneError(root, f"at least {downscale} pixels a side (scene.downscale)", "{} x {}".format(*size))
-    held_out, how = held_out_names(root, photographs, options)
-    options.log(f"held out: {how}")
+    held_out, how = held_out_names(root, photographs, cfg)
+    log(f"held out: {how}")
     trained = [photograph for photograph in photographs if photograph.name not in held_out]
-    composed_over = options.background or BLACK
+    requested = background_color(cfg.background)
+    composed_over = requested or BLACK
     views: dict[str, list[View]] = {"train": [], "test": []}
     cameras_film = stand_still(trained)
     one_camera = len({photograph.group for photograph in trained}) == 1
@@ -103,7 +114,7 @@ def to_scene(
         camera_name = f"{photograph.group}" if cameras_film else ""
         views[split].append(View(small, photograph.time, image, name, alpha, mask=mask, filmed_by=camera_name))
     train_cameras = [view.camera for view in views["train"]]
-    background = _background(views["train"], options)
+    background = _background(views["train"], requested, log)
     space = canonical_space(train_cameras)
     times = [photograph.time for photograph in photographs if photograph.time is not None]
     low, high = min(times), max(times)
@@ -112,7 +123,7 @@ def to_scene(
         duration = float(np.nextafter(duration, np.inf))
     return validate_scene(
         Scene(
-            name=options.name,
+            name=cfg.name,
             train=tuple(views["train"]),
             test=tuple(views["test"]),
             duration=duration,
@@ -143,7 +154,7 @@ def scene_points(positions: np.ndarray, colors: np.ndarray | None = None) -> Sce
     return ScenePoints(positions[good].astype(np.float64), colors) if good.any() else None
 
 
-def _undistorted(photograph: Photograph) -> np.ndarray:
+def _undistorted(photograph: PosedFile) -> np.ndarray:
     """(H, W, 4) uint8 of the file, cut to the size of its camera, with straight alpha."""
     rgba, camera = read_rgba(photograph.path), photograph.camera
     width, height = photograph.size or (camera.width, camera.height)
@@ -155,16 +166,16 @@ def _undistorted(photograph: Photograph) -> np.ndarray:
     return whole[: camera.height, : camera.width]
 
 
-def _background(views: Sequence[View], options: LayoutOptions) -> Color:
+def _background(views: Sequence[View], requested: Color | None, log: Log) -> Color:
     """By scene.background; auto: of opaque images, the border colour of BORDER_IMAGES of them."""
     if any(view.coverage is not None for view in views):
-        return chosen_background([], False, options.background, options.log)
+        return chosen_background([], False, requested, log)
     chosen = np.unique(np.linspace(0, len(views) - 1, BORDER_IMAGES).round().astype(int))
     images = [np.asarray(views[index].image) for index in chosen]
-    return chosen_background(images, True, options.background, options.log)
+    return chosen_background(images, True, requested, log)
 
 
-def _mask(photograph: Photograph, downscale: int) -> np.ndarray | None:
+def _mask(photograph: PosedFile, downscale: int) -> np.ndarray | None:
     """(H, W) bool of the reduced image: pixels all of whose parts count."""
     if photograph.mask is None:
         return None

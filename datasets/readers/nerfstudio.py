@@ -23,22 +23,35 @@ from datasets.cameras.transforms import TransformsEntry, named_path, read_transf
 from datasets.files.errors import SceneError, read_json
 from datasets.files.image_files import image_size, is_file
 from datasets.files.json_values import read_number
-from datasets.layouts.file_names import by_name
-from datasets.layouts.photograph import LayoutOptions, Photograph
-from datasets.layouts.photographs import scene_points, to_scene
+from datasets.photographs.file_names import by_name
+from datasets.photographs.photograph import PosedFile
+from datasets.photographs.scene import scene_points, to_scene
 from datasets.scene import Scene, ScenePoints
+from datasets.settings import SceneConfig
+from datasets.source import Log, PosedImages, Source, data_folder
 from rasterizer.camera import Camera
 
 FISHEYE = ("OPENCV_FISHEYE", "FISHEYE")
 COLORS = ("red", "green", "blue")
 
 
-def read_nerfstudio(root: Path, options: LayoutOptions) -> Scene:
+TITLE, PRECEDENCE = "nerfstudio", 50
+
+
+def matches(path: Path) -> str | None:
+    return None if (path / "transforms.json").is_file() else "no transforms.json"
+
+
+def open_source(cfg: SceneConfig, threads: int, log: Log) -> Source:
+    return PosedImages(cfg, lambda: read_nerfstudio(data_folder(cfg), cfg, log))
+
+
+def read_nerfstudio(root: Path, cfg: SceneConfig, log: Log) -> Scene:
     """The scene. SceneError for invalid data and for cameras that are no perspective or fisheye lens."""
     file = root / "transforms.json"
     entries = read_transforms(file, root)
     content = read_json(file, SceneError)
-    used = _in_use(root, entries, content, file, options)
+    used = _in_use(root, entries, content, file, log)
     (path, count), *_ = Counter(entry.image_path.resolve() for entry, _ in used).most_common(1) or [(root, 0)]
     if count > 1:  # it would be trained on and held out
         raise SceneError(file, "each image once", f"{path} {count} times")
@@ -47,12 +60,12 @@ def read_nerfstudio(root: Path, options: LayoutOptions) -> Scene:
     if len(repeated) < len(photographs):  # images/left/1.png and images/right/1.png
         photographs = [replace(p, name=f"{index:05d}_{p.name}") for index, p in enumerate(photographs)]
     points = _points(root, content)
-    options.log(f"nerfstudio: {len(photographs)} images, {len(points.positions) if points else 0} points")
-    return to_scene(root, by_name(photographs), options, points)
+    log(f"nerfstudio: {len(photographs)} images, {len(points.positions) if points else 0} points")
+    return to_scene(root, by_name(photographs), cfg, log, points)
 
 
 def _in_use(
-    root: Path, entries: list[TransformsEntry], content: dict[str, Any], file: Path, options: LayoutOptions
+    root: Path, entries: list[TransformsEntry], content: dict[str, Any], file: Path, log: Log
 ) -> list[tuple[TransformsEntry, bool | None]]:
     """The frames in use, each with whether the lists of file names hold it out; None: they hold out none.
 
@@ -68,7 +81,7 @@ def _in_use(
         if not train or own & (train | held_out)
     ]
     if left_out := len(entries) - len(kept):
-        options.log(f"{file.name}: {left_out} of {len(entries)} frames are in no list of file names and left out")
+        log(f"{file.name}: {left_out} of {len(entries)} frames are in no list of file names and left out")
     return kept
 
 
@@ -83,12 +96,12 @@ def _listed(root: Path, content: dict[str, Any], key: str, file: Path, known: se
     return set(paths)
 
 
-def _photograph(root: Path, entry: TransformsEntry, size: tuple[int, int], test: bool | None) -> Photograph:
+def _photograph(root: Path, entry: TransformsEntry, size: tuple[int, int], test: bool | None) -> PosedFile:
     camera, lens = _camera(entry, size)
     mask, stamp, time = entry.intrinsics.get("mask_path"), entry.intrinsics.get("timestamp"), entry.time
     if time is None and stamp is not None:
         time = read_number(stamp, f"{entry.where}: timestamp")
-    return Photograph(
+    return PosedFile(
         entry.image_path.stem,
         entry.image_path,
         camera,

@@ -12,13 +12,14 @@ import numpy as np
 
 from datasets.files.errors import SceneError
 from datasets.files.natural_order import about_even, last_number, natural_order
-from datasets.layouts.photograph import LayoutOptions, Photograph
+from datasets.photographs.photograph import PosedFile
+from datasets.source import Log
 
 SHARED_NUMBERS = 0.5  # of the camera with the fewest: as many frames of one number make two names two cameras
 SAME_PLACE = 1e-6  # of the distance between cameras; two of a car are 1e-2 of its way apart
 
 
-def by_name(photographs: Sequence[Photograph]) -> list[Photograph]:
+def by_name(photographs: Sequence[PosedFile]) -> list[PosedFile]:
     """With the camera that took each, numbered from 0 in the order of its name; all as they are if names tell nothing.
 
     images/left/1.png and images/right/1.png: a camera for each folder. In one folder, left_1.png and right_1.png: one
@@ -42,7 +43,7 @@ def by_name(photographs: Sequence[Photograph]) -> list[Photograph]:
     return found if stand_still(found) or _coincide(beginnings, stems) else list(photographs)
 
 
-def with_times(photographs: Sequence[Photograph], options: LayoutOptions) -> list[Photograph]:
+def with_times(photographs: Sequence[PosedFile], log: Log) -> list[PosedFile]:
     """All with a time, ascending: the layout's, else the numbers in the names, else evenly spaced for each camera.
 
     Numbers are times if no camera has one twice and they are about evenly spaced; all cameras count alike.
@@ -64,11 +65,11 @@ def with_times(photographs: Sequence[Photograph], options: LayoutOptions) -> lis
             times.append(float(counted[photograph.group]))
             counted[photograph.group] += 1
         how = "evenly spaced, in the order of the names" + (" of each camera" if len(counted) > 1 else "")
-    options.log(f"times: {how}; if nothing moves, ablation.static=true leaves time out")
+    log(f"times: {how}; if nothing moves, ablation.static=true leaves time out")
     return sorted((replace(p, time=t) for p, t in zip(photographs, times)), key=lambda p: p.time or 0.0)
 
 
-def stand_still(photographs: Sequence[Photograph]) -> bool:
+def stand_still(photographs: Sequence[PosedFile]) -> bool:
     """Whether they are by two cameras or more, each of which took several from one place."""
     poses: dict[int, set[bytes]] = defaultdict(set)
     for photograph in photographs:
@@ -78,8 +79,8 @@ def stand_still(photographs: Sequence[Photograph]) -> bool:
 
 
 def _grouped(
-    photographs: Sequence[Photograph], cameras: Sequence[str], moments: Sequence[str] | None = None
-) -> list[Photograph]:
+    photographs: Sequence[PosedFile], cameras: Sequence[str], moments: Sequence[str] | None = None
+) -> list[PosedFile]:
     numbers = {name: number for number, name in enumerate(sorted(set(cameras), key=natural_order))}
     times: Sequence[str | None] = moments or [None] * len(photographs)
     return [
@@ -88,11 +89,11 @@ def _grouped(
     ]
 
 
-def _are_moments(photographs: Sequence[Photograph], moments: Sequence[str], cameras: Sequence[str]) -> bool:
+def _are_moments(photographs: Sequence[PosedFile], moments: Sequence[str], cameras: Sequence[str]) -> bool:
     """Whether names are moments that several cameras saw: each once, from where it always is, or all at one time."""
     if len(set(zip(moments, cameras))) < len(photographs) or min(Counter(cameras).values()) < 2:
         return False
-    of_moment: dict[str, list[Photograph]] = defaultdict(list)
+    of_moment: dict[str, list[PosedFile]] = defaultdict(list)
     for photograph, moment in zip(photographs, moments):
         of_moment[moment].append(photograph)
     if max(map(len, of_moment.values())) < 2:
@@ -103,7 +104,7 @@ def _are_moments(photographs: Sequence[Photograph], moments: Sequence[str], came
     return _in_place(photographs, cameras) and not _in_place(photographs, moments)
 
 
-def _in_place(photographs: Sequence[Photograph], cameras: Sequence[str]) -> bool:
+def _in_place(photographs: Sequence[PosedFile], cameras: Sequence[str]) -> bool:
     """Whether each camera stays where it is, compared with the distances to others."""
     places: dict[str, list[np.ndarray]] = defaultdict(list)
     for photograph, camera in zip(photographs, cameras):

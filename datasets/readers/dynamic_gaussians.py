@@ -19,37 +19,48 @@ from datasets.cameras.transforms import named_path, read_pose
 from datasets.files.errors import SceneError, read_json
 from datasets.files.image_files import is_file
 from datasets.files.json_values import get_key, read_number
-from datasets.layouts.photograph import LayoutOptions, Photograph
-from datasets.layouts.photographs import scene_points, to_scene
+from datasets.photographs.photograph import PosedFile
+from datasets.photographs.scene import scene_points, to_scene
 from datasets.scene import Scene, ScenePoints, make_camera
+from datasets.settings import SceneConfig
+from datasets.source import Log, PosedImages, Source, data_folder
 from rasterizer.camera import Camera
 
 MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
 
 
-def read_dynamic_gaussians(root: Path, options: LayoutOptions) -> Scene:
+TITLE, PRECEDENCE = "Dynamic 3D Gaussians", 10
+
+
+def matches(path: Path) -> str | None:
+    return None if (path / "train_meta.json").is_file() else "no train_meta.json"
+
+
+def open_source(cfg: SceneConfig, threads: int, log: Log) -> Source:
+    return PosedImages(cfg, lambda: read_dynamic_gaussians(data_folder(cfg), cfg, log))
+
+
+def read_dynamic_gaussians(root: Path, cfg: SceneConfig, log: Log) -> Scene:
     """The scene; without test_meta.json, scene.test_cameras are held out, by their number in cam_id."""
     if (root / "test_meta.json").is_file():
-        photographs = _read_meta(root, "train_meta.json", False, options) + _read_meta(
-            root, "test_meta.json", True, options
-        )
+        photographs = _read_meta(root, "train_meta.json", False, log) + _read_meta(root, "test_meta.json", True, log)
     else:
-        photographs = _read_meta(root, "train_meta.json", None, options)
+        photographs = _read_meta(root, "train_meta.json", None, log)
     mirrored = _is_mirrored(_object(root / "train_meta.json")["w2c"])
     if mirrored:
-        options.log("train_meta.json: all poses are reflections; the world is mirrored back")
+        log("train_meta.json: all poses are reflections; the world is mirrored back")
     points = _read_points(root / "init_pt_cld.npz")
     if points is not None and mirrored:
         points = replace(points, positions=points.positions @ MIRROR[:3, :3])
     cameras = sorted({photograph.group for photograph in photographs})
-    options.log(
+    log(
         f"Dynamic 3D Gaussians: {len(cameras)} cameras ({', '.join(map(str, cameras))}), {len(photographs)} images, "
         f"{len(points.positions) if points else 0} points"
     )
-    return to_scene(root, photographs, options, points)
+    return to_scene(root, photographs, cfg, log, points)
 
 
-def _read_meta(root: Path, name: str, test: bool | None, options: LayoutOptions) -> list[Photograph]:
+def _read_meta(root: Path, name: str, test: bool | None, log: Log) -> list[PosedFile]:
     """The images that the file names. One that is not there is left out, and their number is said."""
     file = root / name
     content = _object(file)
@@ -60,7 +71,7 @@ def _read_meta(root: Path, name: str, test: bool | None, options: LayoutOptions)
         if not isinstance(table, list) or len(table) != times or not times:
             raise SceneError(f"{file}: {key}", f"a list of {times} frames", _kind(table))
     mirrored = _is_mirrored(tables["w2c"])
-    found: list[Photograph] = []
+    found: list[PosedFile] = []
     missing: list[Path] = []
     for t in range(times):
         row = {key: table[t] for key, table in tables.items()}
@@ -75,12 +86,12 @@ def _read_meta(root: Path, name: str, test: bool | None, options: LayoutOptions)
                 continue
             camera = _camera(row["k"][c], row["w2c"][c], (width, height), mirrored, where)
             number = int(read_number(row["cam_id"][c], f"{where}: cam_id", 1e6))
-            found.append(Photograph(f"cam{number:02d}_{t:05d}", path, camera, None, float(t), number, test))
+            found.append(PosedFile(f"cam{number:02d}_{t:05d}", path, camera, None, float(t), number, test))
     if missing and not found:
         raise SceneError(missing[0], f"an image that {name} names", "no such file")
     if missing:
         named = len(missing) + len(found)
-        options.log(f"{name} names {named} images; left out: {len(missing)} that are not there, the first {missing[0]}")
+        log(f"{name} names {named} images; left out: {len(missing)} that are not there, the first {missing[0]}")
     return found
 
 

@@ -15,7 +15,7 @@ where the headers suffice.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +26,7 @@ from datasets.canonical import canonical_space
 from datasets.composition import (
     BLACK,
     Color,
-    as_color,
+    background_color,
     chosen_background,
     chosen_downscale,
     compose,
@@ -37,6 +37,8 @@ from datasets.files.errors import SceneError, read_json
 from datasets.files.image_files import common_size, read_rgba
 from datasets.ground_truth import truth_beside
 from datasets.scene import Scene, View, camera_extent, capture_of, make_camera, validate_scene
+from datasets.settings import SceneConfig
+from datasets.source import Log, PosedImages, Source, data_folder, data_path, with_reader
 from rasterizer.camera import Camera
 
 # Times within [0, 1] that span more than this are in D-NeRF's unit, whose range is [0, 1].
@@ -50,45 +52,53 @@ OUTLIER_DISTANCE = 10.0  # times in another unit: bound of its distance, × the 
 SPLITS = ("train", "test", "val")
 FILE_LISTS = ("train_filenames", "val_filenames", "test_filenames")  # of nerfstudio
 VALIDATION_EVERY = 8  # suggested in the message about a missing split
+TITLE, PRECEDENCE = "D-NeRF", 40
 
 
-def read_dnerf(
-    path: str | Path,
-    *,
-    name: str,
-    test_split: str | None = "test",
-    downscale: int = 2,
-    background: Color | None = BLACK,
-    init_box: tuple[float, float] = (-1.2, 1.2),
-    log: Callable[[str], None] = lambda line: None,
-) -> Scene:
-    """The scene in folder `path`. Raises SceneError if it does not follow the layout.
+def matches(path: Path) -> str | None:
+    return None if (path / "transforms_train.json").is_file() else "no transforms_train.json"
 
-    test_split: the held-out split, "test" or "val" (the paper evaluates lego on val). None: `Scene.test` is empty, and
-    the caller holds out training views (validation.py).
-    downscale: images are reduced to 1/downscale of their size by area average (see compose); 0: see chosen_downscale.
-    background: RGB in [0, 1], composed under transparent pixels. None: the border colour of opaque training images if
-    there is one, else black.
-    init_box: [low, high] of the cube of random initial points, canonical units (canonical.py).
-    log: called with a line of text for the user.
+
+def open_source(cfg: SceneConfig, threads: int, log: Log) -> Source:
+    if cfg.reader == "auto":
+        cfg = _with_split(with_reader(cfg, "dnerf"), log)
+    return PosedImages(cfg, lambda: read_dnerf(data_folder(cfg), cfg, log))
+
+
+def _with_split(cfg: SceneConfig, log: Log) -> SceneConfig:
+    """For a folder without the test split: transforms_val.json, else every eighth training view."""
+    path = data_path(cfg)
+    if cfg.validation_every or has_split(path, cfg.test_split):
+        return cfg
+    missing = f"{path}: there is no transforms_{cfg.test_split}.json"
+    if has_split(path, "val"):
+        log(f"{missing}; held out: transforms_val.json")
+        return replace(cfg, test_split="val")
+    log(f"{missing}; held out: every {VALIDATION_EVERY}th training view")
+    return replace(cfg, validation_every=VALIDATION_EVERY)
+
+
+def read_dnerf(root: Path, cfg: SceneConfig, log: Log) -> Scene:
+    """The scene in a folder. Raises SceneError if it does not follow the layout.
+
+    With scene.validation_every a missing test split is left empty: the caller holds out training views.
     """
-    root = Path(path)
-    if not root.is_dir():
-        raise SceneError(root, "a folder in the D-NeRF layout", "a file" if root.exists() else "nothing there")
+    test_split = None if cfg.validation_every and not has_split(root, cfg.test_split) else cfg.test_split
     splits = {"train": _read_split(root, "train")}
     if test_split is not None:
         splits[test_split] = _read_split(root, test_split)
     entries = [entry for split in splits.values() for entry in split]
     time_start, duration = _time_range(root, entries)
     size = common_size([entry.image_path for entry in entries])
-    downscale = downscale or chosen_downscale(size)
+    downscale = cfg.downscale or chosen_downscale(size)
     if min(size) < downscale:
         raise SceneError(
             entries[0].image_path, f"at least {downscale} pixels a side (downscale)", "{} x {}".format(*size)
         )
 
     cameras = {id(entry): _read_camera(entry, size) for entry in entries}  # checked before any image is decoded
-    composed_over = BLACK if background is None else as_color(background)
+    background = background_color(cfg.background)
+    composed_over = background or BLACK
     views = {
         split: tuple(_read_view(entry, size, downscale, composed_over, *cameras[id(entry)]) for entry in listed)
         for split, listed in splits.items()
@@ -99,14 +109,14 @@ def read_dnerf(
     space = canonical_space(train_cameras)
     test = views[test_split] if test_split else ()
     scene = Scene(
-        name=name,
+        name=cfg.name,
         train=views["train"],
         test=test,
         duration=duration,
         time_start=time_start,
         background=chosen_background(train_images, opaque, background, log),
         extent=camera_extent(train_cameras),
-        init_box=space.inverse.box((init_box[0], init_box[1])),
+        init_box=space.inverse.box((cfg.init_box[0], cfg.init_box[1])),
         source=root,
         capture=capture_of(views["train"], test, filmed=False),
         unit=space.unit,
@@ -114,9 +124,9 @@ def read_dnerf(
     return validate_scene(scene) if test_split else scene
 
 
-def has_split(path: str | Path, split: str) -> bool:
+def has_split(path: Path, split: str) -> bool:
     """Whether the folder has a transforms file for `split`."""
-    return (Path(path) / f"transforms_{split}.json").is_file()
+    return (path / f"transforms_{split}.json").is_file()
 
 
 def view_name(entry: TransformsEntry) -> str:

@@ -12,12 +12,27 @@ from pathlib import Path
 
 from datasets.files.errors import SceneError
 from datasets.files.image_files import common_size
-from datasets.layouts.photograph import LayoutOptions, Photograph
-from datasets.layouts.photographs import to_scene
+from datasets.photographs.photograph import PosedFile
+from datasets.photographs.scene import to_scene
 from datasets.plenoptic.poses import read_poses
 from datasets.scene import Scene
+from datasets.settings import SceneConfig
+from datasets.source import Log, PosedImages, Source, data_folder
 
 SUFFIXES = (".png", ".jpg", ".jpeg")
+
+
+TITLE, PRECEDENCE = "NVIDIA Dynamic Scenes (LLFF poses)", 70
+
+
+def matches(path: Path) -> str | None:
+    if not (path / "poses_bounds.npy").is_file():
+        return "no poses_bounds.npy"
+    return None if image_folder(path) is not None else "no images/"
+
+
+def open_source(cfg: SceneConfig, threads: int, log: Log) -> Source:
+    return PosedImages(cfg, lambda: read_llff(data_folder(cfg), cfg, log))
 
 
 def image_folder(root: Path) -> Path | None:
@@ -26,7 +41,7 @@ def image_folder(root: Path) -> Path | None:
     return next((p for p in folders if p.name == "images"), folders[0] if folders else None)
 
 
-def read_llff(root: Path, options: LayoutOptions) -> Scene:
+def read_llff(root: Path, cfg: SceneConfig, log: Log) -> Scene:
     """The scene. SceneError unless there are as many images as poses."""
     folder = image_folder(root)
     if folder is None:
@@ -37,9 +52,9 @@ def read_llff(root: Path, options: LayoutOptions) -> Scene:
     if len(set(names)) < len(names):
         raise SceneError(folder, "each image once", f"{len(names) - len(set(names))} names twice, in two formats")
     poses = read_poses(root / "poses_bounds.npy", names, names, size)
-    photographs = [Photograph(name, path, poses.cameras[name]) for name, path in zip(names, paths)]
-    options.log(f"LLFF: {len(photographs)} images of {folder.name}, {size[0]} x {size[1]}")
-    return to_scene(root, photographs, options)
+    photographs = [PosedFile(name, path, poses.cameras[name]) for name, path in zip(names, paths)]
+    log(f"LLFF: {len(photographs)} images of {folder.name}, {size[0]} x {size[1]}")
+    return to_scene(root, photographs, cfg, log)
 
 
 def _images(folder: Path) -> list[Path]:

@@ -22,6 +22,9 @@ import numpy as np
 
 from datasets.files.errors import SceneError
 from datasets.scene import make_camera
+from datasets.settings import SceneConfig
+from datasets.source import Log, Source, data_folder
+from datasets.urban.assemble import DriveSource
 from datasets.urban.log import DrivingLog, LogImage, LogSweep, SweepPoints, check_times, image_size, numbered_files
 from datasets.urban.number_files import entry, read_calibration, read_lines, read_rows, rigid
 from datasets.urban.oxts import poses_of_oxts
@@ -53,6 +56,10 @@ class Pinhole:
     cx: float
     cy: float
     rectified_to_camera: np.ndarray  # (4, 4) from rectified coordinates of camera 0
+
+
+def open_source(cfg: SceneConfig, threads: int, log: Log) -> Source:
+    return DriveSource(cfg, open_kitti(data_folder(cfg)), log)
 
 
 def open_kitti(path: Path) -> DrivingLog:

@@ -8,47 +8,49 @@ from pathlib import Path
 import numpy as np
 
 from datasets.files.errors import SceneError
-from datasets.layouts.file_names import stand_still
-from datasets.layouts.photograph import LayoutOptions, Photograph
 from datasets.ordinal import ordinal
+from datasets.photographs.file_names import stand_still
+from datasets.photographs.photograph import PosedFile
+from datasets.settings import SceneConfig
+from datasets.source import Log
 
 FEWEST = 3  # photographs
 
 
-def without_cameras(root: Path, photographs: Sequence[Photograph], options: LayoutOptions) -> list[Photograph]:
-    """Those of cameras that are not in options.drop_cameras. SceneError for unknown numbers, or if none is left."""
-    dropped, names = set(options.drop_cameras), _camera_names(photographs)
+def without_cameras(root: Path, photographs: Sequence[PosedFile], cfg: SceneConfig) -> list[PosedFile]:
+    """Those of cameras that are not in scene.drop_cameras. SceneError for unknown numbers, or if none is left."""
+    dropped, names = set(cfg.drop_cameras), _camera_names(photographs)
     if dropped and not dropped < set(names):
         known = ", ".join(names.values())
         raise SceneError(f"{root}: scene.drop_cameras", f"some of the cameras {known}", f"{sorted(dropped)}")
     return [photograph for photograph in photographs if photograph.group not in dropped]
 
 
-def _camera_names(photographs: Sequence[Photograph]) -> dict[int, str]:
+def _camera_names(photographs: Sequence[PosedFile]) -> dict[int, str]:
     """Camera number -> how messages call it, ascending."""
     folders = {photograph.group: photograph.folder for photograph in photographs}
     return {group: f"{group} ({folder})" if folder else f"{group}" for group, folder in sorted(folders.items())}
 
 
-def within_limits(root: Path, photographs: Sequence[Photograph], options: LayoutOptions) -> list[Photograph]:
-    """Those of at most options.frames different times, evenly spread, from options.first_frame on.
+def within_limits(root: Path, photographs: Sequence[PosedFile], cfg: SceneConfig, log: Log) -> list[PosedFile]:
+    """Those of at most scene.frames different times, evenly spread, from scene.first_frame on.
 
     SceneError for settings that leave fewer than FEWEST.
     """
     times = sorted({photograph.time for photograph in photographs if photograph.time is not None})
-    in_use = set(times[options.first_frame :])
+    in_use = set(times[cfg.first_frame :])
     rest = [photograph for photograph in photographs if photograph.time in in_use]
     if stand_still(rest):
-        found = [p for group in sorted({p.group for p in rest}) for p in _spread(rest, options.frames, group)]
+        found = [p for group in sorted({p.group for p in rest}) for p in _spread(rest, cfg.frames, group)]
         found.sort(key=lambda p: (p.time, p.name))
     else:
-        found = _spread(rest, options.frames)
+        found = _spread(rest, cfg.frames)
     if len(found) < len(rest):
         used = len({photograph.time for photograph in found})
-        options.log(f"{used} of {len(times)} times are used, evenly spread (scene.frames={options.frames})")
+        log(f"{used} of {len(times)} times are used, evenly spread (scene.frames={cfg.frames})")
     if len(found) < FEWEST:
-        cut = len(times) - options.first_frame > options.frames
-        key, value = ("frames", options.frames) if cut else ("first_frame", options.first_frame)
+        cut = len(times) - cfg.first_frame > cfg.frames
+        key, value = ("frames", cfg.frames) if cut else ("first_frame", cfg.first_frame)
         raise SceneError(
             f"{root}: scene.{key}",
             f"a number that leaves at least {FEWEST} of {len(photographs)} photographs of {len(times)} times",
@@ -57,7 +59,7 @@ def within_limits(root: Path, photographs: Sequence[Photograph], options: Layout
     return found
 
 
-def _spread(photographs: Sequence[Photograph], count: int, group: int | None = None) -> list[Photograph]:
+def _spread(photographs: Sequence[PosedFile], count: int, group: int | None = None) -> list[PosedFile]:
     """Those of at most `count` times, evenly spread; of one group or all.
 
     Times that the layout holds out are spread by themselves: of times that alternate, an even choice from both would
@@ -78,24 +80,26 @@ def _spread(photographs: Sequence[Photograph], count: int, group: int | None = N
     return [photograph for photograph in own if photograph.time in kept]
 
 
-def held_out_names(root: Path, photographs: Sequence[Photograph], options: LayoutOptions) -> tuple[set[str], str]:
+def held_out_names(root: Path, photographs: Sequence[PosedFile], cfg: SceneConfig) -> tuple[set[str], str]:
     """(names held out, how the split is called in tables)."""
     cameras = _camera_names(photographs)
     stated = {photograph.name for photograph in photographs if photograph.test}
-    chosen_cameras = len(cameras) > 1 and list(options.test_cameras) != [0]
+    chosen_cameras = len(cameras) > 1 and list(cfg.test_cameras) != [0]
     if stated and len(stated) < len(photographs) and not chosen_cameras:
         return stated, "the layout's test frames"
     times = len({photograph.time for photograph in photographs})
     rig = times < len(photographs) or stand_still(photographs)
     if (len(cameras) > 2 and rig) or chosen_cameras:
         # 0, the default, is the first camera also where a folder counts from 1.
-        chosen = sorted({min(cameras) if number == 0 else number for number in options.test_cameras})
+        chosen = sorted({min(cameras) if number == 0 else number for number in cfg.test_cameras})
         if not set(chosen) < set(cameras):
             known = ", ".join(cameras.values())
             raise SceneError(f"{root}: scene.test_cameras", f"some of the cameras {known}", f"{chosen}")
         names = {photograph.name for photograph in photographs if photograph.group in chosen}
         return names, "camera " + ", ".join(cameras[number] for number in chosen)
-    every = options.test_every
+    every = cfg.test_every
+    if every == 0:
+        raise SceneError(f"{root}: scene.test_every", "at least 2 for photographs with poses", "0")
     groups = list(cameras)
     held_out = {
         photograph.name

@@ -1,20 +1,39 @@
-"""Photographs of one size: cameras scaled to images that were reduced, images of nearly one size cut."""
+"""`PosedFile`: an image file with its camera and time, as any layout describes it; those of a scene have one size."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 
+from datasets.cameras.lens import Lens
 from datasets.files.errors import SceneError
 from datasets.files.image_files import image_size
-from datasets.layouts.photograph import Photograph
 from datasets.scene import make_camera
+from rasterizer.camera import Camera
 
 # Of a side. colmap image_undistorter makes images whose sizes differ by a few percent where each has a lens of its own.
 LARGEST_CUT = 0.1
 
 
-def of_one_size(photographs: Sequence[Photograph]) -> tuple[list[Photograph], tuple[int, int]]:
+@dataclass(frozen=True)
+class PosedFile:
+    """An image file with its camera."""
+
+    name: str  # unique; numbers in it give the order in time
+    path: Path
+    camera: Camera  # of the full-size, undistorted image
+    lens: Lens | None = None  # None: no distortion
+    time: float | None = None  # any unit and origin; None: unknown
+    group: int = 0  # number of the physical camera
+    test: bool | None = None  # held out by the layout; None: the layout does not say
+    mask: Path | None = None  # an image, 0 where pixels do not count; None: all count
+    folder: str = ""  # what names the physical camera: a folder, or a part of the file names
+    size: tuple[int, int] | None = None  # (width, height) of the file, which is cut to the camera's; None: the camera's
+    moment: str | None = None  # the part of the name that says when; None: the file name
+
+
+def of_one_size(photographs: Sequence[PosedFile]) -> tuple[list[PosedFile], tuple[int, int]]:
     """The photographs with cameras of one size, and that (width, height).
 
     A camera of another size than its image is scaled, if both have one shape. Images of different sizes lose their
@@ -42,7 +61,7 @@ def of_one_size(photographs: Sequence[Photograph]) -> tuple[list[Photograph], tu
     ], smallest
 
 
-def _scaled(photograph: Photograph, size: tuple[int, int]) -> Photograph:
+def _scaled(photograph: PosedFile, size: tuple[int, int]) -> PosedFile:
     """With the camera, and the lens, of an image of `size`."""
     camera, (width, height) = photograph.camera, size
     if (camera.width, camera.height) == size:

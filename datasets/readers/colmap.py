@@ -18,13 +18,15 @@ import numpy as np
 from datasets.cameras.intrinsics import LARGEST_COEFFICIENT
 from datasets.cameras.lens import FisheyeLens, Lens, Undistortion
 from datasets.cameras.transforms import named_path
+from datasets.files.colmap_files import ImageRecord, LensRecord, read_cameras, read_images, read_points
 from datasets.files.errors import SceneError
 from datasets.files.image_files import is_file
-from datasets.layouts.colmap_files import ImageRecord, LensRecord, read_cameras, read_images, read_points
-from datasets.layouts.file_names import by_name
-from datasets.layouts.photograph import LayoutOptions, Photograph
-from datasets.layouts.photographs import scene_points, to_scene
+from datasets.photographs.file_names import by_name
+from datasets.photographs.photograph import PosedFile
+from datasets.photographs.scene import scene_points, to_scene
 from datasets.scene import Scene, make_camera
+from datasets.settings import SceneConfig
+from datasets.source import Log, PosedImages, Source, data_folder
 from rasterizer.camera import Camera
 
 LARGEST_TRACK_ERROR = 2.0  # pixels: points of a larger reprojection error are left out
@@ -33,6 +35,17 @@ UNDISTORTED = (
     "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV", "OPENCV_FISHEYE",
     "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE",
 )  # fmt: skip
+
+
+TITLE, PRECEDENCE = "COLMAP", 60
+
+
+def matches(path: Path) -> str | None:
+    return None if sparse_folders(path) else "no sparse/0 with images.bin or images.txt"
+
+
+def open_source(cfg: SceneConfig, threads: int, log: Log) -> Source:
+    return PosedImages(cfg, lambda: read_colmap(data_folder(cfg), cfg, log))
 
 
 def sparse_folders(root: Path) -> list[Path]:
@@ -48,7 +61,7 @@ def _images_file(folder: Path) -> Path | None:
     return next((file for suffix in ("bin", "txt") if (file := folder / f"images.{suffix}").is_file()), None)
 
 
-def read_colmap(root: Path, options: LayoutOptions) -> Scene:
+def read_colmap(root: Path, cfg: SceneConfig, log: Log) -> Scene:
     """The scene; images without a pose are left out. SceneError for invalid files and lens models that are unknown."""
     folders = sparse_folders(root)
     if not folders:
@@ -58,9 +71,9 @@ def read_colmap(root: Path, options: LayoutOptions) -> Scene:
     folder, suffix = file.parent, file.suffix[1:]
     if len(models) > 1:
         sizes = ", ".join(f"{path.parent.name} has {len(images)}" for path, images in models.items())
-        options.log(f"COLMAP: {len(models)} models ({sizes} images); the largest is used, {folder}")
+        log(f"COLMAP: {len(models)} models ({sizes} images); the largest is used, {folder}")
     lenses = read_cameras(folder / f"cameras.{suffix}")
-    photographs: list[Photograph] = []
+    photographs: list[PosedFile] = []
     pictures = _image_folder(root, folder)
     for image in models[file]:
         where = f"{file}: {image.name}"
@@ -71,16 +84,16 @@ def read_colmap(root: Path, options: LayoutOptions) -> Scene:
             raise SceneError(path, f"the image that {file} names", "no such file")
         camera, lens = _camera(lenses[image.camera], image, where)
         name = path.relative_to(pictures).with_suffix("").as_posix().replace("/", "_")
-        photographs.append(Photograph(name, path, camera, lens))
+        photographs.append(PosedFile(name, path, camera, lens))
     rows = read_points(folder)
     rows = rows[rows[:, 6] <= LARGEST_TRACK_ERROR]
     points = scene_points(rows[:, :3], rows[:, 3:6])
     if (pictures.parent / "masks").is_dir():
-        options.log(f"{pictures.parent / 'masks'} is not used: masks for structure from motion leave out what moves")
+        log(f"{pictures.parent / 'masks'} is not used: masks for structure from motion leave out what moves")
     kinds = ", ".join(sorted({lens.model for lens in lenses.values()}))
     count = len(points.positions) if points else 0
-    options.log(f"COLMAP: {len(photographs)} images, {len(lenses)} lenses ({kinds}), {count} points")
-    return to_scene(root, by_name(photographs), options, points)
+    log(f"COLMAP: {len(photographs)} images, {len(lenses)} lenses ({kinds}), {count} points")
+    return to_scene(root, by_name(photographs), cfg, log, points)
 
 
 def _image_folder(root: Path, folder: Path) -> Path:

@@ -1,0 +1,173 @@
+"""Reader of videos without poses, which structure from motion finds: one clip, or several cameras.
+
+CLIP.mp4, or a folder with one video, or with images in order     one camera that moves (datasets/clip)
+DIR/left.mp4, right.mp4, …    several that stand still (datasets/plenoptic), or of which some move (clip/several.py)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Literal
+
+from datasets.cameras.lens import Undistortion
+from datasets.clip.footage import Clip, is_clip, open_clip
+from datasets.clip.several import ClipSet, cameras_move, open_clip_set
+from datasets.composition import chosen_downscale
+from datasets.plenoptic.filmed import FilmedSource, content_of, footage_of, open_videos
+from datasets.plenoptic.footage import Footage
+from datasets.plenoptic.unsynchronised import align, is_synchronised, offsets_of
+from datasets.plenoptic.videos import find_footage, video_paths
+from datasets.scene import Scene
+from datasets.settings import SceneConfig
+from datasets.source import Calibration, Log, Photograph, Size, Source, data_path, with_reader, without_validation
+from datasets.video_files.decode import image_paths
+
+TITLE, PRECEDENCE = "videos or images without poses", 80
+
+
+def matches(path: Path) -> str | None:
+    if video_paths(path) or image_paths(path):
+        return None
+    inner = path / "images"
+    hint = f"; scene.path={inner} takes its images for one clip" if inner.is_dir() and image_paths(inner) else ""
+    return f"no videos and no images{hint}"
+
+
+def open_source(cfg: SceneConfig, threads: int, log: Log) -> Source:
+    cfg, path = with_reader(cfg, "video"), data_path(cfg)
+    if is_clip(path):
+        cfg = without_validation(cfg, "clips (scene.test_every holds out other frames)")
+        return ClipSource(cfg, lambda: open_clip(path, cfg, log))
+    if cfg.moving_cameras and cameras_move(path, cfg.drop_cameras, assumed=cfg.moving_cameras is True):
+        cfg = without_validation(cfg, "clips (scene.test_every and scene.test_cameras hold out other views)")
+        return ClipSetSource(cfg, lambda: open_clip_set(path, cfg, log))
+    cfg = without_validation(
+        cfg, f"the multi-camera videos of {cfg.name} (scene.test_cameras holds out another camera)"
+    )
+    return FootageSource(cfg, read_footage(path, cfg, threads, log))
+
+
+class _WithoutPoses(Source):
+    """Initial points come from structure from motion, as do the poses."""
+
+    @property
+    def points(self) -> Literal["sfm"]:
+        return "sfm"
+
+
+@dataclass(frozen=True)
+class ClipSource(_WithoutPoses):
+    """The video of one camera that moves."""
+
+    cfg: SceneConfig
+    open: Callable[[], Clip]  # reads the frames in use
+    poses = "of every frame"
+
+    @cached_property
+    def clip(self) -> Clip:
+        return self.open()
+
+    @property
+    def path(self) -> Path:
+        return self.clip.source
+
+    def photographs(self) -> list[Photograph]:
+        return [Photograph(frame.name, self.clip.photograph(frame)) for frame in self.clip.frames]
+
+    def scene(self, found: Calibration | None = None) -> Scene:
+        assert found is not None
+        return self.clip.to_scene(found.cameras, next(iter(found.radial.values())), found.unit)
+
+    def size(self) -> Size:
+        width, height = (side // self.clip.downscale for side in self.clip.size)
+        held_out = len(self.clip.frames) // self.cfg.test_every
+        return Size(len(self.clip.frames) - held_out, held_out, width, height)
+
+
+@dataclass(frozen=True)
+class ClipSetSource(_WithoutPoses):
+    """The videos of several cameras of which some move: a clip each, in one reconstruction."""
+
+    cfg: SceneConfig
+    open: Callable[[], ClipSet]  # reads the frames in use
+    poses = "of every frame"
+    several_videos = True
+
+    @cached_property
+    def clips(self) -> ClipSet:
+        return self.open()
+
+    @property
+    def held_out(self) -> tuple[str, ...]:
+        return tuple(camera.name for camera in self.clips.cameras if camera.number in self.clips.test_cameras)
+
+    def photographs(self) -> list[Photograph]:
+        return [
+            Photograph(name, camera.clip.photograph(frame), lens=camera.name, time=camera.time(frame))
+            for name, camera, frame in self.clips.photographs()
+        ]
+
+    def scene(self, found: Calibration | None = None) -> Scene:
+        assert found is not None
+        radial = {
+            camera.name: found.radial[name] for name, camera, _ in self.clips.photographs() if name in found.radial
+        }
+        return self.clips.to_scene(found.cameras, radial, found.unit, found.colors)
+
+    def size(self) -> Size:
+        return Size(*self.clips.counts(), *self.clips.size)
+
+
+@dataclass(frozen=True)
+class FootageSource(_WithoutPoses, FilmedSource):
+    """Videos of cameras that stand still: their first frames have the poses and points of all times."""
+
+    cfg: SceneConfig
+    footage: Footage
+    poses = "estimated"
+
+    @property
+    def one_lens(self) -> bool:
+        return not self.footage.mixed_lenses
+
+    def photographs(self) -> list[Photograph]:
+        """The distorted first frames; decoding then undistorts all frames."""
+        images = self.footage.first_images()
+        return [Photograph(name, image, held_out=name in self.held_out) for name, image in images.items()]
+
+    def scene(self, found: Calibration | None = None) -> Scene:
+        assert found is not None
+        lenses = {name: Undistortion.of(camera, found.radial[name]) for name, camera in found.cameras.items()}
+        return self.footage.to_scene(found.cameras, lenses, found.unit, colors=found.colors, estimated=True)
+
+
+def read_footage(root: Path, cfg: SceneConfig, threads: int, log: Log) -> Footage:
+    """The videos of cameras that stand still, of any names.
+
+    Where no camera has the number 0, the default of scene.test_cameras, that of the lowest number is held out.
+    """
+    files = find_footage(root)
+    numbers = {file.number for file in files}
+    if not all(file.name.endswith(str(file.number)) for file in files):
+        places = ", ".join(f"{file.number} {file.name}" for file in files)
+        log(f"cameras are numbered by their place in the order of names: {places}")
+    elif list(cfg.test_cameras) == [0] and 0 not in numbers:
+        first = min(numbers - set(cfg.drop_cameras), default=0)
+        cfg = replace(cfg, test_cameras=[first])
+        log(f"no camera has the number 0: camera {first} is held out (scene.test_cameras)")
+    videos = open_videos(root, files, cfg, log)
+    offsets = None if cfg.sync == "none" else offsets_of(root, videos, cfg.sync, cfg.offsets, log)
+    if offsets is None:
+        return footage_of(root, files, videos, cfg, threads, log)
+    if is_synchronised(videos, offsets):
+        log("less than half a frame apart: taken as synchronised")
+        return footage_of(root, files, videos, cfg, threads, log)
+    streams = align(videos, offsets, cfg.first_frame, cfg.frames)
+    downscale = cfg.downscale or chosen_downscale(streams[0].size)
+    chosen = repr([(stream.size, stream.indices) for stream in streams])
+    content = f"{content_of(files, videos)} {chosen}"
+    cfg = replace(cfg, downscale=downscale, first_frame=0)
+    return Footage(root, streams, streams[0].count, content, cfg, threads, log)
