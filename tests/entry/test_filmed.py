@@ -58,7 +58,7 @@ def test_doing_it_again_does_nothing(finished: Path, shell: Shell) -> None:
     ]
     before = {path: path.stat().st_mtime_ns for path in kept}
     out, _ = shell(*COUNTER)
-    assert all(f"{stage}: already done" in out for stage in ("sfm", "init", "train", "evaluate"))
+    assert all(f"{stage}: already done" in out for stage in ("prepare", "settle", "init", "train", "evaluate"))
     assert {path: path.stat().st_mtime_ns for path in kept} == before
 
 

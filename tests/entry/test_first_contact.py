@@ -180,28 +180,16 @@ def test_refused_input_leaves_no_run_folder(shell: Shell, arguments: list[str]) 
 # --- records --------------------------------------------------------------------------------------------------------
 
 
-def test_the_configuration_is_written_resolved_and_older_ones_still_open(shell: Shell) -> None:
-    command = (
-        "scene=synthetic/still",
-        *TINY[1:],
-        "train.iterations=20",
-        "+train.static_overrides.batch=3",
-        "out=still",
-    )
-    out, _ = shell(*command)
-    assert "static scene: trained with train.static_overrides" in out
-    path = shell.folder / "still/config.yaml"
-    text = path.read_text()
-    assert "  batch: 3\n" in text and "static_overrides: null" in text
+def test_the_configuration_that_is_written_is_the_one_that_is_trained(shell: Shell) -> None:
+    command = ("scene=synthetic/still", *TINY[1:], "train=short", "train.iterations=20", "out=still")
+    shell(*command)
+    text = (shell.folder / "still/config.yaml").read_text()
+    assert "static: true" in text and "init_points: 60000" in text  # conf/train/fast/static.yaml
     assert re.search(r"background:\n +- 0.0\n +- 0.0\n +- 0.0\n", text)
-    # As an earlier version wrote it: unresolved.
-    path.write_text(
-        text.replace("  batch: 3\n", "  batch: 2\n").replace("static_overrides: null", "static_overrides: {batch: 3}")
-    )
     out, _ = shell(*command)
-    assert "train: already done" in out and path.read_text() == text
-    _, err = shell(*command[:-2], "+train.static_overrides.batch=4", "out=still", status=1)
-    assert "holds another run, with train.batch=3 but this command has 4" in err
+    assert "train: already done" in out and (shell.folder / "still/config.yaml").read_text() == text
+    _, err = shell(*command, "train.init_points=50", status=1)
+    assert "holds another run, with train.init_points=60000 but this command has 50" in err
 
 
 # --- interruptions --------------------------------------------------------------------------------------------------

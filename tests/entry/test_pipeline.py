@@ -88,7 +88,7 @@ def test_metrics(finished: Path) -> None:
         "train",
         "seed",
     } <= set(metrics)
-    assert (metrics["scene"], metrics["ablation"], metrics["train"], metrics["seed"]) == (
+    assert (metrics["scene"], metrics["model"], metrics["recipe"], metrics["seed"]) == (
         "synthetic/wheel",
         "full",
         "smoke",
@@ -104,18 +104,19 @@ def test_time_varying_colour_without_a_gain_is_left_out_of_the_model(tmp_path: P
     """Fourier orders that begin after the last iteration give no gain."""
     shell, arguments = Shell(tmp_path), (*TINY, "train.select_time_colour=0.5", "train.fourier_at=[80,80]", "out=run")
     out, _ = shell(*arguments)
-    assert "select_time_colour: without time-varying colour, 30 iterations; 6 training views, 2 validation views" in out
-    assert "+0.00 ± 0.00 dB: left out" in out and "synthetic/wheel · full, 4DSH left out · smoke · seed 0" in out
+    assert "settle: without time-varying colour, 30 iterations; 6 training views, 2 validation views" in out
+    assert "settle: time-varying colour left out" in out and "(+0.00 ± 0.00)" in out
     folder = tmp_path / "run"
     metrics = json.loads((folder / "metrics.json").read_text())
-    assert metrics["select_time_colour"]["kept"] is False and metrics["select_time_colour"]["gain"] == 0
-    assert metrics["model"] == {"motion": "full", "fourier_order": 0, "sh_degree": 3}
+    assert metrics["decided"] == {"fourier_order": 0} and metrics["compared"]["time_colour"]["gain"] == 0
+    assert metrics["kind"] == {"motion": "full", "fourier_order": 0, "sh_degree": 3}
     # 65 float32 a Gaussian: mean 4, scale 4, rotations 8, opacity 1, colour 16 · 3.
     assert metrics["model_mb"] == pytest.approx(metrics["n_gaussians"] * 65 * 4 / 1e6)
     first = float(read_csv(folder / "error_vs_time.csv")[0]["train_seconds"])
-    assert metrics["train_seconds"] > first > metrics["select_time_colour"]["seconds"] > 0  # its seconds are training's
+    seconds = metrics["compared"]["time_colour"]["seconds"]
+    assert metrics["train_seconds"] > first > seconds > 0, "its seconds are training's"
     again, _ = shell(*arguments)
-    assert all(f"{name}: already done" in again for name in ("select_time_colour", "init", "train", "evaluate"))
+    assert all(f"{name}: already done" in again for name in ("settle", "init", "train", "evaluate"))
 
 
 def test_per_image_rows_average_to_the_metrics(finished: Path) -> None:
@@ -249,7 +250,7 @@ def test_viewer_of_finished_runs(shell: Shell, run_argument: str) -> None:
     assert 'id="model-0"' in text and 'id="model-1"' in text
     (shell.folder / run_argument / "viewer.html").unlink()
     out, _ = shell(*TINY)  # deleted, so it is not done
-    assert "evaluate: already done" in out and "view: already done" not in out
+    assert "evaluate: already done" in out and "page: already done" not in out
     assert 'id="model-1"' not in (shell.folder / run_argument / "viewer.html").read_text()
 
 

@@ -15,12 +15,15 @@ from tiny import SIZE, TinyRun, tiny_config, tiny_scene
 from tiny_film import tiny_film
 
 from datasets.scene import View
+from pipeline.config.compose import Command
 from pipeline.config.schema import Config, EvaluateConfig
 from pipeline.config.train_schema import DensifyConfig, LearningRates
 from pipeline.data.prepare import prepare
 from pipeline.evaluation.quick_evaluate import quick_evaluate
 from pipeline.model.initialise import initialise
-from pipeline.stages import run, stage_inputs
+from pipeline.stages.inputs import data_hash
+from pipeline.stages.run import run
+from pipeline.stages.stages import NAMES
 from pipeline.training.loop import train
 from rasterizer import Rasterizer
 
@@ -116,6 +119,18 @@ def config(folder: Path, reader: str, seed: int = 0) -> Config:
     return replace(cfg, scene=scene, init=replace(cfg.init, source="random"), seed=seed)
 
 
+@dataclass(frozen=True)
+class Given(Command):
+    """A command whose configuration is this one, on every kind of scene."""
+
+    cfg: Config
+
+    def config(self, capture: str | None = None) -> Config:
+        return self.cfg
+
+    preset = config
+
+
 WRITERS = {"dnerf": write_photographs, "plenoptic": write_film}
 
 
@@ -155,17 +170,17 @@ def test_a_run_in_other_units_says_so_and_is_not_taken_for_another(tmp_path: Pat
     data, lines = tmp_path / "data", []
     cfg = config(write_photographs(data, ALL["millimetres"]), "dnerf")
     cfg = replace(cfg, out=str(tmp_path / "run"), evaluate=EvaluateConfig(lpips=False, renders=1, best_on_test=False))
-    run(cfg, [], lines.append)
+    run(Given((), cfg), lines.append)
     assert lines[0].startswith("normalised: x → (x - (") and lines[0].endswith(")) × 0.001")
     frame = json.loads((tmp_path / "run" / "canonical.json").read_text())
     assert frame["scale"] == pytest.approx(1e-3) and np.abs(frame["centre"]).max() < 1e-6 and frame["time_scale"] == 1.0
     lines.clear()
-    run(cfg, [], lines.append)
-    assert [line.split(": already done")[0] for line in lines[1:]] == ["init", "train", "evaluate", "view"]
+    run(Given((), cfg), lines.append)
+    assert [line.split(": already done")[0] for line in lines[1:]] == list(NAMES)
     shutil.rmtree(data)
     write_photographs(data, ALL["far"])
     with pytest.raises(ValueError, match="made from other data than .*, or normalised otherwise") as caught:
-        run(cfg, [], lines.append)
+        run(Given((), cfg), lines.append)
     assert "\n" not in str(caught.value)
 
 
@@ -175,4 +190,4 @@ def test_the_frame_is_part_of_what_a_run_is_made_from(tmp_path: Path) -> None:
     data = prepare(cfg, lambda line: None)
     other = replace(data, canonical=replace(data.canonical, scale=2.0))
     usual = replace(data, canonical=type(data.canonical)())
-    assert len({stage_inputs(cfg, one)["init"] for one in (data, other, usual)}) == 3
+    assert len({data_hash(one) for one in (data, other, usual)}) == 3
