@@ -30,7 +30,7 @@ LONGEST_S = 120  # of a command
 # region, after which a fork hangs.
 FORKING = multiprocessing.get_context("forkserver")
 FORKING.set_forkserver_preload(
-    ["pipeline.cli", "pipeline.stages", "datasets.plenoptic", "pipeline.studies.compression.__main__"]
+    ["pipeline.cli", "pipeline.stages.run", "pipeline.trained.open_run", "datasets.plenoptic"]
 )
 
 

@@ -84,8 +84,8 @@ def test_metrics(finished: Path) -> None:
         "model_with_optimiser_mb",
         "iterations",
         "scene",
-        "ablation",
-        "train",
+        "model",
+        "recipe",
         "seed",
     } <= set(metrics)
     assert (metrics["scene"], metrics["model"], metrics["recipe"], metrics["seed"]) == (
@@ -169,20 +169,6 @@ def test_another_run_in_the_same_folder_is_refused(finished: Path, shell: Shell)
     _, err = shell(*TINY, "train.batch=1", status=1)
     assert err.count("\n") == 1
     assert "holds another run, with train.batch=2 but this command has 1" in err and "resume=false" in err
-
-
-def test_a_run_of_before_a_key_was_added_is_continued(finished: Path, shell: Shell) -> None:
-    """Its config.yaml lacks the key: the default is what it was run with."""
-    config = finished / "config.yaml"
-    before = config.read_text()
-    tree = yaml.safe_load(before)
-    del tree["init"]["lidar_velocities"], tree["scene"]["sky_masks"]
-    config.write_text(yaml.safe_dump(tree))
-    try:
-        out, _ = shell(*TINY)
-    finally:
-        config.write_text(before)
-    assert "train: already done" in out
 
 
 def test_other_data_in_the_same_folder_is_refused(finished: Path, shell: Shell) -> None:
