@@ -72,19 +72,6 @@ class Point:
     rounding: Errors  # against the reference with the same thresholds
 
 
-class ReferenceRenderings:
-    """Renderings of one workload by the float64 reference implementation, each computed once."""
-
-    def __init__(self, workload: Workload) -> None:
-        self.workload, self.d_color = workload, workload.image_gradient()
-        self._renderings: dict[Thresholds, Rendered] = {}
-
-    def __call__(self, thresholds: Thresholds) -> Rendered:
-        if thresholds not in self._renderings:
-            self._renderings[thresholds] = render_reference(self.workload, self.d_color, thresholds)
-        return self._renderings[thresholds]
-
-
 @dataclass(frozen=True)
 class _FrameInput:
     """Arguments of a frame in the floating-point type of its kernel."""
@@ -168,22 +155,23 @@ def measure(
 
     Errors are measured on `crop`, times on `workload`.
     """
-    references, found = ReferenceRenderings(crop), {}
+    d_color, found = crop.image_gradient(), {}
+    reference = cache(lambda thresholds: render_reference(crop, d_color, thresholds))
     for variant in variants:
         log(f"errors: {variant.name}")
-        found[variant] = render_kernel(kernels[variant.name], crop, references.d_color)
+        found[variant] = render_kernel(kernels[variant.name], crop, d_color)
     log("times")
     times = time_kernels(kernels, workload, rounds)
     points = []
     for variant, rendered in found.items():
         thresholds = variant.choices.thresholds()
         own = without_varied(thresholds, TRADES[variant.trade])
-        points.append(_point(variant, times[variant.name], rendered, references, thresholds, own))
+        points.append(_point(variant, times[variant.name], rendered, reference, thresholds, own))
     default = Thresholds()
-    single = render_reference(crop, references.d_color, default, torch.float32)
-    for name, rendered in (("float64", references(default)), ("float32", single)):
+    single = render_reference(crop, d_color, default, torch.float32)
+    for name, rendered in (("float64", reference(default)), ("float32", single)):
         variant = Variant(f"reference_{name}", "reference", f"reference implementation, {name}")
-        points.append(_point(variant, UNTIMED, rendered, references, default, default))
+        points.append(_point(variant, UNTIMED, rendered, reference, default, default))
     return points
 
 
@@ -198,7 +186,7 @@ def _point(
     variant: Variant,
     timing: Timing,
     rendered: Rendered,
-    references: ReferenceRenderings,
+    reference: Callable[[Thresholds], Rendered],
     same: Thresholds,
     own: Thresholds,
 ) -> Point:
@@ -207,7 +195,7 @@ def _point(
         variant.trade,
         variant.label,
         **vars(timing),
-        errors=Errors.of(rendered, references(Thresholds(0, 0, 0))),
-        own=Errors.of(rendered, references(own)),
-        rounding=Errors.of(rendered, references(same)),
+        errors=Errors.of(rendered, reference(Thresholds(0, 0, 0))),
+        own=Errors.of(rendered, reference(own)),
+        rounding=Errors.of(rendered, reference(same)),
     )

@@ -15,7 +15,6 @@ import json
 import socket
 import sys
 import threading
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -158,29 +157,27 @@ class LiveServer:
                 _write(request, ": nothing new\n\n")  # a closed page is noticed by writing
 
 
-def _listening(address: Address, handler: type[BaseHTTPRequestHandler]) -> ThreadingHTTPServer:
-    ports = [0] if address.port == 0 else range(address.port, min(address.port + PORTS_TRIED, 65536))
-    server: Callable[..., ThreadingHTTPServer] = _server_class(address)
-    for port in ports:
+class _Server(ThreadingHTTPServer):
+    daemon_threads = True  # an open page does not keep the run from ending
+
+    def __init__(self, address: Address, port: int, handler: type[BaseHTTPRequestHandler]) -> None:
+        self.address_family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
+        super().__init__((address.host, port), handler)
+
+    def handle_error(self, request: object, client_address: object) -> None:
+        """Nothing for a page that was closed, as the terminal is the run's."""
+        if not isinstance(sys.exception(), ConnectionError):
+            super().handle_error(request, client_address)  # type: ignore[arg-type]
+
+
+def _listening(address: Address, handler: type[BaseHTTPRequestHandler]) -> _Server:
+    for port in [0] if address.port == 0 else range(address.port, min(address.port + PORTS_TRIED, 65536)):
         try:
-            return server((address.host, port), handler)
+            return _Server(address, port, handler)
         except OSError as error:
             if error.errno != errno.EADDRINUSE:
                 raise OSError(f"{address}: expected an address of this machine, found {error.strerror}") from None
     raise OSError(f"{address}: expected a free port among the next {PORTS_TRIED}, found all taken")
-
-
-def _server_class(address: Address) -> type[ThreadingHTTPServer]:
-    class Server(ThreadingHTTPServer):
-        address_family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
-        daemon_threads = True  # an open page does not keep the run from ending
-
-        def handle_error(self, request: object, client_address: object) -> None:
-            """Nothing for a page that was closed, as the terminal is the run's."""
-            if not isinstance(sys.exception(), ConnectionError):
-                super().handle_error(request, client_address)  # type: ignore[arg-type]
-
-    return Server
 
 
 def _after(query: str) -> int:
