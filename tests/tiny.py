@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +19,8 @@ from pipeline.config.train_schema import DensifyConfig, TrainConfig
 from pipeline.model.initialise import initialise
 from pipeline.model.model import Model, ModelKind
 from pipeline.training import schedule, state
-from pipeline.training.loop import Progress, TrainResult, train
+from pipeline.training.loop import TrainResult, train
+from pipeline.training.reporting import Observer, Progress
 from rasterizer import Camera
 
 SIZE = 32
@@ -90,7 +91,7 @@ def random_model(kind: ModelKind, count: int = 7) -> Model:
 
 
 class TinyRun:
-    """A minimal pipeline.training.run_log.RunLog."""
+    """A minimal pipeline.training.reporting.RunLog."""
 
     def __init__(self, path: Path) -> None:
         path.mkdir(parents=True, exist_ok=True)
@@ -124,10 +125,12 @@ def fake_evaluate(model: Model, progress: Progress) -> dict:
     return {"psnr": model.parameters["mean"].double().square().mean().item(), "ssim": 0.5, "test_loss": 0.1}
 
 
-def train_tiny(path: Path, cfg: Config | None = None, scene: Scene | None = None) -> TrainResult:
+def train_tiny(
+    path: Path, cfg: Config | None = None, scene: Scene | None = None, observers: Sequence[Observer] = ()
+) -> TrainResult:
     cfg, scene = cfg or tiny_config(), scene or tiny_scene()
     model = initialise(scene, cfg, np.random.default_rng(cfg.seed))
-    return train(model, scene, cfg, TinyRun(path), fake_evaluate)
+    return train(model, scene, cfg, TinyRun(path), fake_evaluate, observers=observers)
 
 
 @contextmanager

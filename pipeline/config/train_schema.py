@@ -59,7 +59,7 @@ class DensifyConfig:
     # Gaussians of which less than this share reaches the camera in every training view, because others hide them, are
     # pruned (pipeline/training/density/visibility_pruning.py); 0: none
     prune_hidden: float = 0.0
-    # Gaussians added where and when the error is (pipeline/training/density/error_sampling.py): at most so many
+    # Gaussians added where and when the error is (pipeline/training/density/error_guided.py): at most so many
     error_points: int = 0
     error_points_share: float = 1.0  # and at most this × the number that there are
     error_points_every: int = 500  # iterations between such additions
@@ -96,7 +96,7 @@ class ResolutionStep:
 
 @dataclass
 class RegularizationConfig:
-    """Weights of the regularization terms (pipeline/training/objective/regularization.py). 0: none.
+    """Weights of the regularization terms (pipeline/training/objective/model_terms.py). 0: none.
 
     Those of motion and opacity are × the share of the training images that is not background.
     """
@@ -105,10 +105,10 @@ class RegularizationConfig:
     opacity: float = 0.0  # towards transparency: × mean opacity
     reference_views: float = 0.0  # `motion` and `opacity` are × this / number of training views; 0: they are as given
     opacity_views: float = 0.0  # one camera: `opacity` is weaker where more views than this share a lifetime; 0: never
-    rigid: float = 0.0  # towards neighbours that move alike (rigid_loss.py)
+    rigid: float = 0.0  # towards neighbours that move alike
     rigid_released: bool = False  # the rigid loss in the form of the released program, the same for all views
     still_lifetime: float = 0.0  # Gaussians of a larger st do not move (still_gaussians.py); × duration; 0: all may
-    flow: float = 0.0  # towards the optical flow measured in videos: × mean error, image widths (flow_loss.py)
+    flow: float = 0.0  # towards the optical flow measured in videos: × mean error, image widths
 
     def __post_init__(self) -> None:
         weights = {f.name: at_least(0).but("0: none") for f in fields(self) if f.name != "rigid_released"}
@@ -117,7 +117,7 @@ class RegularizationConfig:
 
 @dataclass
 class DepthConfig:
-    """Weights of the losses on depth and sky (pipeline/training/objective/depth_loss.py). 0: none."""
+    """Weights of the losses on depth and sky (pipeline/training/objective/image_terms.py). 0: none."""
 
     lidar: float = 1.0  # of the inverse depth at LiDAR pixels, scene units; 0.1 in the authors' code (docs/urban.md)
     sfm: float = 0.0  # the same at the points of structure from motion, of scenes that start from them

@@ -7,8 +7,9 @@ Training and evaluation both render through here. Without an environment map the
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
+import torch
 from torch import Tensor
 
 from pipeline.model.model import Model
@@ -31,6 +32,37 @@ class Rendered:
     flow: Tensor | None = None  # (2, H, W) pixels; None unless requested
     alpha: Tensor | None = None  # (1, H, W) of the Gaussians; None unless requested
     depth: Tensor | None = None  # (1, H, W) Σ w z of the Gaussians; None unless requested
+
+
+@dataclass(frozen=True)
+class ImageGradient:
+    """A loss, and its gradients by what `render` returned, of the same shapes; None: zero."""
+
+    loss: float = 0.0
+    image: Tensor | None = None
+    flow: Tensor | None = None
+    alpha: Tensor | None = None  # besides that by the image
+    depth: Tensor | None = None
+
+    def __add__(self, other: ImageGradient) -> ImageGradient:
+        pairs = {name: (tensor, getattr(other, name)) for name, tensor in self._tensors().items()}
+        sums = {name: a if b is None else b if a is None else a + b for name, (a, b) in pairs.items()}
+        return ImageGradient(self.loss + other.loss, **sums)
+
+    def over(self, views: int) -> ImageGradient:
+        """The gradients of the mean over a batch of `views` views; the loss stays that of this view."""
+        divided = {name: None if tensor is None else tensor / views for name, tensor in self._tensors().items()}
+        return ImageGradient(self.loss, **divided)
+
+    def inside(self, mask: Tensor) -> ImageGradient:
+        """Zero gradients for the pixels outside `mask`, (H, W) bool."""
+        masked = {
+            n: None if tensor is None else torch.where(mask, tensor, 0.0) for n, tensor in self._tensors().items()
+        }
+        return ImageGradient(self.loss, **masked)
+
+    def _tensors(self) -> dict[str, Tensor | None]:
+        return {f.name: getattr(self, f.name) for f in fields(self) if f.name != "loss"}
 
 
 def render_image(rasterizer: Rasterizer, model: Model, request: Request) -> Tensor:
@@ -63,20 +95,16 @@ def backward(
     rasterizer: Rasterizer,
     model: Model,
     rendered: Rendered,  # by the last `render` with this rasterizer and model
-    d_image: Tensor,  # (3, H, W) ∂L/∂image
+    found: ImageGradient,
     gradients: Gradients,
     d_environment_map: Tensor | None = None,  # of the map's image; None: the map is not trained
-    d_flow: Tensor | None = None,  # (2, H, W) ∂L/∂flow; None: zero
-    d_alpha: Tensor | None = None,  # (1, H, W) ∂L/∂alpha besides that by the image; None: zero
-    d_depth: Tensor | None = None,  # (1, H, W) ∂L/∂depth; None: zero
 ) -> ViewGradient:
     """Add ∂L/∂parameters to `gradients` and ∂L/∂environment map to `d_environment_map`, both in place."""
-    composite = rendered.composite
-    if composite is None:
-        return rasterizer.backward(gradients, d_color=d_image, d_alpha=d_alpha, d_depth=d_depth, d_flow=d_flow)
-    if d_environment_map is not None:
-        assert model.environment_map is not None
-        model.environment_map.add_gradient(d_environment_map, composite.grid, (1 - composite.alpha) * d_image)
-    by_image = -(d_image * composite.colors).sum(dim=0, keepdim=True)
-    d_alpha = by_image if d_alpha is None else by_image + d_alpha
-    return rasterizer.backward(gradients, d_color=d_image, d_alpha=d_alpha, d_depth=d_depth, d_flow=d_flow)
+    composite, d_alpha = rendered.composite, found.alpha
+    if composite is not None and found.image is not None:
+        if d_environment_map is not None:
+            assert model.environment_map is not None
+            model.environment_map.add_gradient(d_environment_map, composite.grid, (1 - composite.alpha) * found.image)
+        by_image = -(found.image * composite.colors).sum(dim=0, keepdim=True)
+        d_alpha = by_image if d_alpha is None else by_image + d_alpha
+    return rasterizer.backward(gradients, d_color=found.image, d_alpha=d_alpha, d_depth=found.depth, d_flow=found.flow)

@@ -25,9 +25,10 @@ from pipeline.data.sfm.reconstruction import Reconstruction
 from pipeline.evaluation.quick_evaluate import held_out_psnr
 from pipeline.model.initialise import initialise
 from pipeline.model.model import Model, kind_of
+from pipeline.stages.training_progress import TrainingProgress
 from pipeline.training import schedule
-from pipeline.training.loop import Progress, train
-from pipeline.training.run_log import temporary_run
+from pipeline.training.loop import train
+from pipeline.training.reporting import Progress, temporary_run
 from rasterizer.cores import thread_count
 
 VALIDATION_EVERY = 4  # every fourth pose is a validation pose
@@ -177,8 +178,8 @@ def trained_psnr(split: Scene, cfg: Config, cloud: Reconstruction | None) -> np.
         return {"psnr": float(held_out_psnr(model, split, cfg, threads).mean())}
 
     initial = initialise(split, cfg, stream(cfg.seed, Stream.INIT), cloud)
-    with temporary_run() as run:
-        model = train(initial, split, cfg, run, evaluate_fn).model
+    with temporary_run() as run, TrainingProgress(cfg.train.iterations, None) as bar:
+        model = train(initial, split, cfg, run, evaluate_fn, observers=[bar]).model
     return held_out_psnr(model, split, cfg, threads)
 
 

@@ -23,8 +23,10 @@ from pipeline.model.velocities import in_rotations
 from pipeline.runs.provenance import peak_memory_mb, reset_peak_memory
 from pipeline.runs.run_folder import RunFolder, now, write_csv
 from pipeline.stages.settle import changes, decide
+from pipeline.stages.training_progress import TrainingProgress
 from pipeline.training import checkpoint as checkpoints
-from pipeline.training.loop import Progress, TrainResult, train
+from pipeline.training.loop import TrainResult, train
+from pipeline.training.reporting import Observer, Progress
 from pipeline.view.live.feed import Feed, TrainingView
 from pipeline.view.live.server import LiveServer, address_of
 from pipeline.view.viewer import Shown, live_page, write_viewer
@@ -93,17 +95,16 @@ def train_model(job: Job) -> dict:
         found = quick_evaluate(model, scene, cfg, rasterizer, moving)
         row = {"iteration": progress.iteration, **found, "peak_rss_mb": peak_memory_mb()}
         folder.log({"event": "evaluate", **row})
-        if watcher is not None:
-            watcher.held_out = found["psnr"]
         return found
 
     reset_peak_memory()
     initial = load_ply(folder.init_ply)
     count, before = len(initial), folder.values_of("settle")["seconds"]
-    with _live_view(cfg, job) as watcher:
-        result = train(initial, scene, cfg, folder, evaluate_fn, start_seconds=before, watcher=watcher)
-        if watcher is not None:
-            watcher.see_last(result.model, result.iteration)
+    with TrainingProgress(cfg.train.iterations, cfg.train.time_budget_s) as progress, _live_view(cfg, job) as live:
+        observers: list[Observer] = [progress] if live is None else [progress, live]
+        result = train(initial, scene, cfg, folder, evaluate_fn, before, observers)
+        if live is not None:
+            live.see_last(result.model, result.iteration)
     if warning := few_left(len(result.model), count):
         job.log(warning)
     return {

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import torch
@@ -17,17 +20,36 @@ from pipeline.model.velocities import in_velocities
 from pipeline.training import checkpoint as checkpoints
 from pipeline.training import finite_checks
 from pipeline.training.density.statistics import Statistics
-from pipeline.training.kernels import Kernels
 from pipeline.training.optimiser import Adam
-from pipeline.training.run_log import RunLog
+from pipeline.training.reporting import RunLog
 from pipeline.training.sampling import BatchSampler
 from pipeline.training.schedule import Phase, clock_at, phase
-from pipeline.training.stopwatch import Stopwatch
 from rasterizer import Gradients
 from rasterizer.cores import thread_count
 
 MAP_HEIGHT = 500  # rows of the environment map, as in the release; it has twice as many columns
 CUBE_MAP_RESOLUTION = 128  # texels along a side of the cube map's faces
+
+
+class Stopwatch:
+    """Training time in seconds: starts on creation, continued from a checkpoint, paused during evaluation."""
+
+    def __init__(self, seconds: float) -> None:
+        """seconds: the time before."""
+        self._before = seconds
+        self._since: float | None = time.perf_counter()
+
+    @property
+    def seconds(self) -> float:
+        return self._before if self._since is None else self._before + time.perf_counter() - self._since
+
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        self._before, self._since = self.seconds, None
+        try:
+            yield
+        finally:
+            self._since = time.perf_counter()
 
 
 @dataclass
@@ -40,7 +62,6 @@ class TrainState:
     sampler: BatchSampler
     split_rng: torch.Generator
     seed: int
-    kernels: Kernels
     gradients: Gradients  # buffer; sums over a batch
     stopwatch: Stopwatch
     iteration: int = 0
@@ -49,7 +70,7 @@ class TrainState:
 
     @property
     def threads(self) -> int:
-        return self.kernels.threads
+        return self.optimiser.threads
 
     def is_finished(self, cfg: TrainConfig) -> bool:
         budget = cfg.time_budget_s
@@ -105,7 +126,6 @@ def start(model: Model, scene: Scene, cfg: Config, run: RunLog, start_seconds: f
         BatchSampler(len(scene.train), cfg.train.batch, stream(cfg.seed, Stream.BATCHES)),
         split_stream(cfg.seed),
         cfg.seed,
-        Kernels(cfg.train.mse_weight, threads),
         Gradients.zeros_like(model.gaussians()),
         Stopwatch(start_seconds),
     )

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from pipeline.model.environment_map import EnvironmentMap
 from pipeline.model.model import Model
-from pipeline.model.render import backward, render, render_image
+from pipeline.model.render import ImageGradient, backward, render, render_image
 from rasterizer import Gaussians, Gradients, Rasterizer, Request
 from rasterizer.reference import rasterize as reference
 from rasterizer.reference.discontinuities import away_from_discontinuities, smooth_pixels
@@ -67,7 +67,7 @@ def test_the_gradient_equals_finite_differences_of_the_reference() -> None:
     model, rasterizer = model_of(gaussians, texels), Rasterizer(threads=1)
     gradients, d_environment_map = Gradients.zeros_like(model.gaussians()), torch.zeros(3, HEIGHT, 2 * HEIGHT)
     rendered = render(rasterizer, model, REQUEST)
-    backward(rasterizer, model, rendered, weights.to(torch.float32), gradients, d_environment_map)
+    backward(rasterizer, model, rendered, ImageGradient(image=weights.to(torch.float32)), gradients, d_environment_map)
     found = {**gradients.dense(), "sh": gradients.sh(), "environment_map": d_environment_map}
 
     tensors = {**gaussians.tensors(), "environment_map": texels}
@@ -99,7 +99,7 @@ def test_other_gradients_do_not_depend_on_training_the_environment_map() -> None
             rasterizer,
             model,
             render(rasterizer, model, REQUEST),
-            weights.to(torch.float32),
+            ImageGradient(image=weights.to(torch.float32)),
             found[-1],
             d_environment_map,
         )

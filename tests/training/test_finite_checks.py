@@ -7,21 +7,23 @@ import pytest
 from tiny import tiny_config, tiny_scene, train_tiny
 
 from pipeline.model.initialise import initialise
-from pipeline.training import checkpoint, finite_checks, step
+from pipeline.training import checkpoint, finite_checks
+from pipeline.training.objective.objective import Objective
+from rasterizer.loss import PhotometricLoss
 
 
 def insert_nan(monkeypatch, at_call: int, row: int) -> None:
     """The view of the `at_call`-th backward pass has a NaN in the gradient of the mean from then on."""
-    original, names = step.Batch.backward, []
+    original, names = Objective.backward, []
 
-    def backward(self, drawn, gradients):
-        view = original(self, drawn, gradients)
+    def backward(self, model, drawn, gradients, *rest):
+        view = original(self, model, drawn, gradients, *rest)
         names.append(drawn.target.name)
         if drawn.target.name == names[min(at_call, len(names) - 1)] and len(names) > at_call:
             gradients.mean[row, 1] = float("nan")
         return view
 
-    monkeypatch.setattr(step.Batch, "backward", backward)
+    monkeypatch.setattr(Objective, "backward", backward)
 
 
 def test_non_finite_gradient_names_iteration_view_and_gaussian(tmp_path, monkeypatch) -> None:
@@ -36,13 +38,13 @@ def test_non_finite_gradient_names_iteration_view_and_gaussian(tmp_path, monkeyp
 
 
 def test_non_finite_loss_names_iteration_and_view(tmp_path, monkeypatch) -> None:
-    original, calls = step.view_loss, []
+    original, calls = PhotometricLoss.__call__, []
 
-    def view_loss(criterion, image, *rest):
+    def loss(self, image, *rest, **named):
         calls.append(1)
-        return original(criterion, image * float("nan") if len(calls) == 6 else image, *rest)
+        return original(self, image * float("nan") if len(calls) == 6 else image, *rest, **named)
 
-    monkeypatch.setattr(step, "view_loss", view_loss)
+    monkeypatch.setattr(PhotometricLoss, "__call__", loss)
     with pytest.raises(
         finite_checks.NonFiniteError, match=r"iteration 3, view train/r_\d: expected a finite loss, found nan"
     ):

@@ -8,6 +8,7 @@ import pytest
 import torch
 from tiny import tiny_config, train_tiny
 
+from pipeline.stages.training_progress import TrainingProgress
 from pipeline.terminal import interruption
 
 
@@ -27,7 +28,7 @@ def test_an_interrupt_during_a_conversion_is_not_lost(tmp_path, monkeypatch) -> 
     try:
         interruption.watch()
         with pytest.raises(KeyboardInterrupt):
-            train_tiny(tmp_path, tiny_config(10))
+            train_tiny(tmp_path, tiny_config(10), observers=[TrainingProgress(10, None)])
     finally:
         signal.signal(signal.SIGINT, before)
     assert calls > 5  # it was lost once: conversions went on

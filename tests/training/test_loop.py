@@ -20,6 +20,8 @@ from pipeline.model.initialise import initialise
 from pipeline.model.model import Model
 from pipeline.training import checkpoint, finite_checks, loop, step
 from pipeline.training.loop import train
+from pipeline.training.objective import objective
+from pipeline.training.objective.objective import Objective
 from pipeline.training.state import start
 
 
@@ -59,18 +61,18 @@ def uninterrupted(tmp_path_factory) -> Path:
 def batch_losses(path: Path, scene, cfg) -> list[float]:
     """Mean loss of the first and the last ten iterations."""
     losses: list[float] = []
-    original = step.Batch.backward
+    original = Objective.backward
 
-    def record(self, drawn, gradients):
-        view = original(self, drawn, gradients)
+    def record(self, *arguments):
+        view = original(self, *arguments)
         losses.append(view.loss)
         return view
 
-    step.Batch.backward = record
+    Objective.backward = record
     try:
         train_tiny(path, cfg, scene)
     finally:
-        step.Batch.backward = original
+        Objective.backward = original
     tenth = 10 * cfg.train.batch
     return [float(np.mean(losses[:tenth])), float(np.mean(losses[-tenth:]))]
 
@@ -244,7 +246,7 @@ def test_evaluation_is_not_training_time(tmp_path) -> None:
 
 
 def test_the_log_counts_gaussians_before_densification(tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(loop, "PROGRESS_EVERY", 1)
+    monkeypatch.setattr(loop, "REPORT_EVERY", 1)
     monkeypatch.setattr(loop, "LOG_EVERY", 1)
     train_tiny(tmp_path)
     rows = TinyRun(tmp_path).rows("log.jsonl")
@@ -256,7 +258,7 @@ def test_the_log_counts_gaussians_before_densification(tmp_path, monkeypatch) ->
 
 
 def test_pixels_outside_a_mask_have_no_gradient(tmp_path) -> None:
-    """Not even those within SSIM's window of pixels that count: Gaussians seen only there stay as they are."""
+    """Not even those within SSIM's window of valid pixels: Gaussians seen only there stay as they are."""
     scene, cfg = tiny_scene(2), tiny_config(4)
     mask = np.zeros((32, 32), bool)
     mask[:, 16:] = True
@@ -265,18 +267,17 @@ def test_pixels_outside_a_mask_have_no_gradient(tmp_path) -> None:
     state = start(model, scene, cfg, TinyRun(tmp_path))
     phase = state.begin_iteration(scene, cfg)
     found = []
-    original = step.backward
+    original = objective.backward
 
-    def record(rasterizer, model, rendered, d_image, *rest):
-        found.append(d_image.clone())
-        return original(rasterizer, model, rendered, d_image, *rest)
+    def record(rasterizer, model, rendered, gradient, *rest):
+        found.append(gradient.image.clone())
+        return original(rasterizer, model, rendered, gradient, *rest)
 
-    step.backward = record
+    objective.backward = record
     try:
-        step.render_batch(
-            state, step.draw_batch(state, TrainingViews(scene.train), phase, scene, cfg), phase, scene, cfg
-        )
+        drawn = step.draw_batch(state, TrainingViews(scene.train), phase, scene, cfg)
+        step.render_batch(state, drawn, phase, Objective(scene, cfg, 1), scene, cfg)
     finally:
-        step.backward = original
+        objective.backward = original
     for gradient in found:
         assert not gradient[:, :, :16].any() and gradient[:, :, 16:].any()

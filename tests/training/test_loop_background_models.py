@@ -17,10 +17,10 @@ from pipeline.data.training_views import target_of
 from pipeline.model.environment_map import EnvironmentMap
 from pipeline.model.initialise import initialise
 from pipeline.training import checkpoint, finite_checks, schedule, state
-from pipeline.training.kernels import Kernels
+from pipeline.training.objective.objective import Objective
+from pipeline.training.objective.terms import DrawnView
 from pipeline.training.schedule import phase
 from pipeline.training.state import start
-from pipeline.training.step import Batch, DrawnView
 from rasterizer import Gradients
 
 BACKGROUND_MODELS = ("sphere", "envmap")
@@ -143,9 +143,9 @@ def test_the_near_plane_is_in_the_scenes_unit(unit: float, visible: bool) -> Non
     """0.2 units are 0.2 or 20 in the world; all Gaussians are nearer than 20."""
     scene, cfg = replace(tiny_scene(), unit=unit), tiny_config()
     model = initialise(scene, cfg, np.random.default_rng(0))
-    batch = Batch(model, scene, cfg, Kernels(0.0, 1), phase(1.0, cfg.train, scene.extent, 3, 2), 1)
-    view = batch.backward(DrawnView(target_of(scene.train[0], 1.0)), Gradients.zeros_like(model.gaussians()))
-    assert (len(view.gradient.visible) > 0) == visible
+    view = DrawnView(target_of(scene.train[0], 1.0), phase(1.0, cfg.train, scene.extent, 3, 2))
+    rendered = Objective(scene, cfg, 1).backward(model, view, Gradients.zeros_like(model.gaussians()))
+    assert (len(rendered.gradient.visible) > 0) == visible
 
 
 def test_a_trained_models_map_is_kept(tmp_path) -> None:

@@ -18,6 +18,7 @@ from viewed import opened, viewed_model, viewed_scene
 
 from pipeline.model.initialise import initialise
 from pipeline.training.loop import train
+from pipeline.training.reporting import Progress, StepReport
 from pipeline.view.live.feed import Feed, TrainingView
 from pipeline.view.live.server import Address, LiveServer, address_of
 from pipeline.view.pack import pack
@@ -95,9 +96,9 @@ def test_a_foreign_address_is_named() -> None:
 
 def test_a_model_is_packed_only_when_a_page_waits(server: LiveServer) -> None:
     model, view = viewed_model("full", count=20), TrainingView(server.feed, viewed_scene(), 100)
-    view.see(model, 10, 0.5, 20.0)
+    view.step(model, StepReport(10, 1.0, 0.5, 20.0, 20, 20.0))
     assert server.feed.model_after(-1, 0) is None  # nobody had asked; now somebody has
-    view.see(model, 20, 0.4, 21.0)
+    view.step(model, StepReport(20, 1.0, 0.4, 21.0, 20, 20.0))
     status, message = get(server, "/model?after=-1")
     assert status == 200
     length = int.from_bytes(message[:4], "little")
@@ -105,7 +106,7 @@ def test_a_model_is_packed_only_when_a_page_waits(server: LiveServer) -> None:
     assert (header["iteration"], header["trained"]) == (20, 20)
     assert zlib.decompress(message[4 + length :]) == zlib.decompress(pack(model, viewed_scene()).data)
     server.feed.model_after(20, 0)
-    view.see(model, 30, 0.3, 22.0)  # sooner than SECONDS: not yet
+    view.step(model, StepReport(30, 1.0, 0.3, 22.0, 20, 20.0))  # sooner than SECONDS: not yet
     assert server.feed.model_after(20, 0) is None
     server.feed.end()
     assert get(server, "/model?after=20") == (204, b"")
@@ -113,8 +114,8 @@ def test_a_model_is_packed_only_when_a_page_waits(server: LiveServer) -> None:
 
 def test_events_tell_of_progress(server: LiveServer) -> None:
     view = TrainingView(server.feed, viewed_scene(), 100)
-    view.held_out = 19.5
-    view.see(viewed_model("full", count=20), 10, 0.5, 20.0)
+    view.evaluated(viewed_model("full", count=20), Progress(5, 1.0), {"psnr": 19.5})
+    view.step(viewed_model("full", count=20), StepReport(10, 1.0, 0.5, 20.0, 20, 20.0))
     server.feed.end()
     text = get(server, "/events")[1].decode()
     assert text.startswith("event: progress\ndata: ") and text.endswith("event: end\ndata: {}\n\n")
@@ -127,7 +128,7 @@ def test_events_tell_of_progress(server: LiveServer) -> None:
 def trained(path: Path, view: TrainingView | None) -> dict:
     cfg, scene = tiny_config(), tiny_scene()
     model = initialise(scene, cfg, np.random.default_rng(0))
-    return train(model, scene, cfg, TinyRun(path), fake_evaluate, watcher=view).model.parameters
+    return train(model, scene, cfg, TinyRun(path), fake_evaluate, observers=[view] if view else []).model.parameters
 
 
 def test_training_is_the_same_to_the_bit(tmp_path: Path) -> None:
@@ -158,7 +159,7 @@ def test_the_page_follows_training(browser: Browser) -> None:
             if stop.wait(0.05):
                 return
             view._next = 0.0  # a test does not wait SECONDS
-            view.see(viewed_model("full", count=40), iteration, 1 / iteration, 20.0)
+            view.step(viewed_model("full", count=40), StepReport(iteration, 1.0, 1 / iteration, 20.0, 20, 20.0))
 
     with LiveServer(ANY_PORT, live_page("full", scene, tiny_config()), feed) as server:
         training = threading.Thread(target=train_slowly)

@@ -20,7 +20,7 @@ from pipeline.model.model import GLOBAL_TENSORS, Model
 from pipeline.trained.open_run import TrainedRun
 from pipeline.training.density.sensitivity_pruning import image_sensitivity
 from pipeline.training.loop import EvaluateFn, train
-from pipeline.training.run_log import temporary_run
+from pipeline.training.reporting import temporary_run
 from pipeline.training.state import save, start
 from rasterizer import Rasterizer
 from rasterizer.cores import thread_count

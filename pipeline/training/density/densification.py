@@ -8,7 +8,7 @@ around the scene follow the rules in model/sphere.py.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import torch
 import torch.nn.functional as F
@@ -18,6 +18,8 @@ from pipeline.config.train_schema import DensifyConfig
 from pipeline.model.model import Model
 from pipeline.training.density.statistics import Statistics
 from pipeline.training.optimiser import Adam
+from pipeline.training.schedule import Phase
+from pipeline.training.state import TrainState
 from rasterizer.covariance import scaled_axes
 
 TIME_GRADIENT = 1e-4  # ours: threshold of the temporal indicator |∂L/∂μt|, time in units of the duration
@@ -48,16 +50,41 @@ class Densified:
     cloned: int
     split: int
     pruned: int
-    total: int
 
 
-def due(iteration: int, clock: float, cfg: DensifyConfig) -> bool:
-    """Whether the Gaussians are densified after `iteration`. clock: position in the schedule (schedule.py)."""
-    return cfg.start < iteration and clock < cfg.stop and iteration % cfg.every == 0
+@dataclass(frozen=True)
+class Densification:
+    """Cloning, splitting and pruning, every `train.densify.every` iterations."""
+
+    rules: DensifyConfig
+    extent: float  # of the scene, world units
+    time_split: bool  # whether splits sample time, too
+    event = "densify"
+
+    def due(self, iteration: int, clock: float) -> bool:
+        return self.rules.start < iteration and clock < self.rules.stop and iteration % self.rules.every == 0
+
+    def apply(self, state: TrainState, phase: Phase) -> dict[str, int]:
+        done = densify(
+            state.optimiser, state.statistics, phase.clock, self.rules, self.extent,
+            self.time_split, state.split_rng, phase.sphere,
+        )  # fmt: skip
+        state.reset_statistics()
+        return asdict(done)
 
 
-def opacity_reset_due(iteration: int, clock: float, cfg: DensifyConfig) -> bool:
-    return cfg.opacity_reset_every > 0 and clock < cfg.stop and iteration % cfg.opacity_reset_every == 0
+@dataclass(frozen=True)
+class OpacityReset:
+    rules: DensifyConfig
+    event = "reset_opacity"
+
+    def due(self, iteration: int, clock: float) -> bool:
+        every = self.rules.opacity_reset_every
+        return every > 0 and clock < self.rules.stop and iteration % every == 0
+
+    def apply(self, state: TrainState, phase: Phase) -> dict[str, int]:
+        reset_opacity(state.optimiser, phase.sphere)
+        return {}
 
 
 def choose_growth(model: Model, statistics: Statistics, cfg: DensifyConfig, extent: float, time_split: bool) -> Growth:
@@ -149,8 +176,7 @@ def densify(
 ) -> Densified:
     """Clone, split, then prune the optimiser's model. `statistics` are invalid afterwards.
 
-    New order: unsplit Gaussians, clones, children of splits. A pruning of all Gaussians but the sphere is
-    skipped, because an empty model cannot recover.
+    New order: unsplit Gaussians, clones, children of splits.
     """
     model = optimiser.model
     growth = choose_growth(model, statistics, cfg, extent, time_split)
@@ -169,19 +195,19 @@ def densify(
     optimiser.keep(~growth.split)
     optimiser.append({name: torch.cat([clones[name], children[name]]) for name in clones})
 
-    prune = to_prune(model, clock, cfg, extent, train_sphere)
-    pruned = int(prune.sum())
-    if pruned and leaves_some(model, prune):
-        optimiser.keep(~prune)
-    else:
-        pruned = 0
-    return Densified(int(growth.clone.sum()), int(growth.split.sum()), pruned, len(model))
+    pruned = remove(optimiser, to_prune(model, clock, cfg, extent, train_sphere))
+    return Densified(int(growth.clone.sum()), int(growth.split.sum()), pruned)
 
 
-def leaves_some(model: Model, pruned: Tensor) -> bool:
-    """Whether a Gaussian that is not of the sphere around the scene is left without those `pruned`, (N,) bool."""
-    kept = ~pruned if model.sphere is None else ~pruned & ~model.sphere
-    return bool(kept.any())
+def remove(optimiser: Adam, chosen: Tensor) -> int:
+    """Remove the Gaussians `chosen`, (N,) bool, and return how many; none if only the sphere around the scene would be
+    left, because an empty model cannot recover."""
+    sphere = optimiser.model.sphere
+    kept = ~chosen if sphere is None else ~chosen & ~sphere
+    if not chosen.any() or not kept.any():
+        return 0
+    optimiser.keep(~chosen)
+    return int(chosen.sum())
 
 
 def reset_opacity(optimiser: Adam, train_sphere: bool = True) -> None:

@@ -12,24 +12,49 @@ sample per view is enough.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from datasets.scene import Scene, View
+from pipeline.config.random_streams import Stream, stream
 from pipeline.config.schema import Config
 from pipeline.config.train_schema import TrainConfig
 from pipeline.data.training_views import camera_at, evenly_spaced
 from pipeline.model.model import Model
-from pipeline.model.render import backward, render
-from pipeline.training.density.densification import leaves_some
+from pipeline.model.render import ImageGradient, backward, render
+from pipeline.training.density.densification import remove
 from pipeline.training.optimiser import Adam
+from pipeline.training.schedule import Phase
+from pipeline.training.state import TrainState
 from rasterizer import Gradients, Rasterizer, Request
 
 MAX_VIEWS = 400  # scoring views, where several cameras see each time
 OPAQUE = 0.98  # a higher opacity counts as this: at α = 0.99 blending is clamped and has no derivative
+
+
+class SensitivityPruning:
+    event = "prune_sensitivity"
+
+    def __init__(self, scene: Scene, cfg: Config, views: Sequence[View]) -> None:
+        """views: the scoring views."""
+        self._scene, self._cfg, self._views = scene, cfg, views
+        self._share = cfg.train.densify.prune_sensitivity
+
+    def due(self, iteration: int, clock: float) -> bool:
+        return self._share > 0 and scheduled(iteration, clock, self._cfg.train)
+
+    def apply(self, state: TrainState, phase: Phase) -> dict[str, int]:
+        rng = stream(state.seed, Stream.SENSITIVITY, state.iteration)
+        sensitivity = image_sensitivity(
+            state.model, self._views, self._scene, self._cfg, phase.resolution, rng, state.threads
+        )
+        all_scored = len(self._views) == len(self._scene.train)
+        pruned = prune_by_sensitivity(state.optimiser, sensitivity, self._share, all_scored)
+        state.reset_statistics()
+        return {"pruned": pruned}
 
 
 def image_sensitivity(
@@ -62,7 +87,7 @@ def image_sensitivity(
         rendered = render(rasterizer, clamped, request)
         signs = 2.0 * torch.from_numpy(rng.integers(0, 2, tuple(rendered.image.shape), dtype=np.int8)) - 1.0
         gradients.zero_(threads)
-        rows = backward(rasterizer, clamped, rendered, signs, gradients).visible.long()
+        rows = backward(rasterizer, clamped, rendered, ImageGradient(image=signs), gradients).visible.long()
         # ∂/∂logit = o (1 - o) ∂/∂o
         change.index_add_(0, rows, (gradients.opacity_logit[rows] / transparency[rows]).square())
     return change
@@ -85,10 +110,6 @@ def scoring_views(scene: Scene) -> list[View]:
     times = sorted(set(moments))
     chosen = {times[i] for i in evenly_spaced(len(times), max(1, MAX_VIEWS * len(times) // len(scene.train)))}
     return [view for view, moment in zip(scene.train, moments) if moment in chosen]
-
-
-def due(iteration: int, clock: float, cfg: TrainConfig) -> bool:
-    return cfg.densify.prune_sensitivity > 0 and scheduled(iteration, clock, cfg)
 
 
 def scheduled(iteration: int, clock: float, cfg: TrainConfig) -> bool:
@@ -123,7 +144,4 @@ def prune_by_sensitivity(optimiser: Adam, sensitivity: Tensor, share: float, all
     if model.sphere is not None:
         candidates &= ~model.sphere
     pruned = candidates & least_sensitive(sensitivity * candidates, share)
-    if not pruned.any() or not leaves_some(model, pruned):
-        return 0
-    optimiser.keep(~pruned)
-    return int(pruned.sum())
+    return remove(optimiser, pruned)

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from datasets.scene import Scene
 from pipeline.model.model import Model
 from pipeline.model.velocities import in_rotations
+from pipeline.training.reporting import Progress, StepReport
 from pipeline.view.pack import Packed, pack
 
 SECONDS = 3.0  # between models, at least
@@ -93,21 +94,26 @@ class Feed:
 
 
 class TrainingView:
-    """What training.loop calls while it trains."""
+    """Observes a training."""
 
     def __init__(self, feed: Feed, scene: Scene, iterations: int) -> None:
         self._feed, self._scene, self._iterations = feed, scene, iterations
-        self.held_out: float | None = None  # PSNR of the last evaluation
+        self._held_out: float | None = None  # PSNR of the last evaluation
         self._next = 0.0  # time.perf_counter() before which no model is packed
 
-    def see(self, model: Model, iteration: int, loss: float, psnr: float) -> None:
-        """Called every few iterations. The model is packed only while a page waits for one."""
+    def start(self, iteration: int) -> None: ...
+
+    def step(self, model: Model, report: StepReport) -> None:
+        """The model is packed only while a page waits for one."""
         self._feed.report({
-            "iteration": iteration, "iterations": self._iterations, "loss": loss, "psnr": psnr,
-            "held_out": self.held_out, "n_gaussians": len(model),
+            "iteration": report.iteration, "iterations": self._iterations, "loss": report.loss, "psnr": report.psnr,
+            "held_out": self._held_out, "n_gaussians": report.n_gaussians,
         })  # fmt: skip
         if self._feed.wanted and time.perf_counter() >= self._next:
-            self._pack(model, iteration)
+            self._pack(model, report.iteration)
+
+    def evaluated(self, model: Model, progress: Progress, metrics: dict) -> None:
+        self._held_out = metrics["psnr"]
 
     def see_last(self, model: Model, iteration: int) -> None:
         """The model that training ended with."""

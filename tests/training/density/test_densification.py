@@ -11,11 +11,11 @@ import torch
 from pipeline.config.train_schema import DensifyConfig
 from pipeline.model.model import Model, ModelKind
 from pipeline.training.density.densification import (
+    Densification,
+    OpacityReset,
     choose_growth,
     densify,
-    due,
     halved_opacity,
-    opacity_reset_due,
     reset_opacity,
     split_rows,
     to_prune,
@@ -184,7 +184,7 @@ def test_densify_clones_splits_prunes_and_updates_moments() -> None:
         True,
         torch.Generator().manual_seed(0),
     )
-    assert (done.cloned, done.split, done.pruned, done.total) == (1, 1, 1, 5)
+    assert (done.cloned, done.split, done.pruned, len(model)) == (1, 1, 1, 5)
     # parent 0, parent 3, the clone of 0, two children of 1
     assert torch.allclose(model.parameters["log_scale"][:, 0].exp(), torch.tensor([0.01, 0.03, 0.01, 0.125, 0.125]))
     assert torch.equal(model.parameters["mean"][:3, 0], torch.tensor([0.0, 3.0, 0.0]))
@@ -206,7 +206,7 @@ def test_with_split_by_cause_a_split_by_space_keeps_the_temporal_scale(by_cause:
 def test_a_pruning_of_all_gaussians_is_skipped() -> None:
     optimiser = Adam(model_of([0.01, 0.02], opacity=0.001))
     done = densify(optimiser, Statistics(2), 600, DensifyConfig(), EXTENT, True, torch.Generator())
-    assert done.total == 2 and done.pruned == 0
+    assert len(optimiser.model) == 2 and done.pruned == 0
 
 
 def test_opacity_reset_only_lowers_and_zeroes_moments() -> None:
@@ -275,9 +275,10 @@ def test_densification_and_opacity_reset_do_not_change_a_frozen_sphere() -> None
 
 def test_when_densification_and_opacity_resets_are_due() -> None:
     cfg = DensifyConfig()
-    assert [i for i in range(1, 16_000) if due(i, float(i), cfg)] == list(range(600, 15_000, 100))
-    assert [i for i in range(1, 31_000) if opacity_reset_due(i, float(i), cfg)] == [3000, 6000, 9000, 12_000]
-    assert not due(600, 15_000.0, cfg), "the clock of a time budget ends densification"
+    densification = Densification(cfg, EXTENT, time_split=True)
+    assert [i for i in range(1, 16_000) if densification.due(i, float(i))] == list(range(600, 15_000, 100))
+    assert [i for i in range(1, 31_000) if OpacityReset(cfg).due(i, float(i))] == [3000, 6000, 9000, 12_000]
+    assert not densification.due(600, 15_000.0), "the clock of a time budget ends densification"
 
 
 def test_corrected_clones_let_as_much_light_through_as_one() -> None:

@@ -17,7 +17,7 @@ from pipeline.model.initialise import initialise
 from pipeline.model.model import Model
 from pipeline.training.density.sensitivity_pruning import (
     MAX_VIEWS,
-    due,
+    SensitivityPruning,
     image_sensitivity,
     least_sensitive,
     prune_by_sensitivity,
@@ -221,14 +221,18 @@ def test_training_prunes_by_sensitivity(tmp_path):
     assert done[-1]["n_gaussians"] >= len(model)
 
 
+def pruning(cfg: TrainConfig) -> SensitivityPruning:
+    return SensitivityPruning(tiny_scene(), dataclasses.replace(tiny_config(), train=cfg), ())
+
+
 def test_when_pruning_is_due():
     rules = DensifyConfig(prune_sensitivity=0.01, prune_sensitivity_every=100, start=150, stop=300)
     cfg = TrainConfig(iterations=580, densify=rules)
     # Also after the last densification; not at 500, less than a period before the end.
-    assert [i for i in range(581) if due(i, i, cfg)] == [200, 300, 400]
+    assert [i for i in range(581) if pruning(cfg).due(i, i)] == [200, 300, 400]
     # A time budget that ends at half of the iterations: the clock goes by two. 200 is at 400 of 620, and a hundred
     # iterations are left; of 580 there are 90.
-    assert [i for i in range(291) if due(i, 2 * i, dataclasses.replace(cfg, iterations=620))] == [200]
-    assert not any(due(i, 2 * i, cfg) for i in range(291))
+    assert [i for i in range(291) if pruning(dataclasses.replace(cfg, iterations=620)).due(i, 2 * i)] == [200]
+    assert not any(pruning(cfg).due(i, 2 * i) for i in range(291))
     off = TrainConfig(densify=DensifyConfig(prune_sensitivity_every=1))
-    assert not any(due(i, i, off) for i in range(1000))  # by default
+    assert not any(pruning(off).due(i, i) for i in range(1000))  # by default

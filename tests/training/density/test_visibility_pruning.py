@@ -11,7 +11,13 @@ from tiny import TinyRun, tiny_config, tiny_scene, train_tiny
 
 from pipeline.model.initialise import initialise
 from pipeline.model.model import Model
-from pipeline.training.density.visibility_pruning import MIN_UNOCCLUDED, SCALE, due, prune_hidden, visibility
+from pipeline.training.density.visibility_pruning import (
+    MIN_UNOCCLUDED,
+    SCALE,
+    VisibilityPruning,
+    prune_hidden,
+    visibility,
+)
 from pipeline.training.optimiser import Adam
 from rasterizer import Request
 from rasterizer.reference.blend import blending_weights, pixel_centers, splat_alpha
@@ -92,7 +98,8 @@ def test_pruning_updates_moments_keeps_the_sphere_and_never_removes_all():
 
 def test_training_prunes_what_is_hidden(tmp_path):
     cfg = tiny_config(60)
-    assert not any(due(iteration, iteration, cfg) for iteration in range(61)), "off unless it is set"
+    off = VisibilityPruning(tiny_scene(), cfg, ())
+    assert not any(off.due(iteration, iteration) for iteration in range(61)), "off unless it is set"
     cfg.train.densify = dataclasses.replace(cfg.train.densify, prune_hidden=0.9, prune_sensitivity_every=20)
     train_tiny(tmp_path, cfg)
     events = [row for row in TinyRun(tmp_path).rows("log.jsonl") if row["event"] == "prune_hidden"]

@@ -9,7 +9,7 @@ import torch
 from builders import camera_looking_at, generator, random_gaussians
 
 from pipeline.data.lidar.depth_targets import SparseDepth, sparse
-from pipeline.training.objective.depth_loss import inverse_depth, sky_loss, sparse_depth_loss
+from pipeline.training.objective.image_terms import inverse_depth, sky_loss, sparse_depth_loss
 from rasterizer import Gradients, Rasterizer, Request
 from rasterizer.reference import rasterize as reference
 
@@ -50,8 +50,8 @@ def test_sparse_depth_loss_and_gradient() -> None:
     expected = written_out(*leaves, target)
     assert found.loss == pytest.approx(expected.item(), rel=1e-6)
     d_depth, d_alpha = torch.autograd.grad(expected, leaves)
-    torch.testing.assert_close(found.d_depth, d_depth, rtol=1e-6, atol=1e-12)
-    torch.testing.assert_close(found.d_alpha, d_alpha, rtol=1e-6, atol=1e-12)
+    torch.testing.assert_close(found.depth, d_depth, rtol=1e-6, atol=1e-12)
+    torch.testing.assert_close(found.alpha, d_alpha, rtol=1e-6, atol=1e-12)
 
 
 def test_sky_loss_and_gradient() -> None:
@@ -63,7 +63,7 @@ def test_sky_loss_and_gradient() -> None:
     rho = torch.where(shown, leaves[1] ** 2 / torch.where(shown, leaves[0], 1.0), 0.0)
     expected = (sky * 0.3 * rho).sum() / sky.sum()
     assert found.loss == pytest.approx(expected.item(), rel=1e-9)
-    for one, other in zip((found.d_depth, found.d_alpha), torch.autograd.grad(expected, leaves)):
+    for one, other in zip((found.depth, found.alpha), torch.autograd.grad(expected, leaves)):
         torch.testing.assert_close(one, other, rtol=1e-9, atol=1e-12)
 
 
@@ -75,7 +75,7 @@ def test_full_and_empty_pixels_are_finite() -> None:
         sparse_depth_loss(depth, alpha, SparseDepth(torch.arange(3), torch.full((3,), 0.5)), 1.0),
     ):
         assert np.isfinite(found.loss)
-        assert torch.isfinite(found.d_depth).all() and torch.isfinite(found.d_alpha).all()
+        assert torch.isfinite(found.depth).all() and torch.isfinite(found.alpha).all()
     rho, by_depth, by_alpha = inverse_depth(depth, alpha)
     assert rho[0, 0, 0] == by_depth[0, 0, 0] == by_alpha[0, 0, 0] == 0
 
@@ -97,7 +97,7 @@ def test_gradient_through_the_kernel_is_that_of_the_reference() -> None:
     out = rasterizer.render(gaussians, request)
     of_loss = sparse_depth_loss(out.depth, out.alpha, target, 1.0) + sky_loss(out.depth, out.alpha, sky, 0.3)
     found = Gradients.zeros_like(gaussians)
-    rasterizer.backward(found, d_alpha=of_loss.d_alpha, d_depth=of_loss.d_depth)
+    rasterizer.backward(found, d_alpha=of_loss.alpha, d_depth=of_loss.depth)
 
     precise = {name: tensor.clone().requires_grad_() for name, tensor in exact.tensors().items()}
     image = reference(type(gaussians)(**precise), camera, time=0.4, outputs=("alpha", "depth"))

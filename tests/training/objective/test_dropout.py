@@ -11,7 +11,7 @@ from tiny import TinyRun, random_model, tiny_config, tiny_scene, train_tiny
 from pipeline.data.training_views import TrainingViews
 from pipeline.model.initialise import initialise
 from pipeline.model.model import Model, ModelKind
-from pipeline.model.render import backward, render
+from pipeline.model.render import ImageGradient, backward, render
 from pipeline.training.objective.dropout import draw_dropped, short_lived, without
 from pipeline.training.state import start
 from pipeline.training.step import draw_batch
@@ -30,7 +30,7 @@ def test_the_view_is_that_of_a_model_without_them_and_so_are_the_gradients():
     for each in (without(model, dropped), smaller):
         rasterizer, gradients = Rasterizer(threads=1), Gradients.zeros_like(each.gaussians())
         rendered = render(rasterizer, each, request)
-        backward(rasterizer, each, rendered, d_image, gradients)
+        backward(rasterizer, each, rendered, ImageGradient(image=d_image), gradients)
         found.append((rendered.image, gradients))
     (image, gradients), (expected_image, expected) = found
     assert torch.equal(image, expected_image)

@@ -17,10 +17,11 @@ from pipeline.config.train_schema import RegularizationConfig
 from pipeline.data.optical_flow import FlowTargets
 from pipeline.data.training_views import TrainingViews
 from pipeline.model.model import Model
-from pipeline.training.kernels import Kernels
-from pipeline.training.objective.flow_loss import SOFTENING, flow_loss
+from pipeline.training.objective.image_terms import FLOW_SOFTENING as SOFTENING
+from pipeline.training.objective.image_terms import Photometric, flow_loss
+from pipeline.training.objective.objective import Objective
+from pipeline.training.objective.terms import DrawnView
 from pipeline.training.schedule import phase
-from pipeline.training.step import Batch, DrawnView
 from rasterizer import Gaussians, Gradients, Request
 from rasterizer.loss import PhotometricLoss
 from rasterizer.reference import rasterize as reference
@@ -63,8 +64,12 @@ def test_flow_over_a_background_is_compared_with_the_share_of_the_gaussians() ->
     assert flow_loss(10 * alpha * measured, measured, 1.0)[0] > 0.01
 
 
+def l1_alone(self: Photometric, mse_weight: float, threads: int) -> None:
+    self._criterion = PhotometricLoss(ssim_weight=0.0, threads=threads)
+
+
 @pytest.mark.parametrize("make_scene", [moving_plane, clip_past_a_plane])
-def test_the_gradient_of_a_batch_is_that_of_image_and_flow(make_scene: Callable[[], Scene]) -> None:
+def test_the_gradient_of_a_batch_is_that_of_image_and_flow(make_scene: Callable[[], Scene], monkeypatch) -> None:
     """One view by the kernel, against autograd through the float64 reference implementation."""
     scene, weight = make_scene(), 50.0
     cfg = tiny_config()
@@ -73,11 +78,9 @@ def test_the_gradient_of_a_batch_is_that_of_image_and_flow(make_scene: Callable[
     gaussians = random_gaussians(40, "full", torch.Generator().manual_seed(2))  # float64 of float32 values
     model = Model.from_gaussians(gaussians.to(torch.float32))
     target = TrainingViews(scene.train, FlowTargets(scene)).at(1, 1.0)
-    kernels = Kernels(0.0, 1)
-    kernels.criterion = PhotometricLoss(ssim_weight=0.0, threads=1)  # L1 alone
-    batch = Batch(model, scene, cfg, kernels, late, 1)
+    monkeypatch.setattr(Photometric, "__init__", l1_alone)
     gradients = Gradients.zeros_like(model.gaussians())
-    loss = batch.backward(DrawnView(target), gradients).loss
+    loss = Objective(scene, cfg, 1).backward(model, DrawnView(target, late), gradients).loss
 
     leaves = {name: tensor.clone().requires_grad_() for name, tensor in gaussians.tensors().items()}
     request = Request(

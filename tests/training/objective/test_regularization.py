@@ -10,15 +10,13 @@ import torch
 from builders import random_gaussians
 from tiny import tiny_scene
 
-from pipeline.config.train_schema import RegularizationConfig
+from pipeline.config.train_schema import RegularizationConfig, TrainConfig
+from pipeline.data.training_views import target_of
 from pipeline.model.model import Model
 from pipeline.model.tilt import tilt
-from pipeline.training.objective.regularization import (
-    TILT_SOFTENING,
-    add_regularization_gradients,
-    opacity_weight,
-    relative_to_data,
-)
+from pipeline.training.objective.model_terms import TILT_SOFTENING, model_terms, opacity_weight, relative_to_data
+from pipeline.training.objective.terms import DrawnView
+from pipeline.training.schedule import phase
 from rasterizer import Gradients
 
 SCENE = tiny_scene(views=51)  # one view at each of 51 times in one second
@@ -33,6 +31,16 @@ def model(motion: str = "full") -> Model:
     )
 
 
+def add_gradients(gradients: Gradients, model: Model, rules: RegularizationConfig) -> None:
+    """With the last view of a batch of two, and not with the first."""
+    target, at = target_of(SCENE.train[0], 1.0), phase(1.0, TrainConfig(), SCENE.extent, 3, 2)
+    for term in model_terms(rules, SCENE, threads=1):
+        before = {name: tensor.clone() for name, tensor in gradients.dense().items()}
+        assert term.add(gradients, model, DrawnView(target, at, batch=2, place=0)) == 0
+        assert all(torch.equal(before[name], tensor) for name, tensor in gradients.dense().items())
+        term.add(gradients, model, DrawnView(target, at, batch=2, place=1))
+
+
 def penalty(p: dict[str, torch.Tensor], cfg: RegularizationConfig) -> torch.Tensor:
     """The sum of the terms as defined in the configuration; any dtype."""
     softened = torch.sqrt(tilt(p["quat_left"], p["quat_right"]) ** 2 + TILT_SOFTENING**2)
@@ -45,7 +53,7 @@ def penalty(p: dict[str, torch.Tensor], cfg: RegularizationConfig) -> torch.Tens
 def test_the_gradient_equals_autograd_of_the_penalty(keys):
     found, cfg = model(), RegularizationConfig(**keys)
     gradients = Gradients.zeros_like(found.gaussians())
-    add_regularization_gradients(gradients, found, cfg, SCENE)
+    add_gradients(gradients, found, cfg)
     leaves = {key: tensor.double().requires_grad_() for key, tensor in found.parameters.items()}
     penalty(leaves, cfg).backward()
     for key, mine in gradients.dense().items():
@@ -59,7 +67,7 @@ def test_the_motion_of_velocities_is_the_angle_of_their_paths():
     found = model("velocity")
     found.parameters["velocity"][0] = 0
     gradients = Gradients.zeros_like(found.gaussians())
-    add_regularization_gradients(gradients, found, RegularizationConfig(motion=0.7), SCENE)
+    add_gradients(gradients, found, RegularizationConfig(motion=0.7))
     velocity = found.parameters["velocity"].double().requires_grad_()
     angle = torch.atan(torch.sqrt((velocity**2).sum(dim=1) + TILT_SOFTENING**2))
     (0.7 * (2 * torch.sin(angle / 2)).mean()).backward()
@@ -69,17 +77,17 @@ def test_the_motion_of_velocities_is_the_angle_of_their_paths():
 
 def test_the_opacity_weight_falls_with_the_number_of_views_in_a_lifetime():
     """opacity_views = 20 of 51 views: weight 1 for st = 0.1 s, ½ for 0.784 s, 20/51 for a static model."""
-    found, cfg = model(), RegularizationConfig(opacity=1.0, opacity_views=20.0)
+    found = model()
     found.parameters["log_scale"][:2, 3] = torch.tensor([0.1, 40 / 51]).log()
-    weight = opacity_weight(found, cfg, SCENE)
+    weight = opacity_weight(found, 20.0, SCENE)
     torch.testing.assert_close(weight[:2], torch.tensor([1.0, 0.5]))
-    assert opacity_weight(model("static"), cfg, SCENE) == pytest.approx(20 / 51)
-    assert opacity_weight(model("static"), RegularizationConfig(opacity=1.0, opacity_views=60.0), SCENE) == 1.0
+    assert opacity_weight(model("static"), 20.0, SCENE) == pytest.approx(20 / 51)
+    assert opacity_weight(model("static"), 60.0, SCENE) == 1.0
 
 
 def test_the_opacity_weight_is_1_for_dynamic_scenes_with_several_cameras():
-    film, cfg = replace(SCENE, capture="multi_view"), RegularizationConfig(opacity=1.0, opacity_views=20.0)
-    assert opacity_weight(model(), cfg, film) == 1.0
+    film = replace(SCENE, capture="multi_view")
+    assert opacity_weight(model(), 20.0, film) == 1.0
 
 
 def test_weights_follow_the_covered_share_and_the_number_of_views():
@@ -107,7 +115,7 @@ def test_empty_background_does_not_shift_loss_against_regularization():
 def test_without_weights_there_are_no_gradients():
     found = model()
     gradients = Gradients.zeros_like(found.gaussians())
-    add_regularization_gradients(gradients, found, RegularizationConfig(), SCENE)
+    add_gradients(gradients, found, RegularizationConfig())
     assert all(not tensor.any() for tensor in gradients.dense().values())
 
 
@@ -115,5 +123,5 @@ def test_without_weights_there_are_no_gradients():
 def test_terms_of_missing_parameters_have_no_gradients(motion):
     found = model(motion)
     gradients = Gradients.zeros_like(found.gaussians())
-    add_regularization_gradients(gradients, found, RegularizationConfig(motion=1.0), SCENE)
+    add_gradients(gradients, found, RegularizationConfig(motion=1.0))
     assert not any(tensor.any() for tensor in gradients.dense().values())

@@ -15,15 +15,18 @@ from pipeline.data.training_views import TrainingViews
 from pipeline.model.initialise import initialise
 from pipeline.model.model import Model
 from pipeline.model.velocities import in_velocities
-from pipeline.training.objective.rigid_loss import (
+from pipeline.training.objective import model_terms
+from pipeline.training.objective.model_terms import (
     FALLOFF,
     FIELDS,
     MIN_MARGINAL,
     VELOCITY_STEP,
-    add_rigid_gradient,
+    Rigid,
+    add_gradient,
     released_rigid_loss,
     rigid_loss,
 )
+from pipeline.training.objective.objective import Objective
 from pipeline.training.state import start
 from pipeline.training.step import draw_batch, render_batch
 from rasterizer import Gradients
@@ -109,8 +112,7 @@ def test_the_release_has_it_once_in_a_batch_and_as_its_mean(tmp_path):
         )
         phase = state.begin_iteration(scene, cfg)
         drawn = draw_batch(state, TrainingViews(scene.train), phase, scene, cfg)
-        assert [view.rigid for view in drawn] == ([True, False, False] if weight else [False] * 3)
-        batch = render_batch(state, drawn, phase, scene, cfg)
+        batch = render_batch(state, drawn, phase, Objective(scene, cfg, 1), scene, cfg)
         found[weight] = batch.loss, state.gradients.quat_left.double().clone()
     fields = {n: p.double().requires_grad_() for n, p in state.model.parameters.items() if n in FIELDS}
     loss = 1e5 * released_rigid_loss(fields, scene.duration, 20)
@@ -129,7 +131,7 @@ def test_it_is_added_to_the_gradients_with_its_weight(tensors, neighbours):
     model = Model.from_gaussians(type(gaussians)(**{name: t.float() for name, t in gaussians.tensors().items()}))
     gradients = Gradients.zeros_like(model.gaussians())
     gradients.quat_left.fill_(0.5)
-    loss = add_rigid_gradient(gradients, model, TIME, DURATION, neighbours, weight=3.0)
+    loss = add_gradient(gradients, model, lambda fields: 3 * rigid_loss(fields, TIME, DURATION, neighbours))
     truth = {name: t.clone().requires_grad_() for name, t in tensors.items()}
     expected = 3 * naive(**truth, neighbours=neighbours)
     expected.backward()
@@ -149,7 +151,7 @@ def test_it_is_the_same_for_the_same_gaussians_in_velocities(tensors):
     found = rigid_loss(fields, TIME, DURATION, NEIGHBOURS).item()
     assert found == pytest.approx(naive(**tensors).item(), rel=1e-5)
     gradients = Gradients.zeros_like(model.gaussians())
-    add_rigid_gradient(gradients, model, TIME, DURATION, NEIGHBOURS, weight=3.0)
+    add_gradient(gradients, model, lambda fields: 3 * rigid_loss(fields, TIME, DURATION, NEIGHBOURS))
     velocity = fields["velocity"].requires_grad_()
     (3 * rigid_loss(fields, TIME, DURATION, NEIGHBOURS)).backward()
     torch.testing.assert_close(gradients.velocity.double(), velocity.grad, rtol=1e-4, atol=1e-7)
@@ -163,13 +165,15 @@ def test_equal_velocities_have_no_loss(tensors):
     assert rigid_loss({"mean": mean, **same}, TIME, DURATION, NEIGHBOURS).item() <= 1.01e-10
 
 
-def test_it_takes_every_32nd_training_view(tmp_path):
+def test_it_takes_every_32nd_training_view(tmp_path, monkeypatch):
     """Batches of three: 32, 64, 96 are of different places in them."""
     cfg, scene = tiny_config(batch=3, regularization=RegularizationConfig(rigid=1.0)), tiny_scene()
-    views = TrainingViews(scene.train)
+    views, rigid = TrainingViews(scene.train), Rigid(1.0, scene.duration, 1)
+    monkeypatch.setattr(model_terms, "add_gradient", lambda *arguments: 1.0)
     state = start(initialise(scene, cfg, np.random.default_rng(0)), scene, cfg, TinyRun(tmp_path))
     found = []
     for _ in range(33):
         phase = state.begin_iteration(scene, cfg)
-        found += [view.rigid for view in draw_batch(state, views, phase, scene, cfg)]
+        drawn = draw_batch(state, views, phase, scene, cfg)
+        found += [rigid.add(state.gradients, state.model, view) > 0 for view in drawn]
     assert found == [i % 32 == 0 for i in range(1, 100)]

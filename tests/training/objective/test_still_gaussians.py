@@ -17,7 +17,7 @@ from pipeline.model.tilt import tilt
 from pipeline.model.velocities import in_velocities
 from pipeline.training.loop import train
 from pipeline.training.objective.still_gaussians import hold_still
-from pipeline.training.run_log import temporary_run
+from pipeline.training.reporting import temporary_run
 from rasterizer.covariance import scaled_axes
 
 LIFETIME = 0.5

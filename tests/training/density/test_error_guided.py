@@ -1,4 +1,4 @@
-"""Addition of Gaussians by error: against spheres whose place, time and colour are known."""
+"""Error-guided densification: against spheres whose place, time and colour are known."""
 
 from __future__ import annotations
 
@@ -15,12 +15,19 @@ from pipeline.config.schema import AblationConfig
 from pipeline.config.train_schema import DensifyConfig, TrainConfig
 from pipeline.model.initialise import initialise
 from pipeline.model.model import Model
-from pipeline.training.density import error_sampling
-from pipeline.training.density.error_sampling import FEWEST_VIEWS, LIFETIME, MIN_ERROR, ErrorSampler, due
+from pipeline.training.density import error_guided
+from pipeline.training.density.error_guided import (
+    FEWEST_VIEWS,
+    MIN_ERROR,
+    TEMPORAL_SCALE,
+    ErrorGuidedDensification,
+    ErrorSampler,
+)
 
 CENTRE, RADIUS = np.array([0.45, -0.2, 0.3]), 0.35  # of the sphere, world units
 COLOR = (40, 200, 90)
 FRAMES = 21
+NEAR = 0.2  # world units
 SHOWN = range(8, 13)  # the views, and so the times, that show it
 
 
@@ -51,7 +58,7 @@ def transparent_model(scene: Scene) -> Model:
 
 def draw(scene: Scene, count: int = 300, model: Model | None = None, seed: int = 0) -> dict[str, torch.Tensor] | None:
     model = transparent_model(scene) if model is None else model
-    return ErrorSampler(scene).draw(model, tiny_config(), count, np.random.default_rng(seed), threads=1)
+    return ErrorSampler(scene, NEAR).draw(model, count, np.random.default_rng(seed), threads=1)
 
 
 @pytest.mark.parametrize("cameras", [1, 4])
@@ -65,7 +72,7 @@ def test_new_gaussians_are_where_and_when_the_object_is(cameras: int):
     # world units each.
     distance = np.linalg.norm(position - CENTRE, axis=1)
     assert np.median(distance) < 1.2 * RADIUS and distance.max() < 2.3 * RADIUS + 0.3
-    # A neighbour's error counts too with one camera: a quarter of five views is the second smallest.
+    # With one camera a neighbour's error is a sample, too: a quarter of five views is the second smallest.
     margin = 1 if cameras == 1 else 0
     frame = time * (FRAMES - 1)
     assert SHOWN[0] - margin - 0.01 < frame.min() and frame.max() < SHOWN[-1] + margin + 0.01
@@ -81,11 +88,11 @@ def test_new_gaussians_are_small_short_lived_and_at_rest():
     scene = sphere_scene()
     rows = draw(scene)
     assert rows is not None
-    np.testing.assert_allclose(rows["log_scale"][:, 3].exp(), LIFETIME * scene.frame_spacing, rtol=1e-6)
+    np.testing.assert_allclose(rows["log_scale"][:, 3].exp(), TEMPORAL_SCALE * scene.frame_spacing, rtol=1e-6)
     depth = np.linalg.norm(rows["mean"][:, :3].numpy() - scene.train[0].camera.position, axis=1)
     pixel = depth / scene.train[0].camera.fx
     # All cameras are at a distance of 4 from the origin; depth along the axis and distance differ by at most a tenth.
-    ratio = rows["log_scale"][:, :3].exp().numpy() / (error_sampling.RADIUS * pixel[:, None])
+    ratio = rows["log_scale"][:, :3].exp().numpy() / (error_guided.RADIUS * pixel[:, None])
     assert ratio.min() > 0.6 and ratio.max() < 1.6
     for name in ("quat_left", "quat_right"):
         assert (rows[name] == torch.tensor([1.0, 0, 0, 0])).all()
@@ -103,22 +110,22 @@ def test_nothing_is_added_where_the_model_is_right():
 @pytest.mark.parametrize("masked", [False, True])
 def test_score_and_colour_equal_those_of_a_naive_loop(masked: bool):
     scene = sphere_scene()
-    counts = np.ones((32, 32), bool)
+    valid = np.ones((32, 32), bool)
     if masked:  # a projection there is as unknown as one outside the image
-        counts[:, ::2] = False
-        scene = replace(scene, train=tuple(replace(view, mask=counts) for view in scene.train))
-    sampler, rng = ErrorSampler(scene), np.random.default_rng(3)
+        valid[:, ::2] = False
+        scene = replace(scene, train=tuple(replace(view, mask=valid) for view in scene.train))
+    sampler, rng = ErrorSampler(scene, NEAR), np.random.default_rng(3)
     views = [6, 7, 8, 9, 10]
-    errors = sampler._errors(transparent_model(scene), views, 0.2, 1)
+    errors = sampler._errors(transparent_model(scene), views, 1)
     points = rng.uniform(-1.5, 1.5, size=(200, 3))
-    score, color = sampler._scored(points, views, errors, 0.2)
+    score, color = sampler._scored(points, views, errors)
     for i, point in enumerate(points):
         found, colors = [], []
         for index in views:
             camera, image = scene.train[index].camera, scene.train[index].image / 255
             x, y, z = camera.world_to_cam[:3, :3] @ point + camera.world_to_cam[:3, 3]
             column, row = int(np.floor(camera.fx * x / z + camera.cx)), int(np.floor(camera.fy * y / z + camera.cy))
-            if 0 <= column < 32 and 0 <= row < 32 and counts[row, column]:
+            if 0 <= column < 32 and 0 <= row < 32 and valid[row, column]:
                 found.append(errors[index][row, column])
                 colors.append(image[row, column])
         expected = np.quantile(found, 0.25) if len(found) >= FEWEST_VIEWS else 0.0
@@ -134,7 +141,7 @@ def test_new_gaussians_are_in_the_box_of_the_initial_ones(box: tuple[float, floa
     scene = sphere_scene(cameras=4)
     wrong = [replace(view, image=noise.integers(100, 255, (32, 32, 3), np.uint8)) for view in scene.train]
     scene = replace(scene, train=tuple(wrong), init_box=box)
-    rows = ErrorSampler(scene).draw(transparent_model(scene), tiny_config(), 300, np.random.default_rng(0), threads=1)
+    rows = ErrorSampler(scene, NEAR).draw(transparent_model(scene), 300, np.random.default_rng(0), threads=1)
     assert rows is not None
     low, high = box
     found = rows["mean"][:, :3].numpy()
@@ -147,7 +154,7 @@ def test_quantiles_are_numpys():
     values[np.random.default_rng(1).random(values.shape) < 0.4] = np.nan
     values[0] = 0.3
     for quantile in (0.25, 0.5, 1.0):
-        found = error_sampling.quantile_of_known(values, quantile)
+        found = error_guided.quantile_of_known(values, quantile)
         np.testing.assert_allclose(found, np.nanquantile(values, quantile, axis=0), rtol=1e-12, atol=1e-15)
 
 
@@ -161,16 +168,18 @@ def test_the_draw_is_a_function_of_its_generator():
 
 def test_of_a_long_film_some_times_are_rendered(monkeypatch: pytest.MonkeyPatch):
     scene = sphere_scene(cameras=4)
-    monkeypatch.setattr(error_sampling, "MAX_VIEWS", 24)
-    windows = ErrorSampler(scene)._windows(np.random.default_rng(0))
+    monkeypatch.setattr(error_guided, "MAX_VIEWS", 24)
+    windows = ErrorSampler(scene, NEAR)._windows(np.random.default_rng(0))
     assert len(windows) == 6 and all(len(views) == 4 for views in windows.values())
     assert all(scene.train[view].time == time for time, views in windows.items() for view in views)
 
 
 def test_schedule():
     cfg = TrainConfig(densify=DensifyConfig(start=20, stop=100, error_points=5, error_points_every=10))
-    assert [i for i in range(1, 130) if due(i, float(i), cfg)] == [20, 30, 40, 50, 60, 70, 80, 90]
-    assert not due(20, 20.0, TrainConfig(densify=DensifyConfig(start=20, stop=100)))
+    found = ErrorGuidedDensification(tiny_scene(), replace(tiny_config(), train=cfg))
+    assert [i for i in range(1, 130) if found.due(i, float(i))] == [20, 30, 40, 50, 60, 70, 80, 90]
+    none = TrainConfig(densify=DensifyConfig(start=20, stop=100))
+    assert not ErrorGuidedDensification(tiny_scene(), replace(tiny_config(), train=none)).due(20, 20.0)
 
 
 def train_with(path: Path, time_split: bool = True, add_by_error: bool = True, **densify) -> list[dict]:

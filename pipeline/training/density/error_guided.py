@@ -1,4 +1,4 @@
-"""New Gaussians where and when the model is wrong.
+"""Error-guided densification: new Gaussians where and when the model is wrong.
 
 Densification clones and splits Gaussians that exist. An object that is visible for a short time may have none: those
 that start there live longer than the object, are wrong most of the time and become transparent. So candidates are
@@ -19,12 +19,14 @@ from scipy.ndimage import uniform_filter
 from torch import Tensor
 
 from datasets.scene import Scene, View
+from pipeline.config.random_streams import Stream, stream
 from pipeline.config.schema import Config
-from pipeline.config.train_schema import TrainConfig
 from pipeline.data.training_views import Target, target_of
 from pipeline.model.initialise import SH_C0
 from pipeline.model.model import Model
 from pipeline.model.render import render_image
+from pipeline.training.schedule import Phase
+from pipeline.training.state import TrainState
 from rasterizer import Rasterizer, Request
 
 IMAGE_SIDE = 100  # pixels of the longer side at which errors are measured: objects, not texture
@@ -35,20 +37,39 @@ WINDOW = 5  # times, the candidate's in the middle, where fewer cameras see each
 FEWEST_VIEWS = 3  # a candidate in fewer images is not scored
 QUANTILE = 0.25  # of the errors at a candidate's projections: it may be hidden in some
 MIN_ERROR = 0.02  # mean absolute error over the channels, data range 1
-LIFETIME = 1.5  # σt of a new Gaussian, in frame spacings
+TEMPORAL_SCALE = 1.5  # σt of a new Gaussian, in frame spacings
 RADIUS = 2.0  # spatial σ, in pixels of the images whose errors are measured
 OPACITY = 0.1  # as at the start
 
 
-def due(iteration: int, clock: float, cfg: TrainConfig) -> bool:
-    """Whether Gaussians are added after `iteration`. clock: position in the schedule (schedule.py)."""
-    rules = cfg.densify
-    return (
-        rules.error_points > 0
-        and iteration >= rules.start
-        and clock < rules.stop
-        and iteration % rules.error_points_every == 0
-    )
+class ErrorGuidedDensification:
+    """After pruning, which makes room below max_gaussians and would remove most of the new ones at once."""
+
+    event = "add_by_error"
+
+    def __init__(self, scene: Scene, cfg: Config) -> None:
+        self._rules, self._seed = cfg.train.densify, cfg.seed
+        self._sampler = ErrorSampler(scene, cfg.scene.near * scene.unit)
+
+    def due(self, iteration: int, clock: float) -> bool:
+        rules = self._rules
+        wanted = rules.error_points > 0 and iteration % rules.error_points_every == 0
+        return wanted and iteration >= rules.start and clock < rules.stop
+
+    def apply(self, state: TrainState, phase: Phase) -> dict[str, int]:
+        """Add as many Gaussians as the three limits of their number allow."""
+        rules, sphere = self._rules, state.model.sphere
+        present = len(state.model) if sphere is None else int((~sphere).sum())
+        limits = (rules.error_points, int(rules.error_points_share * present), rules.max_gaussians - present)
+        count, rows = min(limits), None
+        if count > 0 and state.model.kind.dims == 4:
+            rng = stream(self._seed, Stream.ERROR_POINTS, state.iteration)
+            rows = self._sampler.draw(state.model, count, rng, state.threads)
+        if rows is None:
+            return {"added": 0}
+        state.optimiser.append(rows)
+        state.reset_statistics()
+        return {"added": len(rows["mean"])}
 
 
 @dataclass(frozen=True)
@@ -65,22 +86,20 @@ class Candidates:
 class ErrorSampler:
     """Draws new Gaussians for a scene; keeps its reduced training images between calls."""
 
-    def __init__(self, scene: Scene) -> None:
-        self._scene = scene
+    def __init__(self, scene: Scene, near: float) -> None:
+        """near: the near plane, world units."""
+        self._scene, self._near = scene, near
         self._targets: dict[int, Target] = {}
         self._views: dict[float, list[int]] = defaultdict(list)  # of each time
         for index, view in enumerate(scene.train):
             self._views[view.time].append(index)
 
-    def draw(
-        self, model: Model, cfg: Config, count: int, rng: np.random.Generator, threads: int
-    ) -> dict[str, Tensor] | None:
+    def draw(self, model: Model, count: int, rng: np.random.Generator, threads: int) -> dict[str, Tensor] | None:
         """Rows of at most `count` new Gaussians, of the fields of `model`; None where the model is nowhere wrong."""
-        near = cfg.scene.near * self._scene.unit
         windows = self._windows(rng)
         chosen = sorted({index for window in windows.values() for index in window})
-        errors = self._errors(model, chosen, near, threads)
-        candidates = self._candidates(windows, chosen, errors, near, CANDIDATES * count, rng)
+        errors = self._errors(model, chosen, threads)
+        candidates = self._candidates(windows, chosen, errors, CANDIDATES * count, rng)
         if candidates is None:
             return None
         weight = np.square(np.maximum(candidates.score - MIN_ERROR, 0.0))
@@ -88,7 +107,7 @@ class ErrorSampler:
         if found == 0:
             return None
         best = np.sort(rng.choice(len(weight), found, replace=False, p=weight / weight.sum()))
-        return _rows(model, candidates, best, LIFETIME * self._scene.frame_spacing)
+        return _rows(model, candidates, best, TEMPORAL_SCALE * self._scene.frame_spacing)
 
     def _windows(self, rng: np.random.Generator) -> dict[float, list[int]]:
         """Time -> the training views that a candidate of that time is scored in; together at most about MAX_VIEWS."""
@@ -112,14 +131,14 @@ class ErrorSampler:
             self._targets[index] = reduced(self._scene.train[index])
         return self._targets[index]
 
-    def _errors(self, model: Model, views: Sequence[int], near: float, threads: int) -> dict[int, np.ndarray]:
+    def _errors(self, model: Model, views: Sequence[int], threads: int) -> dict[int, np.ndarray]:
         """View -> (H, W) absolute error, mean over the channels and over 3 × 3 pixels."""
         rasterizer, scene, found = Rasterizer(threads=threads), self._scene, {}
         for index in views:
             target = self._target(index)
-            request = Request(target.camera, target.time, scene.duration, scene.background, near=near)
+            request = Request(target.camera, target.time, scene.duration, scene.background, near=self._near)
             error = (render_image(rasterizer, model, request) - target.image).abs().mean(dim=0)
-            if target.mask is not None:  # what does not count is never fitted
+            if target.mask is not None:
                 error = torch.where(target.mask, error, 0.0)
             found[index] = uniform_filter(error.numpy(), 3)
         return found
@@ -129,7 +148,6 @@ class ErrorSampler:
         windows: dict[float, list[int]],
         views: Sequence[int],
         errors: dict[int, np.ndarray],
-        near: float,
         count: int,
         rng: np.random.Generator,
     ) -> Candidates | None:
@@ -142,8 +160,8 @@ class ErrorSampler:
         for index, number in zip(squared, rng.multinomial(count, share / share.sum())):
             if number == 0:
                 continue
-            points, depth = self._along_rays(index, squared[index], near, int(number), rng)
-            score, color = self._scored(points, windows[self._time(index)], errors, near)
+            points, depth = self._along_rays(index, squared[index], int(number), rng)
+            score, color = self._scored(points, windows[self._time(index)], errors)
             sigma = RADIUS * depth / self._target(index).camera.fx
             found.append((points, np.full(len(points), self._time(index)), score, color, sigma))
         return Candidates(*(np.concatenate(column) for column in zip(*found)))
@@ -152,7 +170,7 @@ class ErrorSampler:
         return self._scene.train[index].time
 
     def _along_rays(
-        self, index: int, weight: np.ndarray, near: float, count: int, rng: np.random.Generator
+        self, index: int, weight: np.ndarray, count: int, rng: np.random.Generator
     ) -> tuple[np.ndarray, np.ndarray]:
         """Points (n, 3) in the box and their depths (n,), n <= count, seen in pixels drawn by `weight` (H·W,)."""
         camera = self._target(index).camera
@@ -163,14 +181,14 @@ class ErrorSampler:
         directions = np.stack([x, y, np.ones(count)], axis=1) @ camera.world_to_cam[:3, :3]
         with np.errstate(divide="ignore"):
             low, high = ((np.asarray(corner) - camera.position) / directions for corner in self._scene.init_box)
-        first = np.maximum(np.minimum(low, high).max(axis=1), near)
+        first = np.maximum(np.minimum(low, high).max(axis=1), self._near)
         last = np.maximum(low, high).min(axis=1)
         inside = first < last
         depth = rng.uniform(first[inside], last[inside])
         return camera.position + depth[:, None] * directions[inside], depth
 
     def _scored(
-        self, points: np.ndarray, views: Sequence[int], errors: dict[int, np.ndarray], near: float
+        self, points: np.ndarray, views: Sequence[int], errors: dict[int, np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray]:
         """Score (n,) and colour (n, 3) of points (n, 3) by their projections into `views`."""
         error = np.full((len(views), len(points)), np.nan, dtype=np.float32)
@@ -181,11 +199,11 @@ class ErrorSampler:
             x, y, z = c.world_to_cam[:3, :3] @ points.T + c.world_to_cam[:3, 3:]
             with np.errstate(divide="ignore", invalid="ignore"):
                 u, v = np.floor(c.fx * x / z + c.cx), np.floor(c.fy * y / z + c.cy)
-            seen = (z > near) & (u >= 0) & (u < c.width) & (v >= 0) & (v < c.height)
+            seen = (z > self._near) & (u >= 0) & (u < c.width) & (v >= 0) & (v < c.height)
             u, v = u[seen].astype(int), v[seen].astype(int)
-            if target.mask is not None:  # what does not count says nothing of the candidate
-                counts = target.mask.numpy()[v, u]
-                seen[seen], u, v = counts, u[counts], v[counts]
+            if target.mask is not None:
+                valid = target.mask.numpy()[v, u]
+                seen[seen], u, v = valid, u[valid], v[valid]
             error[row, seen] = errors[index][v, u]
             color[row, seen] = target.image.numpy()[:, v, u].T
         enough = np.isfinite(error).sum(axis=0) >= min(FEWEST_VIEWS, len(views))
@@ -209,13 +227,13 @@ def quantile_of_known(values: np.ndarray, quantile: float) -> np.ndarray:
     return low + (high - low) * (place - below)[0]
 
 
-def _rows(model: Model, candidates: Candidates, chosen: np.ndarray, lifetime: float) -> dict[str, Tensor]:
+def _rows(model: Model, candidates: Candidates, chosen: np.ndarray, temporal_scale: float) -> dict[str, Tensor]:
     """Isotropic Gaussians without motion at the chosen candidates, of their colours at any time, in any direction."""
     rows = {name: torch.zeros(len(chosen), *p.shape[1:]) for name, p in model.parameters.items()}
     rows["mean"][:, :3] = torch.from_numpy(candidates.position[chosen])
     rows["mean"][:, 3] = torch.from_numpy(candidates.time[chosen])
     rows["log_scale"][:, :3] = torch.from_numpy(np.log(candidates.sigma[chosen]))[:, None]
-    rows["log_scale"][:, 3] = float(np.log(lifetime))
+    rows["log_scale"][:, 3] = float(np.log(temporal_scale))
     for name in ("quat_left", "quat_right"):
         if name in rows:
             rows[name][:, 0] = 1.0

@@ -1,4 +1,4 @@
-"""The log that training writes to besides its checkpoint: the interface of a run folder, and one without output."""
+"""What training reports to: the log of a run, and whoever looks on."""
 
 from __future__ import annotations
 
@@ -8,6 +8,35 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Protocol
+
+from pipeline.model.model import Model
+
+
+@dataclass(frozen=True)
+class Progress:
+    iteration: int
+    train_seconds: float  # evaluation excluded
+
+
+@dataclass(frozen=True)
+class StepReport(Progress):
+    loss: float  # of the iteration's batch
+    psnr: float  # dB, of the batch's last view
+    n_gaussians: int
+    n_alive: float  # Gaussians with temporal marginal p(t) >= 0.05, mean over the batch
+
+
+class Observer(Protocol):
+    """Looks on while a model is trained, such as a progress bar; changes nothing. Its time is not training time."""
+
+    def start(self, iteration: int) -> None:
+        """Training begins, or continues, after `iteration`."""
+
+    def step(self, model: Model, report: StepReport) -> None:
+        """Called every few iterations."""
+
+    def evaluated(self, model: Model, progress: Progress, metrics: dict) -> None:
+        """Called after each evaluation on held-out views."""
 
 
 class RunLog(Protocol):
