@@ -16,17 +16,19 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 import pytest  # noqa: E402
 
-from rasterizer.cores import usable_cores  # noqa: E402
-
 MOST_PROCESSES = 8  # more would wait for the longest file
 # The longest files, longest first: one that began last would leave the other processes idle.
-LONGEST = ("test_kernel_precision", "test_kernel_stability", "test_pipeline", "test_filmed", "test_config", "test_sfm")
+LONGEST = (
+    "test_kernel_precision", "test_pipeline", "test_sfm", "test_clip_set", "test_sfm_clip", "test_kernel_stability",
+    "test_filmed", "test_first_contact", "test_fuzz", "test_kernel_vs_reference", "test_atomic_write", "test_loop",
+)  # fmt: skip
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
-    """For `-n auto`: the cores this process may run on."""
-    return min(usable_cores(), MOST_PROCESSES)
+    """For `-n auto`: the cores this process may run on. rasterizer.cores would import torch here, for nothing."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min(cores, MOST_PROCESSES)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -24,8 +24,8 @@ from pipeline.evaluation.pictures.camera_path import look_at
 from rasterizer.camera import Camera
 
 SIZE = (216, 162)
-COUNT = 16  # frames of each film
-RATES = {"left": 20.0, "right": 24.0, "tripod": 25.0}
+COUNT = 13  # frames of each film
+RATES = {"left": 16.0, "right": 19.0, "tripod": 20.0}
 STARTS = {"left": 0.0, "right": 0.15, "tripod": 0.05}  # seconds
 ARCS = {"left": (-0.35, 0.05), "right": (0.4, 0.05), "tripod": (0.0, 0.0)}  # radians around the counter
 
