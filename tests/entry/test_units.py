@@ -54,11 +54,10 @@ WORLDS = {
 }
 CLOCKS = {
     "ticks": Units(clock=lambda s: round(70 * s)),
-    "milliseconds": Units(clock=lambda s: 1e3 * s),
-    "epoch": Units(clock=lambda s: 1.7e9 + s),
     "epoch, far, in kilometres": Units(1e-3, (1e4, 0.0, 0.0), lambda s: 1.7e9 + s),
 }
 ALL = {**WORLDS, **CLOCKS}
+TRAINED = ("kilometres", "far, in millimetres", "ticks", "epoch, far, in kilometres")  # each kind of change at least once
 
 
 def write_photographs(root: Path, units: Units) -> Path:
@@ -157,7 +156,7 @@ def usual(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     return request.param, [trained_psnr(folder, request.param, seed) for seed in (0, 1, 2)]
 
 
-@pytest.mark.parametrize("units", ALL)
+@pytest.mark.parametrize("units", TRAINED)
 def test_training_gives_the_same_psnr_in_any_units(usual: tuple[str, list[float]], tmp_path: Path, units: str) -> None:
     reader, psnr = usual
     found = trained_psnr(WRITERS[reader](tmp_path / "scene", ALL[units]), reader)
