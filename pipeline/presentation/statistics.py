@@ -11,9 +11,9 @@ import numpy as np
 MIN_SEEDS = 3  # with fewer the standard error is too uncertain
 STANDARD_ERRORS = 2.0  # of the difference; a verdict needs a larger difference than this
 FORMULA = (
-    "Difference: mean of the row − mean of its baseline, over the seeds that both have, ± 2 SE. Verdict: worse or "
-    "better where the difference exceeds 2 SE, else no difference shown. SE = √(s₁²/n₁ + s₂²/n₂) is the standard error "
-    "of the difference of two independent means, s the standard deviation over n seeds (n − 1). A verdict needs n ≥ 3."
+    "Differences are over the seeds that both sides have, ± 2 SE. Verdict: worse or better where the difference "
+    "exceeds 2 SE, else no difference shown. SE = √(s₁²/n₁ + s₂²/n₂) is the standard error of the difference of two "
+    "independent means, s the standard deviation over n seeds (n − 1). A verdict needs n ≥ 3."
 )
 
 

@@ -175,7 +175,7 @@ def table(runs: pd.DataFrame, spec: RunTable) -> Table | None:
         spec.title,
         _columns(spec, columns, differences),
         tuple(rows),
-        notes=_notes(runs, [*columns, *differences], bool(differences), spec.notes),
+        notes=_notes(runs, [*columns, *differences], bool(found), spec.notes),
         over_seeds="run" not in spec.rows,
         section=spec.section,
     )

@@ -21,7 +21,7 @@ from datasets.files.errors import DataError, clear
 from datasets.scene import Capture
 from pipeline.config.schema import MAX_SEED
 from pipeline.evaluation.metrics import METRICS
-from pipeline.runs.run_identity import read_config
+from pipeline.runs.run_identity import flat, read_config
 
 FINAL, BEST = "final", "best_on_test"  # the last iteration; the best test evaluation, as in the authors' release
 REQUIRED = ("final.psnr", "final.ssim", "iterations", "train_seconds", "n_gaussians")
@@ -240,20 +240,9 @@ def read_settings(path: Path) -> dict[str, Any]:
     if not path.is_file():
         return {}
     try:
-        tree = read_config(path, path.name)
+        return flat(read_config(path, path.name))
     except DataError as error:
         raise BrokenRun(str(error)) from None
-    flat: dict[str, Any] = {}
-
-    def flatten(prefix: str, node: Any) -> None:
-        if isinstance(node, dict) and node:
-            for key, value in node.items():
-                flatten(f"{prefix}.{_text(str(key))}" if prefix else _text(str(key)), value)
-        else:
-            flat[prefix] = _text(node) if isinstance(node, str) else node
-
-    flatten("", tree)
-    return flat
 
 
 def read_view_psnr(path: Path) -> dict[str, float]:
