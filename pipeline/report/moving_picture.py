@@ -1,4 +1,4 @@
-"""A picture of what moves in a held-out view: render and truth with its outline, and both enlarged where it is.
+"""A picture of the dynamic region in a held-out view: render and truth with its outline, and both enlarged there.
 
 A moving object that a model has lost is a small part of an image; here it is seen at once.
 """
@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image
 from scipy.ndimage import binary_dilation, find_objects, label
 
-PARTS = ("render, outlined what moves", "truth", "render, enlarged", "truth, enlarged")
+PARTS = ("render, dynamic region outlined", "truth", "render, enlarged", "truth, enlarged")
 OUTLINE = (255, 0, 200)  # RGB; rare in photographs
 _MARGIN = 0.15  # of the enlarged object's size, on every side
 _SMALLEST = 24  # pixels, side of what is enlarged

@@ -23,7 +23,7 @@ from pipeline.report.runs import read_view_psnr
 
 PARTS = ("render", "truth", "difference")
 DEPTH = "rendered_depth"  # a fourth part, of driving logs
-MOTION = "most motion"  # the choice of a view
+MOTION = "largest dynamic region"  # the choice of a view
 _MAX_SIDE = 512  # pixels of a view, to limit the size of the page
 _GAP = 6  # pixels between the parts
 _QUALITY = 90  # of WebP; the exact images are in the run's renders/
@@ -128,8 +128,10 @@ def webp_name(*parts: str) -> str:
 
 
 def choose_views(renders: Path, psnr_of: dict[str, float]) -> list[tuple[str, str]]:
-    """(choice, view) of median and worst PSNR, and of most motion where it is known; without PSNRs the middle view by
-    name; [] without images."""
+    """(choice, view) of median and worst PSNR, and of the largest dynamic region where it is known.
+
+    Without PSNRs the middle view by name; [] without images.
+    """
     views = sorted(p.name.removesuffix("_render.png") for p in renders.glob("*_render.png"))
     moving = {view: moving_count(renders, view) for view in views}
     motion = [(MOTION, max(views, key=moving.__getitem__))] if any(moving.values()) else []

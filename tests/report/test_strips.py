@@ -40,12 +40,12 @@ def test_the_view_with_most_motion_has_a_strip(tmp_path: Path) -> None:
         write_mask(run, "test_r_1", (slice(2, 9), slice(2, 9)))
         write_mask(run, "test_r_2", (slice(0, 0), slice(0, 0)))
     psnr = {"test_r_0": 30.0, "test_r_1": 20.0, "test_r_2": 25.0}
-    assert choose_views(folder / "renders", psnr)[-1] == ("most motion", "test_r_1")
+    assert choose_views(folder / "renders", psnr)[-1] == ("largest dynamic region", "test_r_1")
     strips, warnings = make_strips(collect(tmp_path).runs)
     assert warnings == []
-    assert [(s.model, s.choice_text, s.view) for s in strips if s.choice == "most motion"] == [
-        ("full", "most motion", "test_r_1"),
-        ("no_4drot", "most motion", "test_r_1"),
+    assert [(s.model, s.choice_text, s.view) for s in strips if s.choice == "largest dynamic region"] == [
+        ("full", "largest dynamic region", "test_r_1"),
+        ("no_4drot", "largest dynamic region", "test_r_1"),
     ]
     assert {len(s.parts) for s in strips} == {3, 4}
 
@@ -53,7 +53,7 @@ def test_the_view_with_most_motion_has_a_strip(tmp_path: Path) -> None:
 def test_a_damaged_mask_is_no_mask(tmp_path: Path) -> None:
     folder = write_run(tmp_path, "synthetic/wheel", images=2)
     (folder / "renders/test_r_0_moving.png").write_bytes(b"no image")
-    assert "most motion" not in [choice for choice, _ in choose_views(folder / "renders", {})]
+    assert "largest dynamic region" not in [choice for choice, _ in choose_views(folder / "renders", {})]
 
 
 def test_the_largest_part_is_enlarged_in_the_proportions_of_the_image() -> None:
