@@ -23,7 +23,7 @@ from pipeline.data.training_views import Target, camera_at, evenly_spaced, targe
 from pipeline.evaluation.flicker import FlickerMeter
 from pipeline.evaluation.image_metrics import MS_SSIM_SMALLEST_SIDE, SSIM_SMALLEST_SIDE
 from pipeline.evaluation.metrics import MeasuredView, means, measure
-from pipeline.evaluation.motion.moving_pixels import MovingPixels
+from pipeline.evaluation.moving_pixels import MovingPixels
 from pipeline.evaluation.perceptual import Perceptual
 from pipeline.evaluation.pictures.films import HeldOutFilms
 from pipeline.evaluation.pictures.geometry_pictures import write_geometry, write_rendered_depth

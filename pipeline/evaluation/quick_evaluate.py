@@ -11,7 +11,7 @@ from pipeline.config.schema import Config
 from pipeline.data.training_views import Target, evenly_spaced, target_of
 from pipeline.evaluation.image_metrics import masked_psnr, psnr
 from pipeline.evaluation.metrics import mean
-from pipeline.evaluation.motion.moving_pixels import MovingPixels
+from pipeline.evaluation.moving_pixels import MovingPixels
 from pipeline.evaluation.renderer import Renderer
 from pipeline.model.model import Model
 from rasterizer import Rasterizer

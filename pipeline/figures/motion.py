@@ -10,7 +10,7 @@ from datasets.ground_truth import GroundTruth
 from pipeline.data.optical_flow import measure_flow, neighbours, resized_flow
 from pipeline.data.training_views import Target, target_of
 from pipeline.evaluation.image_metrics import flow_errors
-from pipeline.evaluation.motion.moving_pixels import MovingPixels
+from pipeline.evaluation.moving_pixels import MovingPixels
 from pipeline.evaluation.pictures.false_colour import flow_picture
 from pipeline.evaluation.pictures.geometry_pictures import flow_parts, longest_flow
 from pipeline.evaluation.renderer import Renderer

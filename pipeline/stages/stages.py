@@ -13,7 +13,7 @@ from pipeline.config.random_streams import Stream, stream
 from pipeline.config.schema import Config
 from pipeline.data.prepared import Prepared
 from pipeline.evaluation.evaluate import Evaluation, evaluate, evaluate_with_images
-from pipeline.evaluation.motion.moving_pixels import MovingPixels
+from pipeline.evaluation.moving_pixels import MovingPixels
 from pipeline.evaluation.outlook import outlook, path_angles
 from pipeline.evaluation.quick_evaluate import quick_evaluate
 from pipeline.model.initialise import initialise

@@ -16,7 +16,7 @@ from datasets.scene import Scene
 from pipeline.evaluation.evaluate import evaluate
 from pipeline.evaluation.image_metrics import depth_errors, flow_errors, masked_psnr
 from pipeline.evaluation.metrics import METRICS, means
-from pipeline.evaluation.motion.moving_pixels import BY_COLOUR, BY_TRUTH, MovingPixels
+from pipeline.evaluation.moving_pixels import BY_COLOUR, BY_TRUTH, MovingPixels
 from pipeline.evaluation.quick_evaluate import quick_evaluate
 from pipeline.model.model import Model, ModelKind
 from rasterizer import Rasterizer

@@ -10,7 +10,7 @@ from tiny import evaluation_config, tiny_config, tiny_scene
 from tiny_film import tiny_film
 
 from pipeline.evaluation.evaluate import evaluate
-from pipeline.evaluation.motion.moving_pixels import MovingPixels
+from pipeline.evaluation.moving_pixels import MovingPixels
 from pipeline.evaluation.quick_evaluate import held_out_psnr, quick_evaluate
 from pipeline.model.initialise import initialise
 from pipeline.model.model import Model

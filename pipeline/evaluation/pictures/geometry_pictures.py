@@ -11,7 +11,7 @@ from datasets.files.atomic_write import atomic_file
 from datasets.ground_truth import GroundTruth
 from pipeline.data.training_views import evenly_spaced, target_of
 from pipeline.evaluation.image_metrics import Geometry
-from pipeline.evaluation.motion.moving_pixels import MovingPixels
+from pipeline.evaluation.moving_pixels import MovingPixels
 from pipeline.evaluation.pictures.false_colour import depth_picture, depth_range, error_picture, flow_picture
 from pipeline.evaluation.renderer import Renderer
 

@@ -13,7 +13,7 @@ from datasets.files.atomic_write import atomic_file
 from datasets.scene import Scene, View
 from pipeline.config.schema import Config
 from pipeline.data.training_views import camera_at, evenly_spaced, target_of
-from pipeline.evaluation.motion.moving_pixels import MovingPixels
+from pipeline.evaluation.moving_pixels import MovingPixels
 from pipeline.evaluation.pictures.camera_path import FRAME_RATE, Ellipse, bullet_time, ellipse_among, median_depth
 from pipeline.evaluation.pictures.films import video
 from pipeline.evaluation.renderer import Renderer
