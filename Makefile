@@ -92,10 +92,10 @@ report: $(BUILT) ## tables, plots and the HTML page from the run folders under R
 	$(RUN) pipeline.report "$(RUNS)"
 
 sanitize: $(ALL_KERNELS) ## the kernel's tests with every memory access and operation checked
-	.venv/bin/python tests/sanitize.py
+	.venv/bin/python tools/sanitize.py
 
 fuzz: $(BUILT) ## fuzz every reader with damaged files and rasterize with odd arguments: FUZZ_SECONDS=20 each; fails if a rule breaks
-	PYTHONPATH=tests $(RUN) fuzz all --seconds $(FUZZ_SECONDS)
+	PYTHONPATH=tests:tests/helpers $(RUN) fuzz all --seconds $(FUZZ_SECONDS)
 
 clean: ## remove the built kernel and caches; .venv and results stay
 	rm -rf build rasterizer/*.so .pytest_cache .hypothesis .mypy_cache .ruff_cache

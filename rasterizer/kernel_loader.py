@@ -1,6 +1,6 @@
 """Loads the compiled kernel: the best instruction set of this processor, or the one that RASTERIZER_ISA names.
 
-RASTERIZER_KERNELS names a folder of other builds, which is searched first (tests/sanitize.py).
+RASTERIZER_KERNELS names a folder of other builds, which is searched first (tools/sanitize.py).
 """
 
 from __future__ import annotations

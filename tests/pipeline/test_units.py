@@ -57,7 +57,8 @@ CLOCKS = {
     "epoch, far, in kilometres": Units(1e-3, (1e4, 0.0, 0.0), lambda s: 1.7e9 + s),
 }
 ALL = {**WORLDS, **CLOCKS}
-TRAINED = ("kilometres", "far, in millimetres", "ticks", "epoch, far, in kilometres")  # each kind of change at least once
+# Each kind of change at least once.
+TRAINED = ("kilometres", "far, in millimetres", "ticks", "epoch, far, in kilometres")
 
 
 def write_photographs(root: Path, units: Units) -> Path:

@@ -1,6 +1,6 @@
 """How exactly exported files show a trained model: PSNR of each format, read back, against the kernel's images.
 
-    PYTHONPATH=tests python -m export_precision RUN [RUN …]
+    PYTHONPATH=tests/pipeline/export python -m export_precision RUN [RUN …]
 
 Prints Markdown. The files are read by export_readers.py and rendered by the kernel: three test views at three times.
 """

@@ -1,7 +1,7 @@
 """Runs the kernel's tests with AddressSanitizer and UndefinedBehaviorSanitizer (`make sanitize`).
 
 Builds go to build/sanitize, for every instruction set of this processor or the named ones:
-`.venv/bin/python tests/sanitize.py v3`. The first error ends the run with its source location.
+`.venv/bin/python tools/sanitize.py v3`. The first error ends the run with its source location.
 """
 
 from __future__ import annotations

@@ -59,7 +59,7 @@ def test_median_and_worst_view_are_chosen_by_psnr(tmp_path):
 
 def test_difference_gain_is_that_of_the_evaluation():
     # Read as text, since importing the module needs the compiled rasterizer.
-    source = (Path(__file__).parents[2] / "pipeline/evaluation/pictures/view_pictures.py").read_text()
+    source = (Path(__file__).parents[3] / "pipeline/evaluation/pictures/view_pictures.py").read_text()
     assert int(re.search(r"^DIFFERENCE_GAIN = (\d+)", source, re.M)[1]) == DIFFERENCE_GAIN
 
 
@@ -179,7 +179,7 @@ def test_closed_pipe_gives_no_traceback_and_all_files(tmp_path) -> None:
     write_run(tmp_path / "runs", "dnerf/mine")
     process = subprocess.Popen(
         [sys.executable, "-m", "pipeline.report", str(tmp_path / "runs")],
-        cwd=Path(__file__).parents[2],
+        cwd=Path(__file__).parents[3],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
