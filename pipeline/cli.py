@@ -21,7 +21,7 @@ from rich.table import Table
 
 from pipeline.config.compose import CONFIG_DIR, Command, one_line, options, quote_paths, register_schema
 from pipeline.config.schema import Config
-from pipeline.terminal import interruption, sweep_progress
+from pipeline.terminal import interruption
 from pipeline.terminal.command_line import quiet_on_closed_pipe
 from pipeline.terminal.help_page import help_page
 from pipeline.terminal.sweep_progress import SweepRun
@@ -68,9 +68,9 @@ def run_one(composed: DictConfig) -> bool:
     job = HydraConfig.get()
     command = shlex.join(["python", "-m", "pipeline", *job.overrides.task])
     cfg: Config | None = None
-    sweep_progress.current = None
+    sweep: SweepRun | None = None
     try:
-        sweep_progress.current = sweep = SweepRun.joined(composed.out, composed.train.iterations)
+        sweep = SweepRun.joined(composed.out)
         order = Command(tuple(job.overrides.task))
         cfg = order.config()
         _hint_at_settings(cfg, job.runtime.choices.get("scene"))
@@ -103,8 +103,8 @@ def run_one(composed: DictConfig) -> bool:
         if isinstance(error, BrokenPipeError):
             line = f"standard output was closed; {_kept_progress(cfg)}"
         if job.mode == RunMode.MULTIRUN:
-            if sweep_progress.current is not None:
-                sweep_progress.current.failed()
+            if sweep is not None:
+                sweep.failed()
             _complain(f"{line}  [{command}]")
             return False
         _complain(line)

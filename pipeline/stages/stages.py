@@ -100,7 +100,8 @@ def train_model(job: Job) -> dict:
     reset_peak_memory()
     initial = load_ply(folder.init_ply)
     count, before = len(initial), folder.values_of("settle")["seconds"]
-    with TrainingProgress(cfg.train.iterations, cfg.train.time_budget_s) as progress, _live_view(cfg, job) as live:
+    progress = TrainingProgress(cfg.train.iterations, cfg.train.time_budget_s, cfg.out)
+    with progress, _live_view(cfg, job) as live:
         observers: list[Observer] = [progress] if live is None else [progress, live]
         result = train(initial, scene, cfg, folder, evaluate_fn, before, observers)
         if live is not None:

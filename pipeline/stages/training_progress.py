@@ -10,7 +10,8 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
 from pipeline.model.model import Model
-from pipeline.terminal import interruption, sweep_progress
+from pipeline.terminal import interruption
+from pipeline.terminal.sweep_progress import SweepRun, plan_file
 from pipeline.training import reporting
 
 SMOOTHING = 0.95  # of the displayed loss and PSNR; log.jsonl has the unsmoothed values
@@ -20,18 +21,22 @@ LINES = 20  # of a whole run without a terminal
 class TrainingProgress:
     """A context manager that observes a training."""
 
-    def __init__(self, iterations: int, time_budget_s: float | None, console: Console | None = None) -> None:
-        """Of `iterations`, or fewer in `time_budget_s`."""
+    def __init__(
+        self, iterations: int, time_budget_s: float | None, out: str | None = None, console: Console | None = None
+    ) -> None:
+        """Of `iterations`, or fewer in `time_budget_s`. out: the run's folder; None: a training within a run."""
         self._console = console or Console()
         self._iterations, self._budget = iterations, time_budget_s
         self._line_every = max(1, iterations // LINES)
+        self._quiet = plan_file() is not None
+        self._sweep = SweepRun.joined(out) if out else None
         self._smooth: dict[str, float] = {}
         self._bar = Progress(
             TextColumn("{task.completed:.0f}/{task.total:.0f}"),
             BarColumn(),
             TextColumn("{task.fields[text]}"),
             console=self._console,
-            disable=not self._console.is_terminal or sweep_progress.current is not None,
+            disable=not self._console.is_terminal or self._quiet,
             transient=True,
         )
         self._task = self._bar.add_task("train", total=iterations, text="")
@@ -51,8 +56,9 @@ class TrainingProgress:
     def step(self, model: Model, report: reporting.StepReport) -> None:
         interruption.raise_if_lost()
         iteration = report.iteration
-        if sweep_progress.current is not None:
-            sweep_progress.current.update(iteration, self._iterations, self._first)
+        if self._sweep is not None:
+            self._sweep.update(iteration, self._iterations, self._first)
+        if self._quiet:
             return
         for name, value in (("loss", report.loss), ("psnr", report.psnr)):
             if math.isfinite(value):
@@ -74,7 +80,7 @@ class TrainingProgress:
     def evaluated(self, model: Model, progress: reporting.Progress, metrics: dict) -> None:
         """One line above the bar."""
         interruption.raise_if_lost()
-        if sweep_progress.current is not None:
+        if self._quiet:
             return
         text = (
             f"iteration {progress.iteration}: held-out psnr {metrics['psnr']:.2f} after "

@@ -19,16 +19,12 @@ from pathlib import Path
 FOLDER_VARIABLE = "PIPELINE_SWEEP"
 UPDATE_EVERY_S = 1.0
 TRAINING_SHARE = 0.95  # of the time of a run of train=short; the rest is evaluation
-SKIPPED, FAILED = "skipped", "failed"  # what the file of a run has that was finished before, or failed
 CLEAR_LINE = "\r\x1b[K"
 
 
 @contextmanager
 def sweep(work: dict[str, float]) -> Iterator[None]:
-    """work: of each run, by its folder, in any unit. Without runs, nothing."""
-    if not work:
-        yield
-        return
+    """work: of each run, by its folder, in any unit."""
     folder = Path(tempfile.mkdtemp(prefix="sweep-"))
     (folder / "plan.json").write_text(json.dumps({"began": time.time(), "work": work}))
     os.environ[FOLDER_VARIABLE] = str(folder)  # for the processes of the sweep
@@ -41,84 +37,78 @@ def sweep(work: dict[str, float]) -> Iterator[None]:
             print(flush=True)
 
 
+def plan_file() -> Path | None:
+    """Of the sweep that this process is part of. None without one, and on another machine, which does not see it."""
+    file = Path(os.environ.get(FOLDER_VARIABLE, "no sweep")) / "plan.json"
+    return file if FOLDER_VARIABLE in os.environ and file.is_file() else None
+
+
 class SweepRun:
     """A run's part in it."""
 
-    def __init__(self, folder: Path, out: str, iterations: int) -> None:
-        self._folder = folder
-        plan = json.loads((folder / "plan.json").read_text())
-        self._began, self._work = plan["began"], plan["work"]
-        self._work.setdefault(out, 1.0)
-        self._file = folder / f"run{list(self._work).index(out)}"
-        self._iterations = iterations
-        self._trained, self._updated = False, 0.0
-        self._resumed = 0.0  # share of its work that was done before the sweep
+    def __init__(self, folder: Path, began: float, work: dict[str, float], out: str) -> None:
+        self._began, self._work = began, list(work.values())
+        self._files = [folder / f"run{index}" for index in range(len(work))]
+        self._file = self._files[list(work).index(out)]
+        self._updated = 0.0
 
     @classmethod
-    def joined(cls, out: str, iterations: int) -> SweepRun | None:
-        """None where no sweep is announced: a job on another machine does not see its folder."""
-        folder = os.environ.get(FOLDER_VARIABLE)
-        return cls(Path(folder), out, iterations) if folder and (Path(folder) / "plan.json").is_file() else None
+    def joined(cls, out: str) -> SweepRun | None:
+        """The run of this folder; None where no sweep has it."""
+        if not (plan := plan_file()):
+            return None
+        found = json.loads(plan.read_text())
+        return cls(plan.parent, found["began"], found["work"], out) if out in found["work"] else None
 
     def update(self, iteration: int, iterations: int, first: int = 0) -> None:
-        """iterations: of all; a training within the run that has fewer is no progress. first: done before the sweep."""
-        if iterations != self._iterations or time.monotonic() - self._updated < UPDATE_EVERY_S:
+        """iterations: of all. first: done before the sweep."""
+        if time.monotonic() - self._updated < UPDATE_EVERY_S:
             return
-        self._trained, self._updated = True, time.monotonic()
-        self._resumed = TRAINING_SHARE * first / iterations
-        self._file.write_text(f"{TRAINING_SHARE * iteration / iterations} {self._resumed}")
+        self._updated = time.monotonic()
+        self._write(TRAINING_SHARE * iteration / iterations, TRAINING_SHARE * first / iterations)
         if sys.stdout.isatty():
-            self._write(CLEAR_LINE + self.text())
+            _print(CLEAR_LINE + self.text())
 
     def finished(self, line: str) -> None:
-        """line: of its result. Printed once, also if two sweeps have the run."""
-        if not _is_finished(_read(self._file)):
-            self._file.write_text(f"1 {self._resumed}" if self._trained else SKIPPED)
-            self._write(f"{CLEAR_LINE}{line}\n{self.text()}" if sys.stdout.isatty() else f"{self.text()}  {line}\n")
+        """line: of its result. A run that did not train was finished before the sweep."""
+        self._write(1.0, _read(self._file)[1] if self._file.exists() else 1.0)
+        _print(f"{CLEAR_LINE}{line}\n{self.text()}" if sys.stdout.isatty() else f"{self.text()}  {line}\n")
 
     def failed(self) -> None:
-        """Its error is printed next."""
-        self._file.write_text(FAILED)
+        """It is not to do any more. Its error is printed next."""
+        self._write(1.0, 1.0)
         if sys.stdout.isatty():
-            self._write(CLEAR_LINE)
+            _print(CLEAR_LINE)
 
     def text(self) -> str:
-        """How many runs are done, and minutes left from the work that the sweep has done so far."""
-        states = [_read(self._folder / f"run{index}") for index in range(len(self._work))]
-        ended = sum(_is_finished(state) or state == FAILED for state in states)
-        count = f"{ended}/{len(states)} runs"
-        shares = [(work, *state) for work, state in zip(self._work.values(), states) if not isinstance(state, str)]
-        done = sum(work * (share - resumed) for work, share, resumed in shares)
-        to_do = sum(work * (1 - share) for work, share, _ in shares)
+        """How many runs have ended, and minutes left from the work that the sweep has done so far."""
+        shares = [_read(file) for file in self._files]
+        count = f"{sum(share == 1 for share, _ in shares)}/{len(shares)} runs"
+        done = sum(work * (share - before) for work, (share, before) in zip(self._work, shares))
+        to_do = sum(work * (1 - share) for work, (share, _) in zip(self._work, shares))
         seconds = time.time() - self._began
         if to_do == 0:
             return f"{count} in {_minutes(seconds)}"
         return f"{count}, {_minutes(seconds * to_do / done)} left" if done > 0 else count
 
-    def _write(self, text: str) -> None:
-        sys.stdout.write(text)
-        sys.stdout.flush()
+    def _write(self, share: float, before: float) -> None:
+        """share: of the run's work that is done. before: that was done before the sweep."""
+        self._file.write_text(json.dumps([share, before]))
 
 
-def _read(file: Path) -> tuple[float, float] | str:
-    """(share of the run's work that is done, share that was done before the sweep), or why it has none."""
+def _read(file: Path) -> tuple[float, float]:
+    """What `_write` wrote; 0 where the run has not begun, or its file is being written."""
     try:
-        text = file.read_text()
-    except OSError:
+        share, before = json.loads(file.read_text())
+    except (OSError, ValueError):
         return 0.0, 0.0
-    try:
-        share, resumed = map(float, text.split())
-    except ValueError:
-        return text or (0.0, 0.0)  # empty: it is being written
-    return share, resumed
-
-
-def _is_finished(state: tuple[float, float] | str) -> bool:
-    return state == SKIPPED or state[0] == 1.0
+    return share, before
 
 
 def _minutes(seconds: float) -> str:
     return f"{max(1, round(seconds / 60))} min"
 
 
-current: SweepRun | None = None  # of this process
+def _print(text: str) -> None:
+    sys.stdout.write(text)
+    sys.stdout.flush()
