@@ -50,7 +50,7 @@ def main(arguments: list[str]) -> int:
         raise ValueError(f"{path}: expected a run folder or a file of a model, found none")
     torch.set_num_threads(1)  # as in a run: views are measured side by side
     data = prepare(cfg, log)
-    cfg = for_scene(order, data.scene)
+    cfg = for_scene(order, data)
     model = _as_trained(read_model(path, data.canonical), path, cfg, data)
     out = options.out or Path("results") / "evaluated" / cfg.scene.name / name_of(options.model)
     log(f"evaluate: {len(model)} Gaussians of {path} on {len(data.scene.test)} test views of {cfg.scene.name}")

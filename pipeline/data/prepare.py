@@ -43,7 +43,10 @@ def prepare(cfg: Config, log: Callable[[str], None]) -> Prepared:
         cloud = None if cloud is None else transformed(cloud, transform)
     initial = None if cloud is None else ScenePoints(cloud.points, cloud.colors)
     scene = replace(canonicalise(scene, transform), points=initial)
-    return Prepared(scene, cloud, folder, transform, poses_estimated=source.poses == "of every frame")
+    of_every_frame = source.poses == "of every frame"
+    if points == "given" and cloud is None:
+        points = "random"
+    return Prepared(scene, cloud, folder, transform, of_every_frame, source.cfg, points)
 
 
 def points_from(cfg: Config, source: Source) -> str:
@@ -52,6 +55,8 @@ def points_from(cfg: Config, source: Source) -> str:
     lidar, asked = source.points == "lidar", cfg.init.source
     if asked == "lidar" and not lidar:
         raise ValueError("init.source: expected auto, random or sfm for a scene without LiDAR, found lidar")
+    if asked == "given" and source.points != "given":
+        raise ValueError(f"init.source: expected auto, {source.points} or random for {source.path}, found given")
     if asked == "sfm" and source.points == "given":
         raise ValueError(
             f"init.source: expected auto or random for {cfg.scene.name}, which has one camera per time, found sfm"

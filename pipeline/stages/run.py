@@ -25,7 +25,8 @@ from pipeline.training.sampling import refuse_large_batch
 
 NOTHING_KEPT = "nothing of the run was saved yet; the same command starts it anew"
 # Keys that the data and validation settle, which the first look at a run folder cannot know.
-OPEN = ("train", "ablation.static", "ablation.fourier_order", "scene.background")
+OPEN = ("train", "ablation.static", "ablation.fourier_order", "init.source", "scene.background", "scene.reader",
+        "scene.test_split", "scene.validation_every", "scene.downscale", "scene.color_correction")  # fmt: skip
 AFTER_TRAINING = ("evaluate", "page")
 
 
@@ -44,14 +45,14 @@ def run(command: Command, log: Callable[[str], None]) -> dict | None:
         for line in needs.lines(cfg):
             log(line)
     data = prepare(cfg, log)
-    cfg = for_scene(command, data.scene)
+    cfg = for_scene(command, data)
     refuse_small_images(data.scene, cfg.train.resolution_scale)  # before hours of training
     refuse_large_batch(len(data.scene.train), cfg.train.batch)
     if data.poses_estimated and not trained:
         log(training_minutes(cfg, data.scene))
 
     with RunFolder(path, cfg.resume) as folder:
-        folder.claim(asdict(for_scene(command, data.scene, folder.values_of("settle").get("decided", {}))))
+        folder.claim(asdict(for_scene(command, data, folder.values_of("settle").get("decided", {}))))
         _go_through(Job(command, cfg, data, folder, log), chosen)
         if not {"evaluate", "page"} & set(chosen):
             return None
@@ -101,7 +102,7 @@ def _go_through(job: Job, chosen: list[str]) -> None:
             log(f"{stage.name}: {folder.path}")
             _do(stage, job, inputs, commit)
         if stage.name == "settle":
-            job = replace(job, cfg=for_scene(job.command, job.data.scene, folder.values_of("settle")["decided"]))
+            job = replace(job, cfg=for_scene(job.command, job.data, folder.values_of("settle")["decided"]))
             folder.write_config(asdict(job.cfg))
 
 

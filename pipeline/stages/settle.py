@@ -2,7 +2,7 @@
 
 1. The kind of scene chooses the schedule's file: conf/train/<schedule>/<kind>.yaml under the command line.
 2. Validation decides what the schedule leaves to it (decide.py): time, and colour that changes in time.
-3. What the scene itself determines is filled in: static or not, the background's colour.
+3. What the data determine is filled in: layout, split, source of points, static or not, the background's colour.
 
 The settled configuration is what is written, hashed, trained, evaluated and reported.
 """
@@ -26,11 +26,12 @@ Decided = Mapping[str, Any]  # what validation decided: {"static": bool, "fourie
 NOT_CHANGES = (*FREE_KEYS, "seed", "scene.path", "scene.name", "ablation.name", "train.name", "train.checkpoint_every")
 
 
-def for_scene(command: Command, scene: Scene, decided: Decided | None = None) -> Config:
-    """The command's configuration for this scene. decided: None where validation has not decided yet."""
-    cfg = command.config()
+def for_scene(command: Command, data: Prepared, decided: Decided | None = None) -> Config:
+    """The command's configuration for these data. decided: None where validation has not decided yet."""
+    cfg, scene = command.config(), data.scene
     cfg = command.config(schedule_kind(cfg, scene, found_static=bool(decided and decided.get("static"))))
-    cfg = replace(cfg, scene=replace(cfg.scene, background=list(scene.background)))
+    read = replace(data.settings or cfg.scene, background=list(scene.background))
+    cfg = replace(cfg, scene=read, init=replace(cfg.init, source=data.points))
     return cfg if decided is None else _closed(cfg, scene, decided)
 
 
@@ -47,7 +48,7 @@ def schedule_kind(cfg: Config, scene: Scene, found_static: bool = False) -> str:
 
 def decide(command: Command, data: Prepared, log: Callable[[str], None]) -> dict[str, Any]:
     """Runs the short trainings that the schedule asks for: {"decided": …, "seconds": …}, and what they compared."""
-    cfg, scene = for_scene(command, data.scene), data.scene
+    cfg, scene = for_scene(command, data), data.scene
     decided: dict[str, Any] = {}
     compared: dict[str, Any] = {}
     if time_is_open(cfg, scene):

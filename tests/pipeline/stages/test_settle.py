@@ -10,6 +10,7 @@ from tiny_film import unsynchronised_film
 
 from datasets.scene import Scene
 from pipeline.config.compose import Command
+from pipeline.data.prepared import Prepared
 from pipeline.runs.run_identity import flat
 from pipeline.stages.settle import changes, for_scene, schedule_kind
 
@@ -19,7 +20,7 @@ FILM, CLIP = (replace(MOVING, capture=capture) for capture in ("multi_view", "cl
 
 
 def settled(scene: Scene, *overrides: str, decided: dict | None = None) -> dict:
-    return flat(asdict(for_scene(Command((*WHEEL, *overrides)), scene, decided or {})))
+    return flat(asdict(for_scene(Command((*WHEEL, *overrides)), Prepared(scene, None, None), decided or {})))
 
 
 def differing(one: dict, other: dict) -> set[str]:
@@ -39,7 +40,7 @@ def differing(one: dict, other: dict) -> set[str]:
 def test_the_scene_chooses_the_file_of_its_kind(scene: Scene, kind: str) -> None:
     order = Command(WHEEL)
     assert schedule_kind(order.config(), scene) == kind
-    assert for_scene(order, scene).train == order.config(kind).train
+    assert for_scene(order, Prepared(scene, None, None)).train == order.config(kind).train
 
 
 def test_each_kind_has_its_own_settings_and_nothing_else_changes() -> None:
@@ -67,6 +68,7 @@ def test_nothing_is_left_to_decide() -> None:
     for scene, static in ((MOVING, False), (STATIC, True)):
         found = settled(scene, "train.select_motion=0.1")
         assert found["ablation.static"] is static and found["scene.background"] == [0.0, 0.0, 0.0]
+        assert found["init.source"] == "random"
         assert found["train.select_motion"] == found["train.select_time_colour"] == 0
 
 
