@@ -2,10 +2,6 @@
 
 settings.py   the settings `scene.*`                  scene.py   Scene, View: what every reader returns
 source.py     opens the data that the settings name   readers/   a module a layout
+
+Nothing is imported here: settings and errors are for the command line, which starts without torch.
 """
-
-from datasets.files.errors import SceneError
-from datasets.scene import Scene, View, validate_scene
-from datasets.source import Source, open_source
-
-__all__ = ["Scene", "SceneError", "Source", "View", "open_source", "validate_scene"]

@@ -26,7 +26,6 @@ from pipeline.terminal.command_line import quiet_on_closed_pipe
 from pipeline.terminal.help_page import help_page
 from pipeline.terminal.sweep_progress import SweepRun
 from pipeline.terminal.sweeper import register_sweeper
-from rasterizer.allocator import keep_freed_memory
 
 # What a user can cause, by a wrong key, bad data, a full disk or a training that diverges. Anything else is a bug of
 # the program and shows its traceback.
@@ -74,9 +73,10 @@ def run_one(composed: DictConfig) -> bool:
         order = Command(tuple(job.overrides.task))
         cfg = order.config()
         _hint_at_settings(cfg, job.runtime.choices.get("scene"))
-        import torch  # these two late: a typo on the command line need not wait for them
+        import torch  # these late: a typo on the command line need not wait for them
 
         from pipeline.stages.run import run
+        from rasterizer.allocator import keep_freed_memory
 
         keep_freed_memory()
         torch.set_num_threads(1)  # the heavy work is the kernel's, which has threads of its own (cfg.threads)

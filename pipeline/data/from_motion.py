@@ -8,9 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets import Source
 from datasets.canonical import Canonical, canonical_space
-from datasets.source import Calibration, Photograph
+from datasets.source import Calibration, Photograph, Source
 from pipeline.config.schema import Config, InitConfig
 from pipeline.data.sfm.reconstruction import Reconstruction
 from rasterizer.camera import Camera

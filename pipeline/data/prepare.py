@@ -11,9 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from datasets import Scene, Source, open_source
 from datasets.canonical import canonical_of, canonicalise
-from datasets.scene import ScenePoints
+from datasets.scene import Scene, ScenePoints
+from datasets.source import Source, open_source
 from pipeline.config.schema import Config
 from pipeline.data.from_motion import structure_from_motion, transformed
 from pipeline.data.prepared import Prepared

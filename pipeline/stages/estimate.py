@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from datasets import Scene, Source, open_source
-from datasets.source import Size
+from datasets.scene import Scene
+from datasets.source import Size, Source, open_source
 from pipeline.config.schema import Config
 from pipeline.data.optical_flow import CACHE_LIMIT_BYTES as FLOW_CACHE_LIMIT_BYTES
 from pipeline.data.optical_flow import measured_size

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets import Scene
+from datasets.scene import Scene
 from pipeline.config.schema import Config
 from pipeline.data.prepared import Prepared
 

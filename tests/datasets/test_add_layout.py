@@ -10,8 +10,10 @@ import pytest
 from hydra import compose, initialize_config_dir
 from PIL import Image
 
-from datasets import SceneError, open_source, readers
+from datasets import readers
+from datasets.files.errors import SceneError
 from datasets.settings import SceneConfig
+from datasets.source import open_source
 from pipeline.config.compose import CONFIG_DIR, register_schema, to_config
 
 MODULE = """

@@ -6,8 +6,9 @@ import pytest
 from tiny import tiny_scene
 from tiny_film import tiny_film
 
-from datasets import SceneError, open_source
+from datasets.files.errors import SceneError
 from datasets.settings import SceneConfig
+from datasets.source import open_source
 from datasets.validation import hold_out_every, hold_out_outermost, hold_out_poses
 
 

@@ -8,9 +8,9 @@ import numpy as np
 from layout_folders import COUNT, HEIGHT, WIDTH, cameras, picture
 from PIL import Image
 
-from datasets import open_source
 from datasets.scene import Scene
 from datasets.settings import SceneConfig
+from datasets.source import open_source
 
 
 def read(path: Path, **settings: object) -> tuple[Scene, list[str]]:

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from imageio_ffmpeg import get_ffmpeg_exe
 
-from datasets import Scene, Source
+from datasets.scene import Scene
 from datasets.settings import SceneConfig
-from datasets.source import open_source
+from datasets.source import Source, open_source
 
 WIDTH, HEIGHT = 64, 48
 FRAMES = 6

@@ -62,6 +62,11 @@ def test_without_a_scene_the_page_and_a_refusal(shell: Shell) -> None:
     assert out == help_page() and err.startswith("error: scene: must be given; there are ") and err.count("\n") == 1
 
 
+def test_a_typo_need_not_wait_for_torch() -> None:
+    code = "import sys, pipeline.cli; sys.exit(bool({'torch', 'cv2', 'pycolmap'} & set(sys.modules)))"
+    assert subprocess.run([sys.executable, "-c", code], cwd=CONFIG_DIR.parent).returncode == 0
+
+
 def test_the_version(shell: Shell) -> None:
     out, _ = shell("--version")
     assert re.fullmatch(

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from datasets import open_source
 from datasets.settings import SceneConfig
+from datasets.source import open_source
 
 pytestmark = pytest.mark.data
 

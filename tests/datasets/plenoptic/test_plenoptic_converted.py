@@ -21,7 +21,7 @@ from plenoptic_folder import (
     write_video,
 )
 
-from datasets import SceneError
+from datasets.files.errors import SceneError
 from datasets.plenoptic.footage import Footage
 from datasets.scene import Scene, View
 from rasterizer.camera import Camera

@@ -23,12 +23,13 @@ import pytest
 from plenoptic_folder import FRAMES, write_camera
 from rich.console import Console
 
-from datasets import Scene, SceneError
 from datasets.cameras.lens import Undistortion
+from datasets.files.errors import SceneError
 from datasets.plenoptic import decode as decoding
 from datasets.plenoptic.decode import fingerprint
 from datasets.plenoptic.display import DecodingDisplay
 from datasets.plenoptic.videos import Video
+from datasets.scene import Scene
 from rasterizer.camera import Camera
 
 
@@ -107,7 +108,7 @@ def test_fingerprint_covers_name_size_and_both_ends(tmp_path: Path) -> None:
 
 KILLED = """
 import sys, time
-from datasets import open_source
+from datasets.source import open_source
 from datasets.plenoptic.videos import Video
 from datasets.settings import SceneConfig
 original = Video.read

@@ -12,12 +12,13 @@ import pytest
 from clips import textured_plane, write_clip
 from plenoptic_folder import FRAMES, HEIGHT, RATE, WIDTH, inside, opened, picture, write_camera, write_folder
 
-from datasets import SceneError, open_source
 from datasets.cameras.lens import Undistortion
+from datasets.files.errors import SceneError
 from datasets.plenoptic.footage import Footage
 from datasets.plenoptic.unsynchronised import AlignedStream
 from datasets.readers.video import read_footage
 from datasets.settings import SceneConfig
+from datasets.source import open_source
 from rasterizer.camera import Camera
 
 NAMES = ("b.cam.mp4", "GX 03.mov", "left.MKV", "right.avi")

@@ -14,7 +14,7 @@ from dnerf_folder import blender_pose
 from PIL import Image
 from plenoptic_folder import HEIGHT, WIDTH, picture, read, write_camera
 
-from datasets import SceneError
+from datasets.files.errors import SceneError
 from datasets.files.frame_store import StoredFrame
 from datasets.source import detect
 

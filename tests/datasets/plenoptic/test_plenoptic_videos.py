@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 from plenoptic_folder import FOCAL, FRAMES, HEIGHT, NEAR, RATE, WIDTH, inside, picture, read, write_camera, write_folder
 
-from datasets import open_source
 from datasets.files.frame_store import StoredFrame
 from datasets.settings import SceneConfig
-from datasets.source import detect
+from datasets.source import detect, open_source
 
 # Levels of 255, inside a block: 1 to 2 from limited range, the rest from x264 at crf 1.
 CODEC = 4

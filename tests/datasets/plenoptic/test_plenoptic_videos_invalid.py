@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from plenoptic_folder import FRAMES, RATE, pose_row, read, write_camera
 
-from datasets import SceneError
+from datasets.files.errors import SceneError
 
 
 @pytest.fixture

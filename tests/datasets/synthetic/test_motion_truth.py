@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets import open_source
 from datasets.ground_truth import StoredTruth
 from datasets.settings import SceneConfig
+from datasets.source import open_source
 from datasets.synthetic import build_scene
 from datasets.synthetic.film_truth import write_film_truth
 from datasets.synthetic.shapes import Rectangle, Sphere

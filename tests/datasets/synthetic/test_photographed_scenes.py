@@ -10,10 +10,10 @@ import dnerf_folder
 import numpy as np
 import pytest
 
-from datasets import open_source
 from datasets.files.errors import SceneError
 from datasets.ground_truth import StoredTruth
 from datasets.settings import SceneConfig
+from datasets.source import open_source
 from datasets.synthetic import PHOTOGRAPHED, build_scene, make_scene
 from datasets.synthetic.__main__ import main
 from datasets.synthetic.camera_path import TimedPose, arc_poses, held_out_poses, poses_beside_camera, training_poses

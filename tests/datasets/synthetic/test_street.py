@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets import open_source
 from datasets.scene import Scene
 from datasets.settings import SceneConfig
+from datasets.source import open_source
 from datasets.synthetic import build_scene
 from datasets.synthetic.drive import lidar
 from datasets.urban.moving import moving_mask, moving_points

@@ -9,11 +9,11 @@ import kitti_folder as k
 import numpy as np
 import pytest
 
-from datasets import open_source
 from datasets.files.errors import SceneError
 from datasets.readers.kitti import open_kitti
 from datasets.scene import Sweep
 from datasets.settings import SceneConfig
+from datasets.source import open_source
 from datasets.urban.assemble import scene_of_log
 from datasets.urban.moving import RangeImage, moving_mask, moving_points
 from datasets.urban.projection import hidden, project, seen

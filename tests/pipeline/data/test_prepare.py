@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from tiny import tiny_config
 
-from datasets import open_source
 from datasets.canonical import canonical_of
 from datasets.settings import SceneConfig
+from datasets.source import open_source
 from datasets.synthetic import build_scene
 from pipeline.config.schema import Config, InitConfig
 from pipeline.data.from_motion import near_depth

@@ -11,8 +11,8 @@ from dnerf_folder import blender_pose
 from hypothesis.strategies import SearchStrategy
 from PIL import Image
 
-from datasets import open_source
 from datasets.settings import SceneConfig
+from datasets.source import open_source
 from fuzz.edits.bytes import changed_files
 from fuzz.edits.json import edit_json
 from fuzz.scene_checks import check_scene

@@ -9,8 +9,8 @@ import numpy as np
 from hypothesis.strategies import SearchStrategy
 from plenoptic_folder import write_video
 
-from datasets import open_source
 from datasets.settings import SceneConfig
+from datasets.source import open_source
 from fuzz.edits.arrays import edit_npy
 from fuzz.edits.bytes import changed_files
 from fuzz.scene_checks import check_scene
