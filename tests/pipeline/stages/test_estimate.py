@@ -4,13 +4,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import pytest
 from tiny import tiny_config
 
+from pipeline.stages import estimate
 from pipeline.stages.estimate import Size, _estimate
+from rasterizer.timing.workloads import make_workload
 
 
-def test_images_in_memory_have_the_size_that_is_trained() -> None:
+def test_images_in_memory_have_the_size_that_is_trained(monkeypatch: pytest.MonkeyPatch) -> None:
     """At half the size a training image takes a quarter of its 12 bytes a pixel; images as read stay as they are."""
+    small = make_workload("W1")
+    monkeypatch.setattr(estimate, "make_workload", lambda name: small)
     size = Size(train_views=50, test_views=1, width=400, height=300, stored_bytes=0, decode_seconds=0.0)
     cfg = tiny_config(10)
     cfg = replace(cfg, train=replace(cfg.train, densify=replace(cfg.train.densify, max_gaussians=100)))
