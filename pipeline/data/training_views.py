@@ -32,7 +32,7 @@ class Target:
     motion: MeasuredFlow | None = None  # None: not measured
     depth: SparseDepth | None = None  # of LiDAR or structure from motion; None: unknown
     sky: Tensor | None = None  # (1, H, W) float32, share of each pixel that is sky; None: unknown
-    mask: Tensor | None = None  # (H, W) bool: pixels that count; None: all
+    mask: Tensor | None = None  # (H, W) bool: valid pixels; None: all
 
 
 def target_of(view: View, scale: float) -> Target:
@@ -54,7 +54,7 @@ def _sky(view: View, camera: Camera) -> Tensor | None:
 
 
 def _reduced_mask(mask: np.ndarray, camera: Camera) -> Tensor:
-    """(H, W) bool at the camera's size: pixels all of whose parts count."""
+    """(H, W) bool at the camera's size: pixels all of whose parts are valid."""
     return torch.from_numpy(area_average(mask, camera) > 1 - 1e-3)
 
 
@@ -105,16 +105,16 @@ class TrainingViews:
             target = replace(target, motion=self._flows.at(index, target.camera))
         if self._depths is not None:
             target = replace(target, depth=self._depths.at(index, target.camera, target.image))
-        return target if target.mask is None else _where_it_counts(target, target.mask)
+        return target if target.mask is None else _valid_only(target, target.mask)
 
 
-def _where_it_counts(target: Target, mask: Tensor) -> Target:
+def _valid_only(target: Target, mask: Tensor) -> Target:
     """The target without the measured flow, depths and sky of the pixels outside its mask (H, W)."""
     motion, depth = target.motion, target.depth
     sky = None if target.sky is None else target.sky * mask
     if motion is not None:
         motion = replace(motion, flow=torch.where(mask, motion.flow, torch.nan))
     if depth is not None:
-        counts = mask.ravel()[depth.pixel]
-        depth = SparseDepth(depth.pixel[counts], depth.inverse[counts]) if counts.any() else None
+        valid = mask.ravel()[depth.pixel]
+        depth = SparseDepth(depth.pixel[valid], depth.inverse[valid]) if valid.any() else None
     return replace(target, motion=motion, depth=depth, sky=sky)

@@ -34,8 +34,7 @@ from pipeline.evaluation.pictures.view_pictures import (
     write_clip_films,
     write_moving,
 )
-from pipeline.evaluation.renderer import Renderer
-from pipeline.evaluation.speed import frames_per_second
+from pipeline.evaluation.renderer import Renderer, frames_per_second
 from pipeline.model.model import Model
 from rasterizer import Camera, Rasterizer
 

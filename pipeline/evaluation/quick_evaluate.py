@@ -22,7 +22,7 @@ def quick_evaluate(
     model: Model, scene: Scene, cfg: Config, rasterizer: Rasterizer, moving: MovingPixels | None = None
 ) -> dict[str, float | None]:
     """{psnr, ssim, test_loss, psnr_moving} over `train.eval_views` evenly spread test views, and train_psnr over as
-    many training views. PSNR is that of the pixels that count, as in `held_out_psnr`.
+    many training views. PSNR is that of the valid pixels, as in `held_out_psnr`.
 
     Renders have the final resolution, also while training is at a coarser one, so that the numbers of a run can be
     compared. SSIM is the loss's (zero padding at the border, as 3DGS), which differs from metrics.ssim in the third
@@ -40,7 +40,7 @@ def quick_evaluate(
                 image, target.image, mse_weight=cfg.train.mse_weight, threads=rasterizer.threads
             )
             render, truth = (pixels.numpy().transpose(1, 2, 0) for pixels in (image, target.image))
-            rows.append({"psnr": _counted_psnr(render, truth, target), "ssim": ssim, "test_loss": loss})
+            rows.append({"psnr": _valid_psnr(render, truth, target), "ssim": ssim, "test_loss": loss})
             mask = moving.of(index) if views is scene.test else None
             rows[-1]["psnr_moving"] = masked_psnr(render, truth, mask)
         found = {name: mean(rows, name) for name in ("psnr", "ssim", "test_loss")}
@@ -50,17 +50,17 @@ def quick_evaluate(
 
 
 def held_out_psnr(model: Model, scene: Scene, cfg: Config, threads: int) -> np.ndarray:
-    """(test views,) PSNR in dB at the final resolution over the pixels that count: psnr_masked of metrics.json where a
+    """(test views,) PSNR in dB at the final resolution over the valid pixels: psnr_masked of metrics.json where a
     view's mask leaves pixels out, unless it leaves none, psnr elsewhere."""
     renderer, found = Renderer(model, scene, cfg, Rasterizer(threads=threads)), []
     for view in scene.test:
         target = target_of(view, cfg.train.resolution_scale)
         image, truth = renderer.image(target.camera, target.time), target.image.numpy().transpose(1, 2, 0)
-        found.append(_counted_psnr(image, truth, target))
+        found.append(_valid_psnr(image, truth, target))
     return np.array(found)
 
 
-def _counted_psnr(image: np.ndarray, truth: np.ndarray, target: Target) -> float:
-    """PSNR in dB of (H, W, 3) images over the pixels that the view's mask counts; over all if it counts none."""
-    counted = masked_psnr(image, truth, None if target.mask is None else target.mask.numpy())
-    return psnr(image, truth) if counted is None else counted
+def _valid_psnr(image: np.ndarray, truth: np.ndarray, target: Target) -> float:
+    """PSNR in dB of (H, W, 3) images over the pixels inside the view's mask; over all if there are none."""
+    valid = masked_psnr(image, truth, None if target.mask is None else target.mask.numpy())
+    return psnr(image, truth) if valid is None else valid

@@ -1,7 +1,8 @@
-"""Renders a model from a camera at a time, with the background and units of its scene."""
+"""Renders a model from a camera at a time, with the background and units of its scene; and how fast that is."""
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,12 +10,14 @@ from torch import Tensor
 
 from datasets.scene import Scene
 from pipeline.config.schema import Config
+from pipeline.data.training_views import camera_at, evenly_spaced
 from pipeline.evaluation.image_metrics import Geometry
 from pipeline.model.model import Model
 from pipeline.model.render import render_image
 from rasterizer import Camera, Rasterizer, Request
 
 SMALLEST_ALPHA = 1e-6  # divisor of sums over no Gaussian, which are 0
+SPEED_VIEWS = 30  # whose speed is measured, at most, evenly spread: the views of a video are similar
 
 
 @dataclass(frozen=True)
@@ -58,3 +61,24 @@ class Renderer:
     def _request(self, camera: Camera, time: float) -> Request:
         near = self.cfg.scene.near * self.scene.unit
         return Request(camera, time, self.scene.duration, background=self.scene.background, near=near)
+
+
+def frames_per_second(model: Model, scene: Scene, cfg: Config, threads: int) -> dict[str, float]:
+    """{fps_render, fps_raster} over SPEED_VIEWS test views: the fastest of `evaluate.speed_repeats` passes each.
+
+    fps_render: from the 4D Gaussians to the image, including slicing, projection, sorting, binning, blending and the
+    environment map. fps_raster: blending alone, by the kernel's own clock.
+    """
+    renderer, scale = Renderer(model, scene, cfg, Rasterizer(threads=threads)), cfg.train.resolution_scale
+    views = [scene.test[index] for index in evenly_spaced(len(scene.test), SPEED_VIEWS)]
+    shots = [(camera_at(view.camera, scale), view.time) for view in views]
+    whole, blend = [], []
+    for _ in range(cfg.evaluate.speed_repeats):
+        blending = 0.0
+        started = time.perf_counter()
+        for camera, moment in shots:
+            renderer.tensor(camera, moment)
+            blending += renderer.rasterizer.stage_ms["blend"] / 1000.0
+        whole.append(time.perf_counter() - started)
+        blend.append(blending)
+    return {"fps_raster": len(shots) / max(min(blend), 1e-9), "fps_render": len(shots) / min(whole)}

@@ -134,7 +134,7 @@ def from_points(
 
 
 def set_velocities(model: Model, velocities: np.ndarray) -> None:
-    """Let unrotated Gaussians move, in place: their lifetimes and their spatial covariances at any time stay.
+    """Let unrotated Gaussians move, in place: their temporal scales and their spatial covariances at any time stay.
 
     velocities: (N, 3), world units per unit of time. A model without 4D rotation is unchanged.
     """

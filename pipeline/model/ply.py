@@ -22,7 +22,7 @@ from plyfile import PlyData, PlyElement
 
 from datasets.files.errors import DataError
 from pipeline.model.model import Model, ModelKind
-from pipeline.model.velocities import in_rotations
+from pipeline.model.transformed import in_rotations
 from rasterizer.gaussians import Motion
 
 LONGEST_HEADER, LONGEST_LINE = 1000, 1000  # lines, bytes; a full model has 170 lines

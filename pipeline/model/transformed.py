@@ -1,13 +1,19 @@
-"""A model in other coordinates: lengths and times scaled, origins moved (datasets/canonical.py).
+"""The same Gaussians in other coordinates or parameters.
 
-Where lengths and times are scaled by different factors, Σ' = D Σ D with D = diag(s, s, s, s_t) has other axes than Σ:
-they are the left singular vectors of D M, a 4D rotation, which two unit quaternions represent.
+Coordinates: lengths and times scaled, origins moved (datasets/canonical.py). Where lengths and times are scaled by
+different factors, Σ' = D Σ D with D = diag(s, s, s, s_t) has other axes than Σ: they are the left singular vectors of
+D M, a 4D rotation, which two unit quaternions represent.
+
+Parameters: velocities instead of 4D rotations.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import torch
+from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from datasets.canonical import Canonical
@@ -68,3 +74,45 @@ def quaternions_of(rotation: Tensor) -> tuple[Tensor, Tensor]:
     right = torch.nn.functional.normalize(row, dim=1)
     left = torch.nn.functional.normalize(torch.einsum("nab,nb->na", coefficients, right), dim=1)
     return left, right
+
+
+# ---- Velocities instead of 4D rotations -------------------------------------------------------------------------
+#
+# A 4D covariance has ten numbers: six of the ellipsoid Σ(t) at any time, three of the velocity v and one of the
+# temporal scale √Σtt (docs/method.md 1.1). In them nothing keeps a Gaussian from moving: a 4D rotation moves one with
+# the scales s_x and st with at most |s_x² - st²| / (2 s_x st), and not at all where both are equal. Training has them
+# with `train.explicit_velocity`; all that reads a trained model gets rotations.
+
+
+def in_velocities(model: Model) -> Model:
+    """The Gaussians of a "full" model, each with its velocity; any other model as it is. Up to float32."""
+    if model.kind.motion != "full":
+        return model
+    axes = scaled_axes(model.gaussians().to(torch.float64))  # M
+    space, time_row = axes[:, :3], axes[:, 3]
+    deviation = time_row.norm(dim=1)  # √Σtt
+    u = time_row / deviation[:, None]
+    along = torch.einsum("nij,nj->ni", space, u)  # Σ_xyz,t / √Σtt
+    slices = space - along[:, :, None] * u[:, None, :]  # A, of Σ(t) = A Aᵀ
+    directions, scale = (torch.from_numpy(part) for part in np.linalg.svd(slices.numpy(), full_matrices=False)[:2])
+    p = dict(model.parameters)
+    del p["quat_right"]
+    p["log_scale"] = torch.cat([scale.log(), deviation.log()[:, None]], dim=1).float()
+    p["quat_left"] = _quaternions(directions)
+    p["velocity"] = (along / deviation[:, None]).float()
+    return Model(replace(model.kind, motion="velocity"), p, model.sphere, model.environment_map)
+
+
+def in_rotations(model: Model) -> Model:
+    """The Gaussians of a "velocity" model, each with its 4D rotation; any other model as it is. Up to float32."""
+    if model.kind.motion != "velocity":
+        return model
+    p = model.parameters | rotations_of(scaled_axes(model.gaussians().to(torch.float64)))
+    del p["velocity"]
+    return Model(replace(model.kind, motion="full"), p, model.sphere, model.environment_map)
+
+
+def _quaternions(directions: Tensor) -> Tensor:
+    """(N, 4) float32, w first, of the rotations to orthogonal axes (N, 3, 3), whose signs are free."""
+    axes = directions * torch.linalg.det(directions).sign()[:, None, None]  # a rotation, not a reflection
+    return torch.from_numpy(Rotation.from_matrix(axes.numpy()).as_quat(scalar_first=True)).float()

@@ -19,7 +19,7 @@ from pipeline.evaluation.quick_evaluate import quick_evaluate
 from pipeline.model.initialise import initialise
 from pipeline.model.model import Model
 from pipeline.model.ply import load_ply, save_ply
-from pipeline.model.velocities import in_rotations
+from pipeline.model.transformed import in_rotations
 from pipeline.runs.provenance import peak_memory_mb, reset_peak_memory
 from pipeline.runs.run_folder import RunFolder, now, write_csv
 from pipeline.stages.settle import changes, decide

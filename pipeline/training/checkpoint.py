@@ -26,7 +26,7 @@ from datasets.files.atomic_write import atomic_file
 from datasets.files.errors import DataError
 from pipeline.config.schema import MAX_SEED
 from pipeline.model.model import Model, ModelKind
-from pipeline.model.velocities import in_rotations
+from pipeline.model.transformed import in_rotations
 from pipeline.training.density.statistics import Statistics
 from rasterizer.gaussians import MAX_FOURIER_ORDER, SH_DEGREES, Motion
 

@@ -20,7 +20,7 @@ from pipeline.data.optical_flow import FlowTargets
 from pipeline.data.sfm.depth_targets import PointDepths
 from pipeline.data.training_views import TrainingViews
 from pipeline.model.model import Model
-from pipeline.model.velocities import in_rotations
+from pipeline.model.transformed import in_rotations
 from pipeline.training.density.refinement import refine, refiners
 from pipeline.training.objective.objective import Objective
 from pipeline.training.reporting import Observer, Progress, RunLog, StepReport

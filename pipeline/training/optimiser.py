@@ -16,7 +16,7 @@ from rasterizer import Gradients
 from rasterizer.adam import adam_step, sh_adam_step
 
 QUATERNIONS = ("quat_left", "quat_right")
-SHORTEST_LIFETIME = 1e-6  # units of time, a divisor: steps of velocities stay finite
+SMALLEST_SCALE = 1e-6  # units of time, a divisor: steps of velocities stay finite
 
 
 class Adam:
@@ -30,7 +30,8 @@ class Adam:
     moments are those under "quat_left" and "quat_right". Adam divides each coordinate of the gradient by its own size,
     and that of the tilt is larger (docs/method.md 5.6): in the quaternions' components it would slow down the other.
 
-    The rate of velocities is that of the displacement in a Gaussian's lifetime, √Σtt: what lives short may be fast.
+    The rate of velocities is that of the displacement in a Gaussian's temporal scale √Σtt: short-lived ones
+    may be fast.
     """
 
     def __init__(self, model: Model, threads: int = 1, separate_tilt: bool = False) -> None:
@@ -70,8 +71,8 @@ class Adam:
             gradient = getattr(gradients, name)
             stepped = torch.zeros_like(parameter) if name == "velocity" else parameter
             adam_step(stepped, gradient, *moments, rate, self.step_count, sparse_rows=rows, threads=self.threads)
-            if name == "velocity":  # stepped: a displacement in a lifetime
-                parameter += stepped / self.model.parameters["log_scale"][:, 3:].exp().clamp_min(SHORTEST_LIFETIME)
+            if name == "velocity":  # stepped: a displacement in one temporal scale
+                parameter += stepped / self.model.parameters["log_scale"][:, 3:].exp().clamp_min(SMALLEST_SCALE)
         if self.separate_tilt:
             self._rotate(gradients, learning_rates, rows)
         if d_environment_map is not None:

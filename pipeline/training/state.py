@@ -16,7 +16,7 @@ from pipeline.config.train_schema import TrainConfig
 from pipeline.model.cube_map import CubeMap
 from pipeline.model.environment_map import EnvironmentMap
 from pipeline.model.model import Model
-from pipeline.model.velocities import in_velocities
+from pipeline.model.transformed import in_velocities
 from pipeline.training import checkpoint as checkpoints
 from pipeline.training import finite_checks
 from pipeline.training.density.statistics import Statistics

@@ -19,7 +19,7 @@ import torch
 from datasets.scene import Scene
 from pipeline.config.schema import Config
 from pipeline.evaluation.quick_evaluate import held_out_psnr
-from pipeline.evaluation.speed import frames_per_second
+from pipeline.evaluation.renderer import frames_per_second
 from pipeline.model.model import Model
 from pipeline.presentation.theme import LIGHT
 from pipeline.studies.common import StudyParser, made_by, markdown_table, svg_figure, svg_style, svg_text, write_results

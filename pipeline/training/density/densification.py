@@ -90,7 +90,7 @@ class OpacityReset:
 def choose_growth(model: Model, statistics: Statistics, cfg: DensifyConfig, extent: float, time_split: bool) -> Growth:
     """Select the Gaussians to clone and to split.
 
-    A Gaussian is selected if one of its indicators reaches its threshold; the temporal one counts only with
+    A Gaussian is selected if one of its indicators reaches its threshold; the temporal one is used only with
     `use_time_gradient` and `time_split`. Gaussians transparent enough to be pruned are not selected. At the cap
     `max_gaussians`, the highest priority, the ratio of indicator to threshold, is selected first, ties by index. The
     sphere's Gaussians are neither selected nor counted. extent: world units.

@@ -32,7 +32,7 @@ from pipeline.training.state import TrainState
 from rasterizer import Gradients, Rasterizer, Request
 
 MAX_VIEWS = 400  # scoring views, where several cameras see each time
-OPAQUE = 0.98  # a higher opacity counts as this: at α = 0.99 blending is clamped and has no derivative
+OPAQUE = 0.98  # a higher opacity is taken as this: at α = 0.99 blending is clamped and has no derivative
 
 
 class SensitivityPruning:

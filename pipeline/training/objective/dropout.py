@@ -25,11 +25,11 @@ def draw_dropped(count: int, rate: float, rng: np.random.Generator) -> Tensor:
     return torch.from_numpy(rng.random(count, dtype=np.float32) < rate)
 
 
-def short_lived(model: Model, lifetime: float) -> Tensor:
-    """(N,) bool: st < `lifetime`, in units of time; in a static model none."""
+def short_lived(model: Model, temporal_scale: float) -> Tensor:
+    """(N,) bool: st < `temporal_scale`, in units of time; in a static model none."""
     if model.kind.dims == 3:
         return torch.zeros(len(model), dtype=torch.bool)
-    return model.parameters["log_scale"][:, 3].exp() < lifetime
+    return model.parameters["log_scale"][:, 3].exp() < temporal_scale
 
 
 def without(model: Model, dropped: Tensor) -> Model:

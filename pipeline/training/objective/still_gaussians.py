@@ -14,13 +14,13 @@ from pipeline.model.model import Model
 from pipeline.model.tilt import UNTILTED
 
 
-def hold_still(model: Model, lifetime: float) -> None:
-    """Set the velocity or tilt of the Gaussians with st > `lifetime`, in units of time, to zero, in place.
+def hold_still(model: Model, temporal_scale: float) -> None:
+    """Set the velocity or tilt of the Gaussians with st > `temporal_scale`, in units of time, to zero, in place.
 
     Done after each step of Adam, this is projected gradient descent: (ql, qr) is replaced by the nearest pair of unit
     quaternions without tilt, up to the sign of qr, which the covariance does not have.
     """
-    (long_lived,) = torch.nonzero(model.parameters["log_scale"][:, 3].exp() > lifetime, as_tuple=True)
+    (long_lived,) = torch.nonzero(model.parameters["log_scale"][:, 3].exp() > temporal_scale, as_tuple=True)
     if model.kind.motion == "velocity":
         model.parameters["velocity"][long_lived] = 0.0
         return

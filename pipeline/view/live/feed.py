@@ -13,7 +13,7 @@ from collections.abc import Callable
 
 from datasets.scene import Scene
 from pipeline.model.model import Model
-from pipeline.model.velocities import in_rotations
+from pipeline.model.transformed import in_rotations
 from pipeline.training.reporting import Progress, StepReport
 from pipeline.view.pack import Packed, pack
 

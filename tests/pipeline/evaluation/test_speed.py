@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from tiny import evaluation_config, tiny_config, tiny_scene
 
-from pipeline.evaluation import speed as speed_module
-from pipeline.evaluation.renderer import Renderer
-from pipeline.evaluation.speed import frames_per_second
+from pipeline.evaluation import renderer as renderer_module
+from pipeline.evaluation.renderer import Renderer, frames_per_second
 from pipeline.model.initialise import initialise
 from pipeline.model.model import Model
 from rasterizer import Rasterizer
@@ -21,7 +20,7 @@ def model() -> Model:
 
 def test_speed_views_are_rendered_in_each_pass(model: Model, monkeypatch) -> None:
     rendered = []
-    monkeypatch.setattr(speed_module, "SPEED_VIEWS", 2)
+    monkeypatch.setattr(renderer_module, "SPEED_VIEWS", 2)
     monkeypatch.setattr(Renderer, "tensor", lambda self, camera, time: rendered.append(time))
     monkeypatch.setattr(Rasterizer, "stage_ms", {"blend": 1.0})
     speed = frames_per_second(model, tiny_scene(), evaluation_config(speed_repeats=2), 1)

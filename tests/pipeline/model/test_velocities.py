@@ -11,8 +11,7 @@ from builders import generator, make_request, random_gaussians, render
 
 from pipeline.model.model import Model
 from pipeline.model.ply import load_ply, save_ply
-from pipeline.model.transformed import rotations_of
-from pipeline.model.velocities import in_rotations, in_velocities
+from pipeline.model.transformed import in_rotations, in_velocities, rotations_of
 from rasterizer.covariance import rotation_3d, scaled_axes
 from rasterizer.reference import rasterize
 

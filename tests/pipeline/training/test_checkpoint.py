@@ -13,7 +13,7 @@ from tiny import random_model
 
 from pipeline.model.environment_map import EnvironmentMap
 from pipeline.model.model import Model, ModelKind
-from pipeline.model.velocities import in_velocities
+from pipeline.model.transformed import in_velocities
 from pipeline.training import checkpoint
 from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.density.statistics import Statistics

@@ -14,7 +14,7 @@ from pipeline.config.train_schema import RegularizationConfig
 from pipeline.data.training_views import TrainingViews
 from pipeline.model.initialise import initialise
 from pipeline.model.model import Model
-from pipeline.model.velocities import in_velocities
+from pipeline.model.transformed import in_velocities
 from pipeline.training.objective import model_terms
 from pipeline.training.objective.model_terms import (
     FALLOFF,

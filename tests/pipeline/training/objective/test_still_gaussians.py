@@ -14,7 +14,7 @@ from pipeline.config.train_schema import RegularizationConfig
 from pipeline.model.initialise import initialise
 from pipeline.model.model import Model
 from pipeline.model.tilt import tilt
-from pipeline.model.velocities import in_velocities
+from pipeline.model.transformed import in_velocities
 from pipeline.training.loop import train
 from pipeline.training.objective.still_gaussians import hold_still
 from pipeline.training.reporting import temporary_run
