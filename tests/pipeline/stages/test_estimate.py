@@ -9,14 +9,14 @@ from tiny import tiny_config
 
 from pipeline.stages import estimate
 from pipeline.stages.estimate import Size, _estimate
-from rasterizer.timing.workloads import make_workload
+from rasterizer.bench.workloads import make_workload
 
 
 def test_images_in_memory_have_the_size_that_is_trained(monkeypatch: pytest.MonkeyPatch) -> None:
     """At half the size a training image takes a quarter of its 12 bytes a pixel; images as read stay as they are."""
     small = make_workload("W1")
     monkeypatch.setattr(estimate, "make_workload", lambda name: small)
-    size = Size(train_views=50, test_views=1, width=400, height=300, stored_bytes=0, decode_seconds=0.0)
+    size = Size(train_views=50, test_views=1, width=400, height=300)
     cfg = tiny_config(10)
     cfg = replace(cfg, train=replace(cfg.train, densify=replace(cfg.train.densify, max_gaussians=100)))
     whole = _estimate(cfg, size, 1)
