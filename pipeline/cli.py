@@ -76,7 +76,7 @@ def run_one(composed: DictConfig) -> bool:
         import torch  # these late: a typo on the command line need not wait for them
 
         from pipeline.stages.run import run
-        from rasterizer.allocator import keep_freed_memory
+        from rasterizer.cores import keep_freed_memory
 
         keep_freed_memory()
         torch.set_num_threads(1)  # the heavy work is the kernel's, which has threads of its own (cfg.threads)

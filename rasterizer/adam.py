@@ -15,6 +15,7 @@ from rasterizer.kernel_loader import kernel
 from rasterizer.validation import check_array, is_integer_in, short_repr
 
 MAX_STEP = 2**31 - 1  # the kernel's int
+_ADAM = {"beta1": 0.9, "beta2": 0.999, "epsilon": 1e-15}  # of 3DGS
 
 
 def adam_step(
@@ -24,9 +25,6 @@ def adam_step(
     v: Tensor,
     lr: float | Sequence[float],
     step: int,
-    beta1: float = 0.9,
-    beta2: float = 0.999,
-    eps: float = 1e-15,
     sparse_rows: Tensor | None = None,
     threads: int = 0,
 ) -> None:
@@ -34,30 +32,20 @@ def adam_step(
 
     lr: one learning rate, or one per column. step: counts from 1. sparse_rows (N,) uint8: rows with 0 are skipped,
     moments included (dense Adam would still move them by their momentum). ValueError for tensors that are not
-    contiguous float32 of one shape, a wrong number of rates or rows, a step below 1, and betas outside [0, 1).
+    contiguous float32 of one shape, a wrong number of rates or rows, and a step below 1.
     """
     for name, tensor in (("param", param), ("grad", grad), ("m", m), ("v", v)):
         check_array(name, tensor, torch.float32, param.shape)
     if param.ndim not in (1, 2):
         raise ValueError(f"param must be (N,) or (N, C), got {list(param.shape)}")
-    _check_step(sparse_rows, len(param), step, beta1, beta2)
+    _check_step(sparse_rows, len(param), step)
     columns = param.shape[1] if param.ndim == 2 else 1
     given = np.asarray(lr, np.float64)
     rates = given.tolist() if given.ndim else [float(given)] * columns
     if len(rates) != columns:
         raise ValueError(f"lr must hold one rate or one for each of {columns} columns, got {len(rates)}")
     kernel.adam(
-        p=param,
-        g=grad,
-        m=m,
-        v=v,
-        lr=rates,
-        keep=sparse_rows,
-        beta1=beta1,
-        beta2=beta2,
-        epsilon=eps,
-        step=step,
-        threads=thread_count(threads),
+        p=param, g=grad, m=m, v=v, lr=rates, keep=sparse_rows, step=step, threads=thread_count(threads), **_ADAM
     )
 
 
@@ -68,9 +56,6 @@ def sh_adam_step(
     v: Tensor,
     lr: Sequence[float],
     step: int,
-    beta1: float = 0.9,
-    beta2: float = 0.999,
-    eps: float = 1e-15,
     sparse_rows: Tensor | None = None,
     threads: int = 0,
 ) -> None:
@@ -84,7 +69,7 @@ def sh_adam_step(
         raise ValueError(f"sh must be (N, K, 3) with K among {', '.join(map(str, SH_LAYOUTS))}, got {list(sh.shape)}")
     for name, tensor in (("sh", sh), ("m", m), ("v", v)):
         check_array(name, tensor, torch.float32, gradients.sh_shape)
-    _check_step(sparse_rows, len(sh), step, beta1, beta2)
+    _check_step(sparse_rows, len(sh), step)
     if len(lr) != 4:
         raise ValueError(f"lr must hold four rates, got {len(lr)}")
     coefficients, orders = SH_LAYOUTS[sh.shape[1]]
@@ -101,19 +86,14 @@ def sh_adam_step(
         lr=[float(rate) for rate in lr],
         keep=sparse_rows,
         views=[view.as_tuple() for view in gradients.views],
-        beta1=beta1,
-        beta2=beta2,
-        epsilon=eps,
         step=step,
         threads=thread_count(threads),
+        **_ADAM,
     )
 
 
-def _check_step(rows: Tensor | None, count: int, step: int, beta1: float, beta2: float) -> None:
+def _check_step(rows: Tensor | None, count: int, step: int) -> None:
     if rows is not None:
         check_array("sparse_rows", rows, torch.uint8, [count])
     if not is_integer_in(step, 1, MAX_STEP):
         raise ValueError(f"step must be an integer of at least 1, got {short_repr(step)}")
-    for name, beta in (("beta1", beta1), ("beta2", beta2)):
-        if not 0 <= beta < 1:
-            raise ValueError(f"{name} must be in [0, 1), got {short_repr(beta)}")

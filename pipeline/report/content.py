@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from itertools import groupby
 
 import pandas as pd
 
@@ -16,8 +16,6 @@ from pipeline.report.runs import BEST, FINAL
 from pipeline.report.scenes import FULL
 from pipeline.report.sfm import SfmPicture
 from pipeline.report.strips import Strip
-
-Picture = TypeVar("Picture", Strip, RunFigure)
 
 TITLES = {
     "summary": "Summary",
@@ -115,22 +113,15 @@ class Content:
 
     @property
     def strips_by_scene(self) -> list[list[Strip]]:
-        return _by_scene(self.strips)
+        return [list(of_scene) for _, of_scene in groupby(self.strips, lambda strip: strip.scene)]
 
     @property
     def figures_by_scene(self) -> list[list[RunFigure]]:
-        return _by_scene(self.figures)
+        return [list(of_scene) for _, of_scene in groupby(self.figures, lambda figure: figure.scene)]
 
 
 def _shown(row: Row, key: str) -> str:
     return row.cells.get(key, NO_RUN).text
-
-
-def _by_scene(pictures: Sequence[Picture]) -> list[list[Picture]]:
-    groups: dict[str, list[Picture]] = {}
-    for picture in pictures:
-        groups.setdefault(picture.scene, []).append(picture)
-    return list(groups.values())
 
 
 def summary_markdown(content: Content) -> str:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 LIST = "report_files.txt"
 _LIST_MARK = "# Written by python -m pipeline.report, which removes these files when it writes the next report here."
-_NAMES = ("tables/*.md", "tables/*.csv", "tables/*.tex", "plots/*.svg", "strips/*.webp", "report.md", "report.html")
+_NAMES = ("tables/*.md", "tables/*.csv", "plots/*.svg", "strips/*.webp", "report.md", "report.html")
 
 
 def replace_report(out: Path, files: Mapping[str, bytes]) -> None:
@@ -37,7 +37,7 @@ def replace_report(out: Path, files: Mapping[str, bytes]) -> None:
 
 def _of_earlier_report(out: Path) -> set[str]:
     """Existing files of an earlier report, as paths below `out`."""
-    if not _begins(out / LIST, _LIST_MARK):
+    if not _is_list(out / LIST):
         return set()
     # The list may have been edited: only names that a report writes are accepted.
     names = filter(_is_ours, (out / LIST).read_text(encoding="utf-8", errors="replace").splitlines())
@@ -56,7 +56,7 @@ def _refuse_foreign(out: Path, name: str, before: Iterable[str]) -> None:
     for folder in path.parents[: len(path.relative_to(out).parts)]:
         if folder.exists() and not folder.is_dir():
             raise ValueError(f"{folder}: expected a folder or nothing, found a file; give another --out")
-    ours = name in before or (name == LIST and _begins(path, _LIST_MARK))
+    ours = name in before or (name == LIST and _is_list(path))
     if not ours and (path.exists() or path.is_symlink()):
         raise ValueError(
             f"{path}: expected nothing or what an earlier report wrote, found another file; give another --out"
@@ -68,9 +68,5 @@ def _write_list(out: Path, names: Iterable[str]) -> None:
     (out / LIST).write_text("\n".join([_LIST_MARK, *sorted(names), ""]), encoding="utf-8")
 
 
-def _begins(path: Path, mark: str) -> bool:
-    """Whether `mark` is in the first 1000 characters of the file."""
-    if not path.is_file():
-        return False
-    with path.open(encoding="utf-8", errors="replace") as file:
-        return mark in file.read(1000)
+def _is_list(path: Path) -> bool:
+    return path.is_file() and path.read_text(encoding="utf-8", errors="replace").startswith(_LIST_MARK)

@@ -15,9 +15,6 @@ from pipeline.presentation.table_layout import laid_out
 from pipeline.report.content import Content
 from pipeline.report.strips import Strip
 
-# Visible items of each kind; more are in an element that can be expanded.
-_CARDS, _SCENES, _PLOTS, _ROWS = 16, 6, 6, 24
-
 
 def render_page(content: Content, out: Path = Path()) -> str:
     """HTML text. The template engine escapes text; images become data URIs. Empty sections are left out.
@@ -31,17 +28,8 @@ def render_page(content: Content, out: Path = Path()) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"svg_uri": _svg_uri, "webp_uri": _webp_uri, "pieces": pieces}
-    environment.filters["viewer_link"] = partial(viewer_link, out=out)
-    return environment.get_template("page.html").render(
-        content=content,
-        laid_out=laid_out,
-        shown_cards=_CARDS,
-        shown_scenes=_SCENES,
-        shown_plots=_PLOTS,
-        shown_rows=_ROWS,
-        sections=content.sections,
-    )
+    environment.filters |= {"data_uri": _data_uri, "pieces": pieces, "viewer_link": partial(viewer_link, out=out)}
+    return environment.get_template("page.html").render(content=content, laid_out=laid_out, sections=content.sections)
 
 
 def viewer_link(strip: Strip, out: Path) -> str:
@@ -56,13 +44,6 @@ def pieces(text: str) -> list[str]:
     return re.split(r"(?<=[/_=])", text)
 
 
-def _svg_uri(svg: str) -> str:
-    return _data_uri("image/svg+xml", svg.encode())
-
-
-def _webp_uri(webp: bytes) -> str:
-    return _data_uri("image/webp", webp)
-
-
-def _data_uri(mime: str, content: bytes) -> str:
+def _data_uri(content: bytes | str, mime: str) -> str:
+    content = content.encode() if isinstance(content, str) else content
     return f"data:{mime};base64,{base64.b64encode(content).decode()}"

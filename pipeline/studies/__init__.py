@@ -2,8 +2,8 @@
 
 | name             | question                                             | input          | output                   |
 |:-----------------|:-----------------------------------------------------|:---------------|:-------------------------|
-| compression      | How does PSNR fall with the size of a trained model? | RUN            | table, plot, safetensors |
-| video_length     | How many Gaussians does a longer video need?         | RUNS, a folder | table, CSV, plot         |
+| compression      | How does PSNR fall with the size of a trained model? | RUN            | table, safetensors       |
+| video_length     | How many Gaussians does a longer video need?         | RUNS, a folder | table, CSV               |
 | kernel_precision | What error and time does each numerical choice cost? | RUN, or –      | table, CSV, plot         |
 | kernel_stability | Is the kernel accurate in ill-conditioned scenes?    | –              | table, CSV               |
 

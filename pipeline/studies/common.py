@@ -5,13 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import shlex
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-
-import matplotlib
-from matplotlib.backends.backend_svg import FigureCanvasSVG
-from matplotlib.figure import Figure
 
 from datasets.files.atomic_write import atomic_file
 from pipeline.runs.provenance import provenance
@@ -63,25 +58,3 @@ def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Right-aligned but for the first column."""
     lines = [header, [":--", *["--:"] * (len(header) - 1)], *rows]
     return "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
-
-
-@contextmanager
-def svg_style(salt: str) -> Iterator[None]:
-    """Fonts of a figure, and ids made from `salt`: the same drawing gives the same bytes."""
-    with matplotlib.rc_context({"svg.hashsalt": salt, "font.family": "DejaVu Sans", "font.size": 9.5}):
-        yield
-
-
-def svg_figure(width: float, height: float) -> Figure:
-    """An empty white figure, in inches."""
-    figure = Figure(figsize=(width, height), facecolor="white")
-    FigureCanvasSVG(figure)
-    return figure
-
-
-def svg_text(figure: Figure, title: str) -> str:
-    """title: small, in the upper left corner."""
-    figure.text(0.06, 0.95, title, fontsize=9)
-    buffer = io.StringIO()
-    figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
-    return buffer.getvalue()

@@ -19,13 +19,12 @@ from pathlib import Path
 
 import torch
 
-from rasterizer.allocator import keep_freed_memory
 from rasterizer.bench.baselines import time_loss, time_parts, time_reference
 from rasterizer.bench.frame_time import FrameTime, Time, WorkCounts, clock_for, count_work, time_frame
 from rasterizer.bench.iteration_time import time_iteration
 from rasterizer.bench.roofline import Rates, Work, bound_ms, measure_rates, work_of, write_roofline
 from rasterizer.bench.workloads import WORKLOADS, Workload, make_workload
-from rasterizer.cores import usable_cores
+from rasterizer.cores import keep_freed_memory, usable_cores
 from rasterizer.kernel_loader import ISA_VARIABLE, kernel
 
 REFERENCE_PIXELS = 24

@@ -221,7 +221,6 @@ def test_compression_of_a_finished_run(shell: Shell, run_argument: str) -> None:
     assert err == "" and "PSNR against size and speed" in out
     assert {path.name for path in (shell.folder / "results/compression").iterdir()} == {
         "compression.md",
-        "compression.svg",
         "compression.safetensors",
     }
 

@@ -22,8 +22,8 @@ from pipeline.studies.kernel_precision.variants import DEFAULT, all_variants
 from pipeline.terminal.command_line import command, log
 from pipeline.trained.open_run import open_run
 from rasterizer import Request
-from rasterizer.allocator import keep_freed_memory
 from rasterizer.bench.workloads import WORKLOADS, Workload, make_workload
+from rasterizer.cores import keep_freed_memory
 from rasterizer.kernel_loader import kernel
 
 NAME = "kernel_precision"

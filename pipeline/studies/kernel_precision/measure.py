@@ -72,27 +72,19 @@ class Point:
     rounding: Errors  # against the reference with the same thresholds
 
 
-@dataclass(frozen=True)
-class _FrameInput:
-    """Arguments of a frame in the floating-point type of its kernel."""
-
-    gaussians: Gaussians
-    gradients: Gradients
-    d_color: Tensor
-
-    @classmethod
-    def of(cls, gaussians: Gaussians, d_color: Tensor, dtype: torch.dtype) -> _FrameInput:
-        gaussians = gaussians.to(dtype)
-        return cls(gaussians, Gradients.zeros_like(gaussians), d_color.to(dtype))
+def _in_type(workload: Workload, d_color: Tensor, dtype: torch.dtype) -> tuple[Gaussians, Gradients, Tensor]:
+    """(Gaussians, gradients, d_color) in the floating-point type of a kernel."""
+    gaussians = workload.gaussians.to(dtype)
+    return gaussians, Gradients.zeros_like(gaussians), d_color.to(dtype)
 
 
 def render_kernel(kernel: ModuleType, workload: Workload, d_color: Tensor) -> Rendered:
     frame = Rasterizer(1, kernel)
-    given = _FrameInput.of(workload.gaussians, d_color, frame.dtype)
-    color = frame.render(given.gaussians, workload.request()).color
+    gaussians, gradients, d_color = _in_type(workload, d_color, frame.dtype)
+    color = frame.render(gaussians, workload.request()).color
     assert color is not None  # the default output of a request
-    frame.backward(given.gradients, d_color=given.d_color)
-    return Rendered(color, given.gradients.dense() | {"sh": given.gradients.sh(kernel=kernel)})
+    frame.backward(gradients, d_color=d_color)
+    return Rendered(color, gradients.dense() | {"sh": gradients.sh(kernel=kernel)})
 
 
 @dataclass(frozen=True)
@@ -112,19 +104,19 @@ def time_kernels(
 ) -> dict[str, Timing]:
     """Minimum over rounds. A round times all kernels in turn, so that load by other programs affects all alike."""
     request, d_color = workload.request(), workload.image_gradient()
-    input_of = cache(lambda dtype: _FrameInput.of(workload.gaussians, d_color, dtype))
+    input_of = cache(lambda dtype: _in_type(workload, d_color, dtype))
     spent: dict[str, list[tuple[float, float]]] = {name: [] for name in kernels}
     counts: dict[str, tuple[int, int]] = {}
     for _ in range(rounds):
         for name, kernel in kernels.items():
             frame, best = Rasterizer(1, kernel), (math.inf, math.inf)
-            given = input_of(frame.dtype)
+            gaussians, gradients, d_image = input_of(frame.dtype)
             for _ in range(FRAMES_IN_A_ROW):
-                given.gradients.zero_(kernel=kernel)
+                gradients.zero_(kernel=kernel)
                 start = clock()
-                frame.render(given.gaussians, request)
+                frame.render(gaussians, request)
                 middle = clock()
-                frame.backward(given.gradients, d_color=given.d_color)
+                frame.backward(gradients, d_color=d_image)
                 end = clock()
                 best = min(best[0], end - start), min(best[1], middle - start)
             spent[name].append(best)

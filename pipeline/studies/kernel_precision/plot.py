@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Sequence
 from typing import Any
 
+import matplotlib
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
 
 from pipeline.presentation.theme import LIGHT
-from pipeline.studies.common import svg_figure, svg_style, svg_text
 from pipeline.studies.kernel_precision.measure import Point
 from pipeline.studies.kernel_precision.table import on_front
 from pipeline.studies.kernel_precision.variants import DEFAULT
@@ -26,15 +29,20 @@ _MARGINS = {"left": 0.06, "right": 0.985, "bottom": 0.11, "top": 0.76, "wspace":
 def draw(points: Sequence[Point], title: str) -> str:
     """SVG text; the same numbers give the same bytes. Points without a time are not drawn."""
     timed = [p for p in points if p.milliseconds == p.milliseconds]
-    with svg_style("kernel_precision"):
-        figure = svg_figure(12.6, 5.6)
+    style: Any = {"svg.hashsalt": "kernel_precision", "font.family": "DejaVu Sans", "font.size": 9.5}
+    with matplotlib.rc_context(style):
+        figure = Figure(figsize=(12.6, 5.6), facecolor="white")
+        FigureCanvasSVG(figure)
         axes = figure.subplots(1, 2, gridspec_kw=_MARGINS)
         for axis, (name, label) in zip(axes, _PANELS, strict=True):
             _panel(axis, timed, name)
             axis.set_title(label, loc="left", fontsize=10)
         handles, labels = axes[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.05, 0.95), ncols=5, frameon=False)
-        return svg_text(figure, title)
+        figure.text(0.06, 0.95, title, fontsize=9)
+        buffer = io.StringIO()
+        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+        return buffer.getvalue()
 
 
 def _panel(axis: Axes, timed: Sequence[Point], name: str) -> None:

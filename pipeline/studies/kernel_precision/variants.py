@@ -121,7 +121,3 @@ def all_variants() -> list[Variant]:
     found.append(Variant(DEFAULT, "built again", "default, the package's own"))
     found.append(Variant(AGAIN, "built again", "default, again: built as the other rows are"))
     return found
-
-
-def by_name(name: str) -> Variant:
-    return next(variant for variant in all_variants() if variant.name == name)

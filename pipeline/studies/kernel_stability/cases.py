@@ -63,14 +63,6 @@ MOST_STEPS = {"stack": 20, "coincident": 20, "wide": 20, "tall": 20}
 NO_STEPS = {
     "time_scale 1e+06": "no optimiser steps: a quaternion off by 1e-3 moves the Gaussians a thousand units out of view"
 }
-# Cases that compare no Gaussian, as none is visible or all are next to the cut-off: images and gradients are finite.
-EMPTY = {
-    *(f"cut_off {part:g}" for part in VALUES["cut_off"] if part > 0.995),
-    *(f"outside_the_video {time:g}" for time in VALUES["outside_the_video"]),
-    *(f"opacity {logit:g}" for logit in VALUES["opacity"] if logit < -math.log(254)),  # below 1/255
-    "stack -100",
-    "count 0",
-}
 
 # Cases where two correct programs diverge within 100 steps: parameters must stay finite, losses may differ.
 _DISCONTINUITY = "steps move Gaussians across the near plane, at an iteration that depends on rounding"

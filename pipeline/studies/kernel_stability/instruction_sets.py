@@ -27,10 +27,8 @@ class Spread:
     Images are relative to full scale, gradients to the largest of their tensor.
     """
 
-    isas: tuple[str, ...]
     image: float
     gradient: float
-    worst_field: str  # with the largest difference of gradients
     changed_by_threads: tuple[str, ...]  # instruction sets with other bits on 2 threads than on 1
 
 
@@ -45,16 +43,10 @@ def measure_spread(gaussians: Gaussians, request: Request) -> Spread:
     found = [images_and_gradients(isa, 1, single, request, weights) for isa in isas]
     images = [{name: image * smooth for name, image in images.items()} for images, _ in found]
     gradients = [by_field for _, by_field in found]
-    fields = {
-        name: largest_difference([g[name] for g in gradients], largest([g[name] for g in gradients]))
-        for name in gradients[0]
-    }
-    worst_field = max(fields, key=fields.__getitem__)
+    by_field = [[found[name] for found in gradients] for name in gradients[0]]
     return Spread(
-        tuple(isas),
         max(largest_difference([i[name] for i in images], scale[name]) for name in images[0]),
-        fields[worst_field],
-        worst_field,
+        max(largest_difference(found, largest(found)) for found in by_field),
         tuple(isa for isa in isas if threads_change_bits(isa, gaussians.to(torch.float32), request, rendered)),
     )
 

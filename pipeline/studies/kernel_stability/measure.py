@@ -29,9 +29,6 @@ class Errors:
     non_finite: int  # values of images, gradients and stepped parameters
     indefinite: int  # 2D covariances that are not positive definite
 
-    def worst(self) -> float:
-        return max(self.image, self.gradient)
-
 
 def call(rasterize: Callable[..., RenderOutput], gaussians: Gaussians, request: Request) -> RenderOutput:
     return rasterize(gaussians, **{field.name: getattr(request, field.name) for field in fields(request)})

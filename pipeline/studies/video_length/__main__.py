@@ -2,30 +2,19 @@
 
 Reads runs that differ in scene.frames and seed only (python -m pipeline experiment=video_length trains them). The size
 of a model grows with its Gaussians, the cost of a frame with those that are active in the frame. Exponents e are of
-N = c · frames^e. Writes video_length.md, .csv and .svg.
+N = c · frames^e. Writes video_length.md and .csv.
 """
 
 from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-import yaml
 
-from pipeline.presentation.theme import LIGHT
-from pipeline.runs.run_identity import FREE_KEYS
-from pipeline.studies.common import (
-    StudyParser,
-    csv_text,
-    markdown_table,
-    svg_figure,
-    svg_style,
-    svg_text,
-    write_results,
-)
+from pipeline.runs.run_identity import FREE_KEYS, flat, read_config
+from pipeline.studies.common import StudyParser, csv_text, markdown_table, write_results
 from pipeline.terminal.command_line import command
 
 NAME = "video_length"
@@ -41,7 +30,7 @@ def read_lengths(folder: Path) -> Lengths:
     runs = {path.parent: json.loads(path.read_text()) for path in sorted(folder.rglob("metrics.json"))}
     if not runs:
         raise ValueError(f"{folder}: expected folders of finished runs, found none")
-    settings = {run: _flat(yaml.safe_load((run / "config.yaml").read_text())) for run in runs}
+    settings = {run: flat(read_config(run / "config.yaml")) for run in runs}
     first, frames = next(iter(runs)), {}
     for run, keys in settings.items():
         name = run.relative_to(folder)
@@ -66,14 +55,6 @@ def read_lengths(folder: Path) -> Lengths:
         ]
         found[count] = dict(zip(COLUMNS, np.array(values, dtype=float).T))
     return found
-
-
-def _flat(tree: Mapping, prefix: str = "") -> dict[str, object]:
-    """Values by dotted key."""
-    flat: dict[str, object] = {}
-    for key, value in tree.items():
-        flat |= _flat(value, f"{prefix}{key}.") if isinstance(value, Mapping) else {f"{prefix}{key}": value}
-    return flat
 
 
 def exponent(lengths: Lengths, column: str) -> float:
@@ -117,31 +98,6 @@ def comma_separated(lengths: Lengths) -> str:
     return csv_text(["frames", *COLUMNS], rows)
 
 
-def draw(lengths: Lengths, title: str) -> str:
-    """SVG text, both axes logarithmic; the same numbers give the same bytes."""
-    with svg_style(NAME):
-        figure = svg_figure(7.2, 4.4)
-        axis = figure.subplots(gridspec_kw={"left": 0.1, "right": 0.97, "bottom": 0.12, "top": 0.86})
-        for line, colour in zip(_LINES, LIGHT.ablations):
-            values = [v[line] for v in lengths.values()]
-            axis.errorbar(
-                list(lengths),
-                [v.mean() for v in values],
-                yerr=np.nan_to_num([_std(v) for v in values]),
-                marker="o",
-                color=colour,
-                capsize=3,
-                label=f"{COLUMNS[line]}: exponent {exponent(lengths, line):z.2f}",
-            )
-        axis.set(xscale="log", yscale="log", xlabel="frames")
-        axis.set_xticks(list(lengths), [str(frames) for frames in lengths])
-        axis.set_xticks([], minor=True)
-        axis.set_title("Gaussians of the trained model; ± one standard deviation over seeds", loc="left", fontsize=10)
-        axis.grid(color=LIGHT.faint, which="both", lw=0.7)
-        axis.legend(frameon=False)
-        return svg_text(figure, title)
-
-
 @command
 def main(arguments: list[str]) -> int:
     parser = StudyParser(NAME, __doc__)
@@ -155,14 +111,7 @@ def main(arguments: list[str]) -> int:
     made = json.loads(next(options.runs.rglob("environment.json")).read_text())
     machine, date, commit = made["machine"], made["date"], made["git_commit"][:10]
     table = markdown(lengths, f"{scene}. {machine}; {date[:16]}; commit {commit}; `{made['command']}` and its sweep.")
-    written = write_results(
-        options.out,
-        {
-            f"{NAME}.csv": comma_separated(lengths),
-            f"{NAME}.md": table,
-            f"{NAME}.svg": draw(lengths, f"{scene}, {machine}, {date[:10]}"),
-        },
-    )
+    written = write_results(options.out, {f"{NAME}.csv": comma_separated(lengths), f"{NAME}.md": table})
     print(table)
     print(written)
     return 0

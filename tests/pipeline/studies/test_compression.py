@@ -12,7 +12,7 @@ from tiny import tiny_config, tiny_scene, train_tiny
 from pipeline.evaluation.quick_evaluate import held_out_psnr
 from pipeline.model.initialise import initialise
 from pipeline.model.model import Model, ModelKind
-from pipeline.studies.compression.__main__ import main, measure, smallest
+from pipeline.studies.compression.__main__ import measure, smallest
 from pipeline.studies.compression.pruning import prune_by_sensitivity, retrain
 from pipeline.studies.compression.storage import LEVELS, PRECISIONS, load_compressed, save_compressed
 from pipeline.training.density.sensitivity_pruning import image_sensitivity
@@ -138,19 +138,6 @@ def test_pruning_to_fraction_zero_keeps_one_gaussian(trained):
     assert torch.equal(
         prune_by_sensitivity(trained, sensitivity, 0.0).parameters["mean"], trained.parameters["mean"][7:8]
     )
-
-
-@pytest.mark.parametrize(
-    "options, error",
-    [
-        (["--fractions", "0.5", "1"], "--fractions: expected parts of the Gaussians, above 0 and below 1, found 1"),
-        (["--retrain", "1.5"], "--retrain: expected a part of the schedule, 0 to 1, found 1.5"),
-    ],
-)
-def test_option_out_of_range_is_one_line(capsys, tmp_path, options, error):
-    with pytest.raises(SystemExit) as stopped:
-        main([str(tmp_path), *options])
-    assert stopped.value.code == 2 and capsys.readouterr().err == f"error: {error}\n"
 
 
 def test_retraining_keeps_the_number_of_gaussians(trained):

@@ -28,7 +28,7 @@ from pipeline.studies.kernel_precision.measure import (
 from pipeline.studies.kernel_precision.plot import draw
 from pipeline.studies.kernel_precision.reference_rendering import Rendered, render_reference
 from pipeline.studies.kernel_precision.table import comma_separated, margins_of, markdown, on_front, verdicts
-from pipeline.studies.kernel_precision.variants import DEFAULT, TRADES, NumericalChoices, Variant, all_variants, by_name
+from pipeline.studies.kernel_precision.variants import DEFAULT, TRADES, NumericalChoices, Variant, all_variants
 from rasterizer import Gradients, Rasterizer, Request
 from rasterizer.bench.workloads import Workload, make_workload
 from rasterizer.gaussians import Motion
@@ -38,6 +38,7 @@ from rasterizer.reference.blend import Thresholds
 from rasterizer.reference.discontinuities import away_from_discontinuities, smooth_pixels
 
 NONE = Thresholds(0, 0, 0)
+VARIANTS = {variant.name: variant for variant in all_variants()}
 FINE = 1e-4  # a minimum of p(t)
 FINE_FLOAT64 = Variant("fine_float64", "several at once", "", NumericalChoices(min_marginal=FINE, float64=True))
 HALF = {"sh_float16": ("Float16", torch.float16), "sh_bfloat16": ("Bfloat16", torch.bfloat16)}  # C++ and torch types
@@ -73,8 +74,8 @@ def test_every_trade_off_contains_the_default_and_names_are_unique() -> None:
     assert {v.trade for v in variants if v.name == DEFAULT} == set(TRADES)
     others = [v.name for v in variants if v.name != DEFAULT]
     assert len(others) == len(set(others)) and all(name.isidentifier() for name in others)
-    assert by_name("min_marginal_0_0001").choices.flags() == ["-DRASTERIZER_MIN_MARGINAL=0.0001"]
-    assert by_name("masks_01").choices.flags() == ["-DRASTERIZER_EXACT_CULLING=0"]
+    assert VARIANTS["min_marginal_0_0001"].choices.flags() == ["-DRASTERIZER_MIN_MARGINAL=0.0001"]
+    assert VARIANTS["masks_01"].choices.flags() == ["-DRASTERIZER_EXACT_CULLING=0"]
 
 
 # ---- Reference renderings ----
@@ -126,7 +127,7 @@ def test_errors_by_definition() -> None:
 @pytest.fixture(scope="module")
 def kernels() -> dict[str, ModuleType | HalfPrecisionSH]:
     """All variants of this file, compiled in a third of the time with -O1."""
-    variants = [by_name(DEFAULT), FINE_FLOAT64, *map(by_name, HALF)]
+    variants = [VARIANTS[DEFAULT], FINE_FLOAT64, *(VARIANTS[name] for name in HALF)]
     (build.SOURCE / "build").mkdir(exist_ok=True)
     with open(build.SOURCE / "build" / ".variants.lock", "w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)  # tests of this file may run in several processes at once
@@ -223,14 +224,14 @@ def test_float64_kernel_equals_the_float64_reference(kernels, motion: Motion) ->
 def test_missing_compiler_is_a_one_line_error(tmp_path, monkeypatch) -> None:
     monkeypatch.setenv("CXX", str(tmp_path / "no_such_compiler"))
     with pytest.raises(BuildError) as error:
-        load_variants([by_name("exp_degree_5")], tmp_path)
+        load_variants([VARIANTS["exp_degree_5"]], tmp_path)
     assert "no_such_compiler" in str(error.value) and "\n" not in str(error.value)
 
 
 def test_missing_cmake_is_a_one_line_error(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(build.shutil, "which", lambda *_, **__: None)
     with pytest.raises(BuildError, match="^kernel_precision: expected cmake .* found none") as error:
-        load_variants([by_name("exp_degree_5")], tmp_path)
+        load_variants([VARIANTS["exp_degree_5"]], tmp_path)
     assert "\n" not in str(error.value)
 
 

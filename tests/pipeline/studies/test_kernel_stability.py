@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 
 from pipeline.studies.kernel_stability import textbook_formulas
 from pipeline.studies.kernel_stability.__main__ import Row, main
-from pipeline.studies.kernel_stability.cases import BOUND, CASES, EMPTY, Case
+from pipeline.studies.kernel_stability.cases import BOUND, CASES, VALUES, Case
 from pipeline.studies.kernel_stability.instruction_sets import Spread, largest_difference, measure_spread, same_bits
 from pipeline.studies.kernel_stability.measure import kernel_indefinite, measure
 from pipeline.studies.kernel_stability.scenes import FAMILIES, base_gaussians, base_request
@@ -29,6 +29,14 @@ from rasterizer.reference import render as reference
 from rasterizer.reference.discontinuities import away_from_discontinuities
 
 KERNEL = partial(rasterize, threads=1)
+# Cases that compare no Gaussian, as none is visible or all are next to the cut-off: images and gradients are finite.
+EMPTY = {
+    *(f"cut_off {part:g}" for part in VALUES["cut_off"] if part > 0.995),
+    *(f"outside_the_video {time:g}" for time in VALUES["outside_the_video"]),
+    *(f"opacity {logit:g}" for logit in VALUES["opacity"] if logit < -math.log(254)),  # below 1/255
+    "stack -100",
+    "count 0",
+}
 SLOW = ("stack", "coincident", "wide", "tall")  # families that take the reference implementation too long for a search
 FIELDS = ("mean", "log_scale", "quat_left", "quat_right", "opacity_logit", "sh")
 PROGRAMS = pytest.mark.parametrize(
@@ -86,7 +94,7 @@ def test_textbook_formulas_violate_the_bounds():
 def test_textbook_formulas_equal_the_reference_in_float64():
     gaussians, request = base_gaussians(24, 0), replace(base_request(), outputs=textbook_formulas.OUTPUTS)
     errors = measure(textbook_formulas.rasterize, textbook_formulas.indefinite, gaussians, request, 0, torch.float64)
-    assert errors.worst() < 1e-10 and errors.indefinite == 0
+    assert max(errors.image, errors.gradient) < 1e-10 and errors.indefinite == 0
 
 
 def test_command_writes_tables_and_reports_the_bounds(tmp_path, capsys):
@@ -113,9 +121,9 @@ def test_violations_are_named_and_nan_is_one():
 def test_instruction_sets_differ_by_rounding_and_threads_do_not():
     """float32 rounds to 6e-8; sums over pixels and the backward pass lose about a hundred times that."""
     spread = measure_spread(*Case("needle", 1).scene())
-    assert spread.isas == tuple(available_isas()) and spread.changed_by_threads == ()
+    assert spread.changed_by_threads == ()
     assert spread.image < 1e-5 and spread.gradient < 1e-4
-    if len(spread.isas) > 1:  # exp2 and 1/x differ: equal bits would mean the same kernel twice
+    if len(available_isas()) > 1:  # exp2 and 1/x differ: equal bits would mean the same kernel twice
         assert spread.image > 0 and spread.gradient > 0
 
 
@@ -134,7 +142,7 @@ def test_same_bits_of_nan_and_signed_zero():
 
 def test_spread_and_thread_dependence_are_violations():
     errors, case = measure(KERNEL, kernel_indefinite, *Case("count", 1).scene(), steps=0), Case("count", 1)
-    spread = Spread(("v4", "v3"), 1e-6, 1e-6, "mean", ())
+    spread = Spread(1e-6, 1e-6, ())
     assert not Row(case, {"kernel": errors}, spread).violations
     for changes, named in (
         ({"image": 2e-3}, "image between"),

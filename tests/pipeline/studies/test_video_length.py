@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from report_runs import write_run
 
-from pipeline.studies.video_length.__main__ import draw, exponent, main, read_lengths
+from pipeline.studies.video_length.__main__ import exponent, main, read_lengths
 
 
 def write_length(root: Path, frames: int, seed: int = 0, iterations: int = 100, **changes) -> Path:
@@ -29,10 +29,9 @@ def test_exponents_and_means_over_seeds(tmp_path: Path) -> None:
     assert found[20]["gaussians"].mean() == pytest.approx(500 * 20**0.8) and len(found[20]["alive"]) == 2
     assert exponent(found, "gaussians") == pytest.approx(0.8)
     assert exponent(found, "alive") == pytest.approx(0.0, abs=1e-12)
-    assert draw(found, "title") == draw(found, "title")
 
 
-def test_command_writes_table_csv_and_plot(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_command_writes_table_and_csv(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     for frames in (15, 30):
         write_length(tmp_path / "runs", frames, n_gaussians=100 * frames, n_alive_mean=700.0)
     assert main([str(tmp_path / "runs"), "--out", str(tmp_path / "out")]) == 0
@@ -41,7 +40,6 @@ def test_command_writes_table_csv_and_plot(tmp_path: Path, capsys: pytest.Captur
     assert [(int(row["frames"]), float(row["gaussians"])) for row in rows] == [(15, 1500.0), (30, 3000.0)]
     text = (tmp_path / "out/video_length.md").read_text()
     assert text in capsys.readouterr().out and "Gaussians 1.00; active in a frame 0.00" in text
-    assert (tmp_path / "out/video_length.svg").read_text().startswith("<?xml")
 
 
 @pytest.mark.parametrize(

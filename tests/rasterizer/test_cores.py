@@ -4,13 +4,13 @@ import ctypes
 import subprocess
 import sys
 
-from rasterizer.allocator import keep_freed_memory
+from rasterizer.cores import keep_freed_memory
 
 # Allocates and frees what a training iteration does: images, their gradients and the per-view gradients of a varying
 # number of visible Gaussians, for four views. Prints the page faults per iteration after a warm-up.
 ITERATIONS = """
 import random, resource, torch
-from rasterizer.allocator import keep_freed_memory
+from rasterizer.cores import keep_freed_memory
 assert keep_freed_memory()
 rng = random.Random(1)
 def faults():
