@@ -106,7 +106,7 @@ def write_files(name: str, source: Source, times: Sequence[float], folder: Path,
             old.unlink()
         for index, time in enumerate(times):
             numbered = f"{source.name}_{index:04d}" if len(times) > 1 else source.name
-            frame = frame_at(model, source.time_in_world(time) if world else time, line.duration)
+            frame = frame_at(model, source.canonical.inverse.time(time) if world else time, line.duration)
             yield _written(folder / f"{numbered}.{name}", form.content(frame))
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pipeline.export.frame import constant_colour, logit, scales_and_rotation, static_model
+from pipeline.export.frame import constant_colour, scales_and_rotation
 from pipeline.model.model import Model
 from rasterizer.reference.blend import MIN_ALPHA, MIN_MARGINAL
 from rasterizer.reference.render import opacity, slice_in_time
@@ -38,15 +38,6 @@ class MovingGaussians:
 
     def __len__(self) -> int:
         return len(self.mean)
-
-    def at(self, time: float) -> Model:
-        """The static model at `time`, without what cannot be seen then."""
-        elapsed = time - self.time
-        marginal = torch.exp(-0.5 * (elapsed / self.sigma) ** 2)
-        alpha = self.opacity * marginal
-        seen = (marginal >= MIN_MARGINAL) & (alpha >= MIN_ALPHA)
-        mean = self.mean + self.velocity * elapsed[:, None]
-        return static_model(*(tensor[seen] for tensor in (mean, self.log_scale, self.quat, logit(alpha), self.sh)))
 
 
 def moving_gaussians(model: Model, time_start: float, duration: float) -> MovingGaussians:

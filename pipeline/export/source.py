@@ -43,9 +43,6 @@ class Source:
     folder: Path  # where they are written by default
     file: Path | None = None  # that the model was read from, which is not overwritten; None: of a run
 
-    def time_in_world(self, time: float) -> float:
-        return self.canonical.inverse.time(time)
-
     def in_world(self) -> tuple[Model, Timeline]:
         """Both in the coordinates of the data's files."""
         line, inverse = self.timeline, self.canonical.inverse

@@ -64,7 +64,7 @@ def spz_bytes(model: Model) -> bytes:
         _byte(255 * (COLOUR_SCALE * p["sh"][:, 0].double() + 0.5)),
         _byte(16 * (p["log_scale"].double() + 10)),
         _smallest_three(unit_quaternions(p["quat_left"]).numpy()),
-        _sh_bytes(p["sh"][:, 1:].double().numpy()),
+        _byte(p["sh"][:, 1:].double() / SPZ_SH_STEP + 128),
     ]
     header = struct.pack("<IIIBBBB", SPZ_MAGIC, SPZ_VERSION, len(model), model.kind.sh_degree, FRACTION_BITS, 0, 0)
     return gzip.compress(header + b"".join(plane.tobytes() for plane in planes), mtime=0)
@@ -86,11 +86,6 @@ def _smallest_three(quat: np.ndarray) -> np.ndarray:
     for axis in range(4):
         packed = np.where(largest == axis, packed, packed << (QUAT_BITS + 1) | component[:, axis])
     return packed.astype("<u4")
-
-
-def _sh_bytes(rest: np.ndarray) -> np.ndarray:
-    """(N, K - 1, 3) uint8: 128 + k / SPZ_SH_STEP."""
-    return np.clip(np.round(rest / SPZ_SH_STEP) + 128, 0, 255).astype(np.uint8)
 
 
 # ---- .glb ----

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from datasets.scene import View
 from pipeline.data.training_views import target_of
 from pipeline.evaluation.renderer import Renderer
 from pipeline.figures.figure import Figure, canvas, png_of
@@ -21,7 +20,8 @@ def slices_figure(renderer: Renderer, view: MovingView) -> Figure:
     row = _row(view, renderer, times)
     rendered = np.stack([renderer.image(camera, float(time))[row] for time in times])  # (T, W, 3)
     parts = [("render", rendered)]
-    same = sorted((v for v in scene.test if _stands_still(v, scene.test[view.index])), key=lambda v: v.time)
+    pose = scene.test[view.index].camera.world_to_cam
+    same = sorted((v for v in scene.test if np.array_equal(v.camera.world_to_cam, pose)), key=lambda v: v.time)
     scale = renderer.cfg.train.resolution_scale
     if len(same) > 2:
         parts.append(("truth", np.stack([target_of(v, scale).image.numpy()[:, row].T for v in same])))
@@ -54,7 +54,3 @@ def _row(view: MovingView, renderer: Renderer, times: np.ndarray) -> int:
         image = renderer.image(view.target.camera, float(time))
         lowest, highest = np.minimum(lowest, image), np.maximum(highest, image)
     return int((highest - lowest).sum(axis=(1, 2)).argmax())
-
-
-def _stands_still(view: View, other: View) -> bool:
-    return np.array_equal(view.camera.world_to_cam, other.camera.world_to_cam)

@@ -9,11 +9,10 @@ from dataclasses import dataclass
 class Theme:
     """Colours on one background. The palette is safe for colour-blind readers (after Okabe and Ito)."""
 
-    name: str
     ink: str
     faint: str
     ablations: tuple[str, ...]  # full, no_4drot, no_4dsh, no_time_split, others; other figures use them in order
 
 
-LIGHT = Theme("light", "#1d2430", "#d9dde3", ("#0072b2", "#d55e00", "#009e73", "#b5519b", "#7a7f87"))
-DARK = Theme("dark", "#e4e7ec", "#3a414d", ("#5ab6f0", "#f2955c", "#3ccb9e", "#e39bcf", "#a6abb3"))
+LIGHT = Theme("#1d2430", "#d9dde3", ("#0072b2", "#d55e00", "#009e73", "#b5519b", "#7a7f87"))
+DARK = Theme("#e4e7ec", "#3a414d", ("#5ab6f0", "#f2955c", "#3ccb9e", "#e39bcf", "#a6abb3"))

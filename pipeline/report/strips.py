@@ -110,16 +110,16 @@ def shown_experiment(runs: pd.DataFrame) -> tuple[str, str]:
 def _strip(run: pd.Series, choice: str, view: str, chosen_for: str) -> Strip:
     """Raises whatever PIL raises for missing and damaged images."""
     folder = Path(run["folder"])
-    parts: tuple[str, ...] = PARTS
+    with_depth = choice != MOTION and (folder / "renders" / f"{view}_{DEPTH}.png").is_file()
     if choice == MOTION:
         webp = compose(moving_parts(folder / "renders", view))
     else:
-        parts = (*PARTS, DEPTH) if (folder / "renders" / f"{view}_{DEPTH}.png").is_file() else PARTS
+        parts = (*PARTS, DEPTH) if with_depth else PARTS
         webp = compose([opened(folder / "renders" / f"{view}_{part}.png") for part in parts])
     psnr = read_view_psnr(folder / "per_image.csv").get(view)
     viewer = folder / "viewer.html" if (folder / "viewer.html").is_file() else None
     which = run["scene"], run["model"], run["recipe_label"], int(run["seed"])
-    return Strip(*which, view, choice, chosen_for, psnr, webp, viewer, choice != MOTION and DEPTH in parts)
+    return Strip(*which, view, choice, chosen_for, psnr, webp, viewer, with_depth)
 
 
 def webp_name(*parts: str) -> str:

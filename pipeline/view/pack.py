@@ -48,9 +48,6 @@ class Column:
     low: tuple[int, ...]
     bytes: tuple[int, ...]  # of a number, by component; 0 where all are equal
 
-    def to_dict(self) -> dict:
-        return asdict(self)
-
 
 def quantised(name: str, values: np.ndarray, step: float) -> tuple[Column, list[bytes]]:
     """(column, its planes of bytes) of `values` (N, …), of which a reader gets the nearest multiples of `step`."""
@@ -88,7 +85,7 @@ def pack(model: Model, scene: Scene, compression: int = COMPRESSION) -> Packed:
         if isinstance(environment, CubeMap):  # the page knows one kind of map
             environment = environment.equirectangular(2 * environment.resolution)
         header["environment"] = _environment(environment, columns)
-    header["columns"] = [column.to_dict() for column in columns.found]
+    header["columns"] = [asdict(column) for column in columns.found]
     return Packed(header, zlib.compress(b"".join(columns.planes), compression))
 
 

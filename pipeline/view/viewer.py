@@ -41,7 +41,9 @@ def write_viewer(path: Path, shown: Sequence[Shown], scene: Scene, cfg: Config) 
     header = {
         **page_header(scene, cfg, cameras, any(one.model.kind.motion != "static" for one in shown)),
         "labels": [one.label for one in shown],
-        "facts": " · ".join(map(_fact, shown)),
+        "facts": " · ".join(
+            one.label if one.psnr is None else f"{one.label}: {one.psnr:.2f} dB held out" for one in shown
+        ),
         "notes": notes(packed, cameras),
         "models": [one.header for one in packed],
         "live": False,
@@ -110,11 +112,6 @@ def notes(packed: Sequence[Packed], cameras: Cameras) -> list[str]:
     views = sum(len(camera["frames"]) for camera in cameras.header)
     found.append(f"The truth of {len(cameras.truths)} of {views} views is here, as WebP of quality {QUALITY}.")
     return found
-
-
-def _fact(one: Shown) -> str:
-    quality = "" if one.psnr is None else f": {one.psnr:.2f} dB held out"
-    return f"{one.label}{quality}"
 
 
 def _title(cfg: Config) -> str:

@@ -7,7 +7,6 @@ const format = new Intl.NumberFormat("en");
 export class Panel {
     constructor(scene, state, actions, truths) {
         Object.assign(this, { scene, state, actions });
-        this.$ = $;
         this.fillCameras($("camera"), truths);
         $("camera").onchange = () => this.look($("camera").value);
         $("camera-before").onclick = () => this.next(-1);

@@ -1,12 +1,10 @@
 // Small helpers around WebGL2: programs, textures and render targets.
 
-export class GraphicsError extends Error {}
-
 export function contextOf(canvas) {
     const gl = canvas.getContext("webgl2", { antialias: false, alpha: false, preserveDrawingBuffer: true });
-    if (!gl) throw new GraphicsError("This browser has no WebGL2, which the viewer draws with.");
+    if (!gl) throw new Error("This browser has no WebGL2, which the viewer draws with.");
     if (!gl.getExtension("EXT_color_buffer_float"))
-        throw new GraphicsError("This graphics driver cannot draw into float textures (EXT_color_buffer_float).");
+        throw new Error("This graphics driver cannot draw into float textures (EXT_color_buffer_float).");
     return gl;
 }
 
@@ -23,11 +21,11 @@ export class Program {
             gl.compileShader(shader);
             gl.attachShader(this.program, shader);
             if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS) && !gl.isContextLost())
-                throw new GraphicsError(gl.getShaderInfoLog(shader));
+                throw new Error(gl.getShaderInfoLog(shader));
         }
         gl.linkProgram(this.program);
         if (!gl.getProgramParameter(this.program, gl.LINK_STATUS) && !gl.isContextLost())
-            throw new GraphicsError(gl.getProgramInfoLog(this.program));
+            throw new Error(gl.getProgramInfoLog(this.program));
         this.uniforms = {};
         for (let i = 0; i < gl.getProgramParameter(this.program, gl.ACTIVE_UNIFORMS); ++i) {
             const { name, type } = gl.getActiveUniform(this.program, i);
@@ -49,7 +47,7 @@ export class Program {
         gl.useProgram(this.program);
         let unit = 0;
         for (const [name, { at, type }] of Object.entries(this.uniforms)) {
-            if (!(name in values)) throw new GraphicsError(`no value for the uniform ${name}`);
+            if (!(name in values)) throw new Error(`no value for the uniform ${name}`);
             if (setters[type]) {
                 setters[type](at, values[name]);
             } else {

@@ -14,6 +14,7 @@ from plyfile import PlyData
 
 from pipeline.export.moving import MovingGaussians
 from pipeline.model.model import Model, ModelKind
+from rasterizer.reference.blend import MIN_ALPHA, MIN_MARGINAL
 
 C0 = 0.28209479177387814
 RUB = np.diag([1.0, -1.0, -1.0])  # right, up, back of right, down, forward
@@ -29,8 +30,18 @@ def static(mean, scale, quat, alpha, sh) -> Model:
         "opacity_logit": np.log(alpha / (1 - alpha)),
         "sh": sh,
     }
-    tensors = {name: torch.from_numpy(np.array(value, np.float32)) for name, value in fields.items()}
+    tensors = {name: torch.from_numpy(np.asarray(value, np.float32).copy()) for name, value in fields.items()}
     return Model(ModelKind("static", 0, round(tensors["sh"].shape[1] ** 0.5) - 1), tensors)
+
+
+def static_at(moving: MovingGaussians, time: float) -> Model:
+    """The static model at `time`, without what cannot be seen then."""
+    elapsed = time - moving.time
+    marginal = torch.exp(-0.5 * (elapsed / moving.sigma) ** 2)
+    alpha = moving.opacity * marginal
+    seen = (marginal >= MIN_MARGINAL) & (alpha >= MIN_ALPHA)
+    mean = moving.mean + moving.velocity * elapsed[:, None]
+    return static(*(tensor[seen] for tensor in (mean, moving.log_scale.exp(), moving.quat, alpha, moving.sh)))
 
 
 def read_ply(content: bytes) -> Model:
