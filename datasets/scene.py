@@ -118,11 +118,6 @@ class Scene:
         return self.time_start + self.duration
 
     @cached_property
-    def train_times(self) -> tuple[float, ...]:
-        """The distinct times of the training views, ascending."""
-        return tuple(sorted({view.time for view in self.train}))
-
-    @cached_property
     def _times_of_cameras(self) -> list[list[float]]:
         """The distinct times, ascending, of each training camera that films; of other photographs all in one list."""
         found: dict[str, set[float]] = defaultdict(set)

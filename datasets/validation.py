@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from datasets.files.errors import SceneError
-from datasets.ordinal import ordinal
 from datasets.scene import Scene, camera_extent
 
 
@@ -57,3 +56,9 @@ def _hold_out(scene: Scene, chosen: Set[int], every: int, rule: str | None = Non
     extent = camera_extent([view.camera for view in kept])
     rule = f"{rule or f'every {ordinal(every)}'} of the training views (validation)"
     return replace(scene, train=kept, test=held_out, extent=extent, test_split=rule)
+
+
+def ordinal(number: int) -> str:
+    """ "2nd", "3rd", "8th"."""
+    ending = {1: "st", 2: "nd", 3: "rd"}.get(number % 10, "th") if number % 100 not in (11, 12, 13) else "th"
+    return f"{number}{ending}"

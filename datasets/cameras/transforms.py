@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from datasets.cameras.intrinsics import merge_intrinsics
-from datasets.files.errors import SceneError, read_json
+from datasets.files.errors import SceneError
 from datasets.files.image_files import is_file
-from datasets.files.json_values import get_key, read_number
+from datasets.files.json_values import get_key, read_number, read_object
 from rasterizer.camera import MAX_DISTANCE
 
 # Bound of |RᵀR - I|: D-NeRF stores float32 (2e-7), files rounded to four decimals reach 1e-4.
@@ -42,12 +42,7 @@ def read_transforms(file: Path, root: Path) -> list[TransformsEntry]:
 
 def _load(file: Path) -> tuple[dict, list]:
     """The content of a transforms file and its list `frames`."""
-    try:
-        content = read_json(file, SceneError)
-    except FileNotFoundError:
-        raise SceneError(file, "a transforms file", "none") from None
-    if not isinstance(content, dict):
-        raise SceneError(file, "an object with camera_angle_x and frames", type(content).__name__)
+    content = read_object(file, "an object with camera_angle_x and frames", "a transforms file")
     if content.get("from_na"):
         raise SceneError(f"{file}: from_na", "poses with OpenGL's camera axes, as without this key", "true (NeuS2)")
     entries = get_key(content, "frames", file)

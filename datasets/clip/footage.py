@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -11,25 +11,26 @@ import cv2
 import numpy as np
 
 from datasets.cameras.lens import Undistortion, imaged, undistort
+from datasets.canonical import canonical_space
 from datasets.clip.choose import Choice, choose
-from datasets.clip.scene import playback_rate, scene_of_views
 from datasets.clip.survey import MOST_SURVEYED, survey
 from datasets.composition import BLACK, Color, background_color, chosen_downscale, reduced_camera
 from datasets.files.errors import SceneError
 from datasets.files.image_files import read_rgba
-from datasets.ordinal import ordinal
 from datasets.plenoptic.decode import reduce_image
 from datasets.plenoptic.unsynchronised import covering
 from datasets.plenoptic.videos import video_paths
-from datasets.scene import Scene, View, make_camera
+from datasets.scene import Scene, View, camera_extent, capture_of, make_camera, validate_scene
 from datasets.settings import SceneConfig
 from datasets.source import Log
+from datasets.validation import ordinal
 from datasets.video_files.decode import IMAGE_RATE, Frame, image_frames, image_paths, video_frames
 from datasets.video_files.probe import Header, probe
 from rasterizer.camera import Camera
 
 FEWEST_FRAMES = 12  # with fewer neither motion nor a held-out frame can be told
 SFM_SIDE = 1024  # pixels: the longer side of the images that structure from motion gets is not longer
+PLAYBACK_RATES = (5.0, 60.0)  # frames a second of rendered videos
 
 
 @dataclass(frozen=True)
@@ -254,3 +255,45 @@ def _refuse_other_sizes(path: Path, frames: list[ClipFrame]) -> None:
                 "{} x {} pixels as {}".format(*_size(frames[0].image), frames[0].name),
                 "{} x {}".format(*_size(frame.image)),
             )
+
+
+def scene_of_views(
+    views: Mapping[str, Sequence[View]],
+    *,
+    name: str,
+    source: Path,
+    duration: float,
+    unit: float | None,
+    rate: float,
+    test_split: str,
+    background: Color,
+) -> Scene:
+    """The scene of the views of both splits, "train" and "test", whose first time is 0; duration in seconds.
+
+    unit: world units per normalised unit; None: the canonical unit of the training cameras. rate: frames a second of
+    rendered videos.
+    """
+    train = [view.camera for view in views["train"]]
+    space = canonical_space(train, unit)
+    return validate_scene(
+        Scene(
+            name=name,
+            train=tuple(views["train"]),
+            test=tuple(views["test"]),
+            duration=duration,
+            time_start=0.0,
+            background=background,
+            extent=camera_extent(train),
+            init_box=space.inverse.box((-1.2, 1.2)),
+            source=source,
+            capture=capture_of(views["train"], views["test"], filmed=True),
+            unit=unit or space.unit,
+            playback_rate=rate,
+            test_split=test_split,
+        )
+    )
+
+
+def playback_rate(times: Sequence[float]) -> float:
+    """Frames a second at which frames of these times (seconds, ascending) last as long as they did."""
+    return float(np.clip((len(times) - 1) / max(times[-1] - times[0], 1e-3), *PLAYBACK_RATES))

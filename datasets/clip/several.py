@@ -8,18 +8,17 @@ from pathlib import Path
 
 from datasets.cameras.color import ColorCorrection
 from datasets.cameras.lens import Undistortion, imaged, undistort
-from datasets.clip.footage import FEWEST_FRAMES, Clip, ClipFrame, survey_clip
-from datasets.clip.scene import playback_rate, scene_of_views
-from datasets.clip.still import stands_still
+from datasets.clip.footage import FEWEST_FRAMES, Clip, ClipFrame, playback_rate, scene_of_views, survey_clip
+from datasets.clip.survey import stands_still
 from datasets.composition import BLACK, background_color
 from datasets.files.errors import SceneError
-from datasets.ordinal import ordinal
 from datasets.plenoptic.sync import select_cameras
 from datasets.plenoptic.unsynchronised import offsets_of
 from datasets.plenoptic.videos import VideoFile, find_footage, probe
 from datasets.scene import Scene, View
 from datasets.settings import SceneConfig
 from datasets.source import Log
+from datasets.validation import ordinal
 from rasterizer.camera import Camera
 
 

@@ -1,24 +1,34 @@
 """One pass over a clip in small images: how sharp, bright and different the frames are, where it is cut, and its bars.
 
 Nothing of a frame is kept but a few numbers, so that memory does not grow with the length of the clip. At most
-MOST_SURVEYED frames are looked at, evenly spread.
+MOST_SURVEYED frames are looked at, evenly spread. Fewer tell whether the camera stands still: the picture's textured
+part then stays where it is.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
 
 import cv2
 import numpy as np
 
-from datasets.video_files.decode import Frame
+from datasets.files.errors import SceneError
+from datasets.video_files.decode import IMAGE_RATE, Frame, video_frames
+from datasets.video_files.probe import probe
 
 WIDTH = 192  # pixels of the small images
 MOST_SURVEYED = 2000
 DARK, FLAT = 16.0, 4.0  # of 255: mean brightness and standard deviation of a frame that shows nothing
 BAR_LEVEL = 24  # of 255: a bar's pixels are never brighter, TV range and its compression included
 MOST_BAR = 0.4  # of a side
+SAMPLES = 9  # frames, evenly spread
+SHIFTED = 1.0  # pixels of the small images. Flow between frames of a tripod is below a tenth.
+# Of the samples: a single one may be filled by somebody who walks past the lens.
+MOVED_SHARE = 0.3
+LEAST_TEXTURE = 3.0  # of 255: standard deviation around a pixel, below which its flow is a guess
 
 
 @dataclass(frozen=True)
@@ -114,3 +124,35 @@ def _inside(lit: np.ndarray) -> tuple[int, int]:
         return 0, len(lit)
     first, last = int(lit.argmax()), len(lit) - int(lit[::-1].argmax())
     return (first, last) if first <= MOST_BAR * len(lit) and len(lit) - last <= MOST_BAR * len(lit) else (0, len(lit))
+
+
+def stands_still(path: Path) -> bool:
+    """Whether the median displacement against the first frame is small in most frames of a video.
+
+    True where no frame can be decoded: reading the video says so, with what to do.
+    """
+    try:
+        return _still(path, path.stat().st_mtime_ns)
+    except SceneError:
+        return True
+
+
+@lru_cache(maxsize=64)  # a run asks several times
+def _still(path: Path, modified: int) -> bool:
+    header = probe(path)
+    total = header.count or round((header.seconds or 0.0) * (header.rate or IMAGE_RATE))
+    wanted = set(np.linspace(0, max(total - 1, 0), SAMPLES).astype(int).tolist())
+    frames = [frame.image for frame in video_frames(path, header, wanted) if frame.image is not None]
+    images = [small_image(cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY)) for frame in frames]
+    shifts = [_shift(images[0], image) for image in images[1:]]
+    return not shifts or float(np.mean(np.array(shifts) > SHIFTED)) < MOVED_SHARE
+
+
+def _shift(first: np.ndarray, image: np.ndarray) -> float:
+    """Median displacement of the textured pixels, pixels; 0 without texture."""
+    search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
+    flow = np.asarray(search.calc(first, image, None))  # type: ignore[call-overload]
+    values = first.astype(np.float32)
+    mean, square = (cv2.blur(x, (7, 7)) for x in (values, values**2))
+    textured = square - mean**2 > LEAST_TEXTURE**2
+    return float(np.median(np.linalg.norm(flow, axis=2)[textured])) if textured.any() else 0.0

@@ -34,6 +34,8 @@ def image_size(path: Path) -> tuple[int, int]:
     try:
         with Image.open(path) as image:
             return image.size
+    except FileNotFoundError:
+        raise SceneError(path, "an image", "no such file") from None
     except Exception as error:  # PIL raises many types for broken files
         raise SceneError(path, "a readable image", str(error)) from None
 

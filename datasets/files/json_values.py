@@ -5,7 +5,18 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from datasets.files.errors import SceneError
+from datasets.files.errors import SceneError, read_json
+
+
+def read_object(file: Path, what: str = "an object", kind: str = "a file") -> dict[str, Any]:
+    """The object that a JSON file holds. what, kind: expected of the content and of the file, for messages."""
+    try:
+        content = read_json(file, SceneError)
+    except FileNotFoundError:
+        raise SceneError(file, kind, "none") from None
+    if not isinstance(content, dict):
+        raise SceneError(file, what, type(content).__name__)
+    return content
 
 
 def get_key(container: dict, key: str, where: str | Path) -> Any:

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from datasets.files.errors import SceneError
-from datasets.ordinal import ordinal
 from datasets.photographs.file_names import stand_still
 from datasets.photographs.photograph import PosedFile
 from datasets.settings import SceneConfig
 from datasets.source import Log
+from datasets.validation import ordinal
 
 FEWEST = 3  # photographs
 

@@ -31,7 +31,8 @@ from datasets.cameras.lens import Undistortion, undistort
 from datasets.files.atomic_write import TEMPORARY, DiskFull
 from datasets.files.errors import SceneError
 from datasets.files.frame_store import StoredFrame, read_frames, write_frames
-from datasets.plenoptic.display import DecodingDisplay, Log
+from datasets.plenoptic.display import DecodingDisplay
+from datasets.source import Log
 
 STORE_VERSION = 1  # to be increased by every change that alters the decoded frames
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
 from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
-Log = Callable[[str], None]  # called with a line of text for the user
+from datasets.source import Log
 
 
 class DecodingDisplay:

@@ -17,7 +17,6 @@ from datasets.composition import BLACK, background_color, reduced_camera
 from datasets.files.errors import SceneError
 from datasets.ground_truth import StoredTruth, film_truth_file
 from datasets.plenoptic.decode import DecodeOptions, Stream, decode, store_folder
-from datasets.plenoptic.display import Log
 from datasets.plenoptic.images import ImageSequence
 from datasets.plenoptic.sync import drop_advice
 from datasets.plenoptic.unsynchronised import AlignedStream
@@ -33,6 +32,7 @@ from datasets.scene import (
     validate_scene,
 )
 from datasets.settings import SceneConfig
+from datasets.source import Log
 from rasterizer.camera import Camera
 from rasterizer.cores import thread_count
 

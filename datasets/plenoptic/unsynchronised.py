@@ -15,9 +15,9 @@ import numpy as np
 
 from datasets.files.errors import SceneError
 from datasets.plenoptic.decode import Stream
-from datasets.plenoptic.display import Log
 from datasets.plenoptic.sync import RATE_TOLERANCE
 from datasets.plenoptic.videos import Video
+from datasets.source import Log
 from datasets.sync.offsets import Offsets, find_offsets
 from datasets.video_files.decode import frame_times
 

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from datasets.cameras.transforms import named_path, read_pose
-from datasets.files.errors import SceneError, read_json
+from datasets.files.errors import SceneError
 from datasets.files.image_files import is_file
-from datasets.files.json_values import get_key, read_number
+from datasets.files.json_values import get_key, read_number, read_object
 from datasets.photographs.photograph import PosedFile
 from datasets.photographs.scene import scene_points, to_scene
 from datasets.scene import Scene, ScenePoints, make_camera
@@ -26,6 +26,7 @@ from datasets.settings import SceneConfig
 from datasets.source import Log, PosedImages, Source, data_folder
 from rasterizer.camera import Camera
 
+TABLES = "an object with k, w2c, fn, cam_id"
 MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
 
 
@@ -46,7 +47,7 @@ def read_dynamic_gaussians(root: Path, cfg: SceneConfig, log: Log) -> Scene:
         photographs = _read_meta(root, "train_meta.json", False, log) + _read_meta(root, "test_meta.json", True, log)
     else:
         photographs = _read_meta(root, "train_meta.json", None, log)
-    mirrored = _is_mirrored(_object(root / "train_meta.json")["w2c"])
+    mirrored = _is_mirrored(read_object(root / "train_meta.json", TABLES)["w2c"])
     if mirrored:
         log("train_meta.json: all poses are reflections; the world is mirrored back")
     points = _read_points(root / "init_pt_cld.npz")
@@ -63,7 +64,7 @@ def read_dynamic_gaussians(root: Path, cfg: SceneConfig, log: Log) -> Scene:
 def _read_meta(root: Path, name: str, test: bool | None, log: Log) -> list[PosedFile]:
     """The images that the file names. One that is not there is left out, and their number is said."""
     file = root / name
-    content = _object(file)
+    content = read_object(file, TABLES)
     width, height = (int(read_number(get_key(content, key, file), f"{file}: {key}", 1e6)) for key in "wh")
     tables = {key: get_key(content, key, file) for key in ("k", "w2c", "fn", "cam_id")}
     times = len(tables["fn"]) if isinstance(tables["fn"], list) else 0
@@ -93,16 +94,6 @@ def _read_meta(root: Path, name: str, test: bool | None, log: Log) -> list[Posed
         named = len(missing) + len(found)
         log(f"{name} names {named} images; left out: {len(missing)} that are not there, the first {missing[0]}")
     return found
-
-
-def _object(file: Path) -> dict[str, Any]:
-    try:
-        content = read_json(file, SceneError)
-    except FileNotFoundError:
-        raise SceneError(file, "a file", "none") from None
-    if not isinstance(content, dict):
-        raise SceneError(file, "an object with k, w2c, fn, cam_id", type(content).__name__)
-    return content
 
 
 def _is_mirrored(rows: list[Any]) -> bool:

@@ -19,16 +19,25 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from datasets.files.errors import SceneError
+from datasets.files.image_files import image_size
 from datasets.scene import make_camera
 from datasets.settings import SceneConfig
 from datasets.source import Log, Source, data_folder
 from datasets.urban.assemble import DriveSource
-from datasets.urban.log import DrivingLog, LogImage, LogSweep, SweepPoints, check_times, image_size, numbered_files
-from datasets.urban.number_files import entry, read_calibration, read_lines, read_rows, rigid
-from datasets.urban.oxts import poses_of_oxts
-from datasets.urban.sweep_files import check_reach, read_points, transformed
+from datasets.urban.log import DrivingLog, LogImage, LogSweep, SweepPoints, check_times, numbered_files
+from datasets.urban.number_files import (
+    check_reach,
+    entry,
+    read_calibration,
+    read_lines,
+    read_points,
+    read_rows,
+    rigid,
+    transformed,
+)
 from rasterizer.camera import Camera
 
 IMAGES = (".png", ".jpg", ".jpeg")
@@ -36,6 +45,8 @@ COLUMNS = 4  # of a sweep: x, y, z in the Velodyne's frame, reflectance
 RATE = 10.0  # frames a second
 USUAL = (2, 3)  # the colour cameras
 CAMERAS = range(4)
+EARTH_RADIUS = 6378137.0  # metres
+LATITUDE, LONGITUDE, ALTITUDE, ROLL, PITCH, YAW = range(6)  # of the 30 values; degrees, metres, radians
 
 
 @dataclass(frozen=True)
@@ -272,3 +283,21 @@ def _timestamps(file: Path, numbers: list[int]) -> list[float]:
             ) from None
     check_times(times, file)
     return times
+
+
+def poses_of_oxts(rows: np.ndarray, where: Path) -> list[np.ndarray]:
+    """IMU-to-world (4, 4) for each row (30,); the world is the IMU's frame at the first row.
+
+    x = s r lon, y = s r ln tan(π (90 + lat) / 360), s = cos(lat₀): the Mercator map is scaled to metres at the first
+    row's latitude. R = Rz(yaw) Ry(pitch) Rx(roll).
+    """
+    latitude = rows[:, LATITUDE]
+    if not (np.abs(latitude) < 89).all():
+        raise SceneError(where, "latitudes below 89 degrees", f"{float(np.abs(latitude).max()):g}")
+    scale = np.cos(np.radians(latitude[0])) * EARTH_RADIUS
+    poses = np.tile(np.eye(4), (len(rows), 1, 1))
+    poses[:, 0, 3] = scale * np.radians(rows[:, LONGITUDE])
+    poses[:, 1, 3] = scale * np.log(np.tan(np.pi * (90 + latitude) / 360))
+    poses[:, 2, 3] = rows[:, ALTITUDE]
+    poses[:, :3, :3] = Rotation.from_euler("ZYX", rows[:, [YAW, PITCH, ROLL]]).as_matrix()
+    return list(np.linalg.inv(poses[0]) @ poses)

@@ -25,9 +25,9 @@ from datasets.cameras.intrinsics import LARGEST_COEFFICIENT
 from datasets.cameras.lens import Undistortion
 from datasets.cameras.transforms import read_pose
 from datasets.composition import chosen_downscale
-from datasets.files.errors import SceneError, read_json
+from datasets.files.errors import SceneError
 from datasets.files.image_files import common_size
-from datasets.files.json_values import get_key, read_number
+from datasets.files.json_values import get_key, read_number, read_object
 from datasets.photographs.photograph import PosedFile
 from datasets.photographs.scene import scene_points, to_scene
 from datasets.scene import Scene, ScenePoints, make_camera
@@ -158,13 +158,7 @@ def _numbers(content: dict[str, Any], key: str, shape: tuple[int, ...], file: Pa
 
 
 def _object(file: Path) -> dict[str, Any]:
-    try:
-        content = read_json(file, SceneError)
-    except FileNotFoundError:
-        raise SceneError(file, "a file (layout of Nerfies)", "none") from None
-    if not isinstance(content, dict):
-        raise SceneError(file, "an object", type(content).__name__)
-    return content
+    return read_object(file, kind="a file (layout of Nerfies)")
 
 
 def _read_points(path: Path) -> ScenePoints | None:

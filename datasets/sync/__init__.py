@@ -4,7 +4,3 @@ signals.py     what is compared: log energy of the sound, brightness and motion 
 correlate.py   the lag of two signals, and how sure it is
 offsets.py     all pairs → one offset (and drift) for each camera, by least squares
 """
-
-from datasets.sync.offsets import Offsets, find_offsets
-
-__all__ = ["Offsets", "find_offsets"]

@@ -98,7 +98,7 @@ def build_scene(
         return write_film(settings, Path(folder), processes=processes, progress=progress)
 
     if scene in DRIVEN:
-        from datasets.synthetic.drive.write_drive import write_drive
+        from datasets.synthetic.drive import write_drive
 
         return write_drive(
             Path(folder), scene=scene, seed=seed, size=size, frames=frames, layout=layout, progress=progress
@@ -155,9 +155,6 @@ def _check_name(name: str, camera_path: str) -> None:
 def _fingerprint(parameters: dict) -> str:
     here = Path(__file__).parent
     digest = hashlib.sha256(json.dumps(parameters, sort_keys=True).encode())
-    sources = (
-        [*here.glob("*.py"), *(here / "drive").glob("*.py")] if parameters["scene"] in DRIVEN else here.glob("*.py")
-    )
-    for source in [*sorted(sources), here / "scenes" / f"{parameters['scene']}.py"]:
+    for source in [*sorted(here.glob("*.py")), here / "scenes" / f"{parameters['scene']}.py"]:
         digest.update(source.read_bytes())
     return digest.hexdigest()[:12]

@@ -22,8 +22,7 @@ import numpy as np
 
 from datasets.files.atomic_write import atomic_folder, write_json
 from datasets.files.errors import SceneError
-from datasets.synthetic.film import depth_of, film
-from datasets.synthetic.film_truth import write_film_truth
+from datasets.synthetic.film import depth_of, film, write_film_truth
 from datasets.synthetic.rig import rig
 from datasets.synthetic.video import FRAME_RATE, write_video
 from datasets.synthetic.world import World

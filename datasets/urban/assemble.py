@@ -15,7 +15,6 @@ from datasets.composition import BLACK, compose, reduced_camera
 from datasets.files.errors import SceneError
 from datasets.files.image_files import read_rgba
 from datasets.ground_truth import StoredTruth, any_moving
-from datasets.ordinal import ordinal
 from datasets.scene import Scene, Sweep, View, bounding_cube, camera_extent, make_camera, validate_scene
 from datasets.settings import SceneConfig
 from datasets.source import Calibration, Log, Photograph, Source
@@ -23,6 +22,7 @@ from datasets.urban.log import DrivingLog, LogImage, LogSweep, SweepPoints
 from datasets.urban.moving import with_moving_masks
 from datasets.urban.projection import depth_image, in_image, project
 from datasets.urban.sky import estimate_sky
+from datasets.validation import ordinal
 from rasterizer.camera import Camera
 
 UNIT = 5.0  # metres per normalised unit: the near plane is at 1 m

@@ -12,7 +12,6 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from datasets.files.errors import SceneError
 from rasterizer.camera import Camera
@@ -84,17 +83,6 @@ def check_times(times: Sequence[float], where: str | Path) -> None:
             raise SceneError(
                 where, "times that ascend", f"{after:.6f} s at frame {index}, after {before:.6f} s: they run back"
             )
-
-
-def image_size(path: Path) -> tuple[int, int]:
-    """(width, height) from the header."""
-    try:
-        with Image.open(path) as image:
-            return image.size
-    except FileNotFoundError:
-        raise SceneError(path, "an image", "no such file") from None
-    except Exception as error:  # PIL raises many types for broken files
-        raise SceneError(path, "a readable image", str(error)) from None
 
 
 def numbered_files(folder: Path, suffixes: Sequence[str]) -> dict[int, Path]:

@@ -44,7 +44,7 @@ def structure_from_motion(
     )
     colors = {}
     if corrected:
-        from pipeline.data.colors import color_corrections, recolored  # not needed by scenes without it
+        from pipeline.data.colors.choose import color_corrections, recolored  # not needed by scenes without it
 
         colors = color_corrections(photographs, cloud, source.held_out, cfg.scene.color_correction is True, log)
         cloud = recolored(photographs, cloud, source.held_out, colors)

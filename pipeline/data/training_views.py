@@ -11,9 +11,8 @@ import torch
 from torch import Tensor
 
 from datasets.scene import View
-from pipeline.data.lidar.depth_targets import DepthTargets, SparseDepth
+from pipeline.data.depth_targets import DepthTargets, PointDepths, SparseDepth
 from pipeline.data.optical_flow import FlowTargets, MeasuredFlow
-from pipeline.data.sfm.depth_targets import PointDepths
 from rasterizer import Camera
 
 # Above this size float images are not cached but converted from uint8 at each use.

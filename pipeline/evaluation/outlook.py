@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from datasets.cameras.optical_axes import intersect_axes
+from datasets.canonical import intersect_axes
 from datasets.scene import Scene
 
 FAST = 30.0  # degrees a second, from which a clip of one camera begins to see a moving thing from several sides

@@ -15,9 +15,8 @@ from torch import Tensor
 
 from datasets.scene import Scene
 from pipeline.config.schema import Config
-from pipeline.data.lidar.depth_targets import DepthTargets
+from pipeline.data.depth_targets import DepthTargets, PointDepths
 from pipeline.data.optical_flow import FlowTargets
-from pipeline.data.sfm.depth_targets import PointDepths
 from pipeline.data.training_views import TrainingViews
 from pipeline.model.model import Model
 from pipeline.model.transformed import in_rotations

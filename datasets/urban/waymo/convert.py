@@ -12,7 +12,9 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import cv2
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from datasets.files.atomic_write import atomic_folder, write_json
 from datasets.files.errors import SceneError
@@ -29,11 +31,12 @@ from datasets.urban.waymo.components import (
     the_segment,
     vehicle_poses,
 )
-from datasets.urban.waymo.labelled_boxes import moving_boxes
 from datasets.urban.waymo.processed import OPENCV_TO_WAYMO
-from datasets.urban.waymo.range_image import inclinations, points_of
 from datasets.urban.write import Frame, FrameCamera, write_processed
 from rasterizer.camera import Camera
+
+MOVING_SPEED = 1.0  # metres a second, of a box
+MARGIN = 0.1  # of an image's sides, around it
 
 
 def convert(folder: Path, segment: str, out: Path, cameras: list[int], frames: int | None = None) -> int:
@@ -133,6 +136,80 @@ def main(arguments: list[str] | None = None) -> int:
         parser.error(str(error))
     print(f"{options.out}: {count} frames; python -m pipeline scene=waymo scene.path={options.out}")
     return 0
+
+
+def moving_boxes(
+    boxes: list[np.ndarray], camera: Camera, vehicle_to_world: np.ndarray, distortion: tuple[float, ...]
+) -> np.ndarray:
+    """(H, W) bool: outlines of the boxes that move faster than MOVING_SPEED, in the distorted image.
+
+    boxes: (9,) centre, size, heading in the vehicle's frame, velocity in x and y. distortion: k1, k2, p1, p2, k3.
+    """
+    matrix = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
+    # Far outside the image the distortion's polynomial may lead back into it: hulls are cut off before.
+    sides = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * (1 + 2 * MARGIN) - MARGIN
+    shown = (sides * (camera.width, camera.height) - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
+    mask = np.zeros((camera.height, camera.width), np.uint8)
+    corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+    for box in boxes:
+        if np.hypot(*box[7:9]) <= MOVING_SPEED:
+            continue
+        c, s = np.cos(box[6]), np.sin(box[6])
+        vehicle = (corners * box[3:6]) @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]).T + box[:3]
+        world = vehicle @ vehicle_to_world[:3, :3].T + vehicle_to_world[:3, 3]
+        x, y, z = camera.world_to_cam[:3, :3] @ world.T + camera.world_to_cam[:3, 3:]
+        if (z > 0.1).all():
+            hull = cv2.convexHull(np.stack([x / z, y / z], axis=1).astype(np.float32))
+            area, seen = cv2.intersectConvexConvex(hull, shown.astype(np.float32))
+            if area > 0:
+                ends = seen.reshape(-1, 2).astype(np.float64)
+                points = ends[:, None] + np.linspace(0, 1, 8)[:, None] * (np.roll(ends, -1, axis=0) - ends)[:, None]
+                rays = np.insert(points.reshape(-1, 2), 2, 1.0, axis=1)  # edges are bent
+                pixels, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), matrix, np.array(distortion))
+                cv2.fillPoly(mask, [pixels.round().astype(np.int32)], 1)
+    return mask > 0
+
+
+def inclinations(values: np.ndarray | None, low: float, high: float, rows: int) -> np.ndarray:
+    """(rows,) radians, from the first row, the highest, down: the given beams, or evenly spaced ones."""
+    beams = low + (np.arange(rows) + 0.5) / rows * (high - low) if values is None or not len(values) else values
+    return np.asarray(beams, dtype=np.float64)[::-1]
+
+
+def points_of(
+    ranges: np.ndarray,
+    beams: np.ndarray,
+    laser_to_vehicle: np.ndarray,
+    pixel_poses: np.ndarray | None = None,
+    vehicle_to_world: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(points (N, 3), beams' origins (N, 3), index (N,) of the pixel) in the vehicle's frame; of ranges (H, W) > 0.
+
+    Column j of W looks to azimuth (2 (W - j - ½) / W - 1) π - atan2(E₁₀, E₀₀) with E = laser_to_vehicle: the last
+    column to the left of straight behind. beams: (H,) by `inclinations`. pixel_poses: (H, W, 6) roll, pitch, yaw, x, y,
+    z of the vehicle in the world while the pixel was measured, with vehicle_to_world (4, 4) of the frame; None: the
+    vehicle's frame is that of the pixel.
+    """
+    height, width = ranges.shape
+    correction = np.arctan2(laser_to_vehicle[1, 0], laser_to_vehicle[0, 0])
+    azimuth = (2 * (width - np.arange(width) - 0.5) / width - 1) * np.pi - correction
+    index = np.flatnonzero(ranges > 0)
+    row, column = np.divmod(index, width)
+    up, around, distance = beams[row], azimuth[column], ranges.reshape(-1)[index].astype(np.float64)
+    local = distance[:, None] * np.stack([np.cos(around) * np.cos(up), np.sin(around) * np.cos(up), np.sin(up)], axis=1)
+    points = local @ laser_to_vehicle[:3, :3].T + laser_to_vehicle[:3, 3]
+    origins = np.tile(laser_to_vehicle[:3, 3], (len(points), 1))
+    if pixel_poses is None or vehicle_to_world is None:
+        return points, origins, index
+    poses = pixel_poses.reshape(-1, 6)[index].astype(np.float64)
+    turns = Rotation.from_euler("ZYX", poses[:, [2, 1, 0]])
+    world_to_vehicle = np.linalg.inv(vehicle_to_world)
+
+    def in_frame(of_pixel: np.ndarray) -> np.ndarray:
+        world = turns.apply(of_pixel) + poses[:, 3:]
+        return world @ world_to_vehicle[:3, :3].T + world_to_vehicle[:3, 3]
+
+    return in_frame(points), in_frame(origins), index
 
 
 if __name__ == "__main__":

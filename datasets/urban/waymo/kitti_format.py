@@ -20,10 +20,19 @@ from pathlib import Path
 import numpy as np
 
 from datasets.files.errors import SceneError
+from datasets.files.image_files import image_size
 from datasets.scene import make_camera
-from datasets.urban.log import DrivingLog, LogImage, LogSweep, SweepPoints, check_times, image_size, numbered_files
-from datasets.urban.number_files import entry, read_calibration, read_matrix, read_rows, rigid
-from datasets.urban.sweep_files import check_reach, read_points, transformed
+from datasets.urban.log import DrivingLog, LogImage, LogSweep, SweepPoints, check_times, numbered_files
+from datasets.urban.number_files import (
+    check_reach,
+    entry,
+    read_calibration,
+    read_matrix,
+    read_points,
+    read_rows,
+    rigid,
+    transformed,
+)
 from rasterizer.camera import Camera
 
 CAMERAS = range(5)

@@ -22,10 +22,18 @@ from pathlib import Path
 import numpy as np
 
 from datasets.files.errors import SceneError
+from datasets.files.image_files import image_size
 from datasets.scene import make_camera
-from datasets.urban.log import DrivingLog, LogImage, LogSweep, SweepPoints, check_times, image_size, numbered_files
-from datasets.urban.number_files import numbers, read_lines, read_matrix, read_rows
-from datasets.urban.sweep_files import check_reach, read_floats, transformed
+from datasets.urban.log import DrivingLog, LogImage, LogSweep, SweepPoints, check_times, numbered_files
+from datasets.urban.number_files import (
+    check_reach,
+    numbers,
+    read_floats,
+    read_lines,
+    read_matrix,
+    read_rows,
+    transformed,
+)
 from rasterizer.camera import Camera
 
 # From OpenCV's camera axes (x right, y down, z forward) to Waymo's (x forward, y left, z up).

@@ -4,7 +4,3 @@ matches.py    the colour of each point in each camera
 fit.py        a gain and an offset a channel for each camera, robustly
 choose.py     which cameras are corrected, by cross-validation, and what the run says of it
 """
-
-from pipeline.data.colors.choose import color_corrections, recolored
-
-__all__ = ["color_corrections", "recolored"]

@@ -1,8 +1,9 @@
 """Structure from motion with COLMAP: points, and camera poses if unknown, from photographs of one moment.
 
 In the process of the run:
-    photograph.py     input and output types: Photograph, Reconstruction
     run.py            reconstruct(): starts the COLMAP process and reads its result
+    clip.py           reconstruct_clip(): the same for the frames of clips, in two passes
+    reconstruction.py the result
     cache.py          keeps a result until its inputs change
     plot.py           plots cameras and points
 In the COLMAP process:

@@ -43,10 +43,8 @@ def reconstruct_cached(
     observations: bool = False,
 ) -> tuple[Reconstruction, Path]:
     """The result of `run.reconstruct`, from the cache if it is there, and its folder."""
-    folder = cache / f"sfm-{fingerprint(photographs, cfg, unit, observations=observations)}"
-    if not (folder / "result.json").is_file():
-        save(reconstruct(photographs, cfg, unit, source, observations), folder)
-    return _with_enough_points(folder, cfg), folder
+    key = fingerprint(photographs, cfg, unit, observations=observations)
+    return _cached(cache, key, cfg, lambda: reconstruct(photographs, cfg, unit, source, observations))
 
 
 def clip_reconstruct_cached(
@@ -58,20 +56,22 @@ def clip_reconstruct_cached(
     observations: bool = False,
 ) -> tuple[Reconstruction, Path]:
     """The result of `clip.reconstruct_clip`, from the cache if it is there, and its folder."""
-    folder = cache / f"sfm-{fingerprint(photographs, cfg, 1.0, CLIP_VERSION, observations)}"
+    key = fingerprint(photographs, cfg, 1.0, CLIP_VERSION, observations)
+    return _cached(cache, key, cfg, lambda: reconstruct_clip(photographs, cfg, source, log, observations))
+
+
+def _cached(cache: Path, key: str, cfg: InitConfig, make: Callable[[], Reconstruction]) -> tuple[Reconstruction, Path]:
+    """The result, made if it is not there, and its folder. ValueError for fewer points than init.min_points, which may
+    have been smaller when they were written."""
+    folder = cache / f"sfm-{key}"
     if not (folder / "result.json").is_file():
-        save(reconstruct_clip(photographs, cfg, source, log, observations), folder)
-    return _with_enough_points(folder, cfg), folder
-
-
-def _with_enough_points(folder: Path, cfg: InitConfig) -> Reconstruction:
-    """`load`; ValueError for fewer points than init.min_points, which may have been smaller when they were written."""
+        save(make(), folder)
     result = load(folder)
     if len(result.points) < cfg.min_points:
         raise ValueError(
             f"{folder}: expected at least {cfg.min_points} points (init.min_points), found {len(result.points)}"
         )
-    return result
+    return result, folder
 
 
 def fingerprint(

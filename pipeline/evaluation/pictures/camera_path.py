@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from datasets.cameras.optical_axes import SMALLEST_MEAN_DIRECTION, intersect_axes
+from datasets.canonical import SMALLEST_MEAN_DIRECTION, intersect_axes
 from rasterizer import Camera
 
 SECONDS = 5.0  # of video, both turns

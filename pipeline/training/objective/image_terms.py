@@ -12,7 +12,7 @@ from torch import Tensor
 
 from datasets.scene import Scene
 from pipeline.config.train_schema import TrainConfig
-from pipeline.data.lidar.depth_targets import SparseDepth
+from pipeline.data.depth_targets import SparseDepth
 from pipeline.data.training_views import Target
 from pipeline.model.render import ImageGradient, Rendered
 from pipeline.training.objective.terms import DrawnView, ImageTerm

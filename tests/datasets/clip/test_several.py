@@ -9,7 +9,7 @@ import pytest
 from clips import SOUND_RATE, textured_plane, write_clip
 
 from datasets.clip.several import ClipSet
-from datasets.clip.still import stands_still
+from datasets.clip.survey import stands_still
 from datasets.files.errors import SceneError
 from datasets.readers.video import ClipSetSource, FootageSource, open_source
 from datasets.scene import Scene

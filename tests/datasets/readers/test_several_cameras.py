@@ -79,7 +79,9 @@ def test_of_two_cameras_both_are_held_out_at_times_of_their_own(tmp_path: Path) 
     scene, _ = read(rig(tmp_path, 0, cameras=2))
     places = [view.camera.world_to_cam.tobytes() for view in scene.test]
     assert len(places) == 4 and len(set(places)) == 2
-    assert len({view.time for view in scene.test}) == 4 and {v.time for v in scene.test} <= set(scene.train_times)
+    assert len({view.time for view in scene.test}) == 4 and {v.time for v in scene.test} <= {
+        v.time for v in scene.train
+    }
 
 
 def test_held_out_cameras_beside_a_clip_leave_it_a_clip(tmp_path: Path) -> None:

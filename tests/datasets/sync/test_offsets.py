@@ -11,8 +11,7 @@ from clips import SOUND_RATE, write_clip
 
 from datasets.readers.video import read_footage
 from datasets.settings import SceneConfig
-from datasets.sync import Offsets, find_offsets
-from datasets.sync.offsets import offsets_of, with_drift
+from datasets.sync.offsets import Offsets, find_offsets, offsets_of, with_drift
 from datasets.sync.signals import Signal, picture_signals
 from datasets.synthetic.film import film
 from datasets.synthetic.rig import rig

@@ -11,7 +11,7 @@ from datasets.ground_truth import StoredTruth
 from datasets.settings import SceneConfig
 from datasets.source import open_source
 from datasets.synthetic import build_scene
-from datasets.synthetic.film_truth import write_film_truth
+from datasets.synthetic.film import write_film_truth
 from datasets.synthetic.shapes import Rectangle, Sphere
 from datasets.synthetic.texture import plain
 from datasets.synthetic.trace import trace

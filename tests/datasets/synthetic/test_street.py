@@ -10,8 +10,7 @@ import pytest
 from datasets.scene import Scene
 from datasets.settings import SceneConfig
 from datasets.source import open_source
-from datasets.synthetic import build_scene
-from datasets.synthetic.drive import lidar
+from datasets.synthetic import build_scene, drive
 from datasets.urban.moving import moving_mask, moving_points
 from datasets.urban.projection import depth_image, in_image, project
 from datasets.urban.sky import estimate_sky
@@ -100,7 +99,7 @@ def test_flow_follows_what_moves(scene: Scene) -> None:
 
 
 def test_the_same_arguments_give_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lidar, "STEPS", 40)
+    monkeypatch.setattr(drive, "STEPS", 40)
     for name in ("one", "other"):
         build_scene(tmp_path / name, scene="street", seed=3, size=24, frames=2)
     files = sorted(path.relative_to(tmp_path / "one") for path in (tmp_path / "one").rglob("*") if path.is_file())

@@ -16,10 +16,8 @@ from scipy.spatial.transform import Rotation
 from datasets.files.errors import SceneError
 from datasets.readers.waymo import open_waymo
 from datasets.urban.waymo.components import TIME
-from datasets.urban.waymo.convert import convert, main
-from datasets.urban.waymo.labelled_boxes import moving_boxes
+from datasets.urban.waymo.convert import convert, inclinations, main, moving_boxes, points_of
 from datasets.urban.waymo.processed import OPENCV_TO_WAYMO
-from datasets.urban.waymo.range_image import inclinations, points_of
 from rasterizer.camera import Camera
 
 ROWS, COLUMNS = 5, 12

@@ -9,7 +9,7 @@ import pytest
 from clips import textured_plane, write_clip
 
 from datasets.cameras.color import ColorCorrection
-from datasets.clip.still import stands_still
+from datasets.clip.survey import stands_still
 from datasets.settings import SceneConfig
 from datasets.source import Photograph
 from datasets.synthetic.rig import rig
@@ -18,8 +18,7 @@ from datasets.synthetic.trace import trace
 from pipeline.config.schema import Config, InitConfig
 from pipeline.data.prepare import prepare
 from pipeline.data.prepared import Prepared
-from pipeline.data.sfm.clip import reconstruct_clip
-from pipeline.data.sfm.pairs import by_lens, pairs_of
+from pipeline.data.sfm.clip import by_lens, pairs_of, reconstruct_clip
 from pipeline.evaluation.pictures.camera_path import look_at
 from rasterizer.camera import Camera
 

@@ -15,7 +15,7 @@ from datasets.source import Photograph
 from datasets.synthetic.film import film
 from datasets.synthetic.write_film import FilmSettings
 from pipeline.config.schema import Config, InitConfig
-from pipeline.data.colors import color_corrections, recolored
+from pipeline.data.colors.choose import color_corrections, recolored
 from pipeline.data.prepare import prepare
 from pipeline.data.sfm.reconstruction import Reconstruction
 from pipeline.data.sfm.run import reconstruct

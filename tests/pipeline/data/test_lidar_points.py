@@ -12,7 +12,7 @@ from tiny import tiny_config
 
 from datasets.canonical import DISTANCE, canonical_of, canonicalise
 from datasets.scene import Scene, Sweep, View
-from pipeline.data.lidar.depth_targets import DepthTargets
+from pipeline.data.depth_targets import DepthTargets
 from pipeline.data.lidar.initial_points import coloured_points, far_points, highest_beam, initial_points, thinned
 from pipeline.data.lidar.velocities import agreed, sweep_velocities
 from pipeline.model.initialise import initialise, set_velocities

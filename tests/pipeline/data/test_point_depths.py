@@ -12,7 +12,7 @@ from tiny import tiny_config, tiny_scene, train_tiny
 
 from datasets.scene import ScenePoints
 from pipeline.config.train_schema import DensifyConfig, DepthConfig
-from pipeline.data.sfm.depth_targets import PointDepths
+from pipeline.data.depth_targets import PointDepths
 from pipeline.training.objective.image_terms import inverse_depth
 from rasterizer import Rasterizer, Request
 

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from tiny import tiny_scene
 
-from pipeline.data.lidar.depth_targets import SparseDepth
+from pipeline.data.depth_targets import SparseDepth
 from pipeline.data.optical_flow import MeasuredFlow
 from pipeline.data.training_views import TrainingViews, area_average, target_of
 from rasterizer import Camera

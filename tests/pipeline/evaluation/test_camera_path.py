@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from datasets.cameras.optical_axes import intersect_axes
+from datasets.canonical import intersect_axes
 from pipeline.evaluation.pictures.camera_path import (
     FRAME_RATE,
     SECONDS,

@@ -7,8 +7,9 @@ from dataclasses import replace
 import pytest
 from tiny import tiny_config
 
+from datasets.source import Size
 from pipeline.stages import estimate
-from pipeline.stages.estimate import Size, _estimate
+from pipeline.stages.estimate import _estimate
 from rasterizer.bench.workloads import make_workload
 
 

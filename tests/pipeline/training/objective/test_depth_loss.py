@@ -8,7 +8,7 @@ import pytest
 import torch
 from builders import camera_looking_at, generator, random_gaussians
 
-from pipeline.data.lidar.depth_targets import SparseDepth, sparse
+from pipeline.data.depth_targets import SparseDepth, sparse
 from pipeline.training.objective.image_terms import inverse_depth, sky_loss, sparse_depth_loss
 from rasterizer import Gradients, Rasterizer, Request
 from rasterizer.reference import rasterize as reference

@@ -1,7 +1,7 @@
-"""Targets of the depth loss where there is no LiDAR: the points of structure from motion, at any time of a scene.
+"""Targets of the depth loss: inverse depths at some pixels of a view, of LiDAR or of points of structure from motion.
 
-A point is where it was when structure from motion saw it, and something may move or stand before it. A view's pixel
-counts while it has the point's colour.
+LiDAR's are at the view's own time. A point of structure from motion is where it was when it was seen, and something may
+move or stand before it: a view's pixel counts while it has the point's colour.
 """
 
 from __future__ import annotations
@@ -13,11 +13,44 @@ import torch
 from torch import Tensor
 
 from datasets.scene import Scene, ScenePoints
-from datasets.urban.projection import in_image, project
-from pipeline.data.lidar.depth_targets import SparseDepth
+from datasets.urban.projection import depth_image, in_image, project
 from rasterizer import Camera
 
 MOST_DIFFERENT = 0.1  # in each channel, of a pixel and its point; in [0, 1]
+
+
+@dataclass(frozen=True)
+class SparseDepth:
+    """Depths at some pixels of a view."""
+
+    pixel: Tensor  # (n,) int64, row × width + column
+    inverse: Tensor  # (n,) float32, one over the depth z in scene units
+
+
+class DepthTargets:
+    """The LiDAR depths of each training view at the size of a camera; those of the last size are kept."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._views = scene.train
+        self._sweeps = {sweep.frame: sweep for sweep in scene.sweeps}
+        self._cache: dict[int, tuple[tuple[int, int], SparseDepth]] = {}
+
+    def at(self, index: int, camera: Camera, image: Tensor | None = None) -> SparseDepth | None:
+        """Of view `index`; None: its frame has no sweep, or the view sees no point of it. image: not needed."""
+        frame = self._views[index].frame
+        if frame is None or frame not in self._sweeps:
+            return None
+        size = camera.width, camera.height
+        if index not in self._cache or self._cache[index][0] != size:
+            self._cache[index] = size, sparse(depth_image(self._sweeps[frame].points, camera))
+        found = self._cache[index][1]
+        return found if len(found.pixel) else None
+
+
+def sparse(depth: np.ndarray) -> SparseDepth:
+    """The pixels of a depth image (H, W) whose depth is above 0."""
+    pixel = np.flatnonzero(depth)
+    return SparseDepth(torch.from_numpy(pixel), torch.from_numpy(1 / depth.reshape(-1)[pixel]))
 
 
 @dataclass(frozen=True)
