@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Optional
 
+from datasets.ranges import Range, above, at_least, check, one_of, positive_count, require
 from datasets.readers import reader_names
 
 BACKGROUND_MODELS = ("none", "sphere", "envmap", "cubemap")
 WHOLE_SIZE = ("plenoptic", "synthetic", "kitti", "waymo")  # readers that choose no downscale by the size of the images
-SYNC = ("none", "auto", "given")
-SKY_MASKS = ("auto", "none", "files", "estimated")
-STREET_LAYOUTS = ("processed", "kitti_format")
 CAMERA_PATHS = ("jumps", "arc")
 COLOR_NAMES = ("auto", "black", "white")  # of scene.background
 
@@ -72,86 +71,42 @@ class SceneConfig:
     near: float = 0.2  # near plane in the scene's normalised unit (Scene.unit)
 
     def __post_init__(self) -> None:
-        readers = ("auto", *reader_names())
-        require(self.reader in readers, "scene.reader", ", ".join(readers), self.reader)
-        for key, minimum in (("test_cameras", 1), ("drop_cameras", 0)):
-            numbers = getattr(self, key)
-            require(
-                len(numbers) >= minimum and all(n >= 0 for n in numbers) and len(set(numbers)) == len(numbers),
-                f"scene.{key}",
-                "different camera numbers, 0 or more",
-                list(numbers),
-            )
-        require(self.sync in SYNC, "scene.sync", ", ".join(SYNC), self.sync)
-        for key in ("moving_cameras", "color_correction"):
+        some = "different camera numbers, 0 or more"
+        check("scene", self, {
+            "reader": one_of("auto", *reader_names()),
+            **dict.fromkeys(("test_cameras", "log_cameras"), Range(some, lambda n: len(n) > 0 and _are_numbers(n))),
+            "drop_cameras": Range(some, _are_numbers),
+            "sync": one_of("none", "auto", "given"),
+            "first_frame": at_least(0),
+            **dict.fromkeys(("frames", "train_views", "test_views"), positive_count()),
+            "test_every": Range("at least 2", lambda n: n >= 2 or (n == 0 and self.reader in ("video", "auto"))),
+            "sky_masks": one_of("auto", "none", "files", "estimated"),
+            "layout": one_of("processed", "kitti_format"),
+            "background_model": one_of(*BACKGROUND_MODELS),
+            "cameras": positive_count(3),
+            "test_split": one_of("test", "val"),
+            "validation_every": Range("at least 2, or 0 (off)", lambda n: n == 0 or n >= 2),
+            "downscale": Range("1 to 16", lambda n: 1 <= n <= 16 or (n == 0 and self.reader not in WHOLE_SIZE)),
+            "size": Range("11 to 4096, as SSIM has a window of 11", lambda n: 11 <= n <= 4096),
+            "camera_path": one_of(*CAMERA_PATHS),
+            "init_box": Range("[low, high] with low < high", lambda box: len(box) == 2 and box[0] < box[1]),
+            "near": above(0),
+        })  # fmt: skip
+        for key in ("moving_cameras", "color_correction"):  # None is no value of these
             value = getattr(self, key)
             require(value == "auto" or isinstance(value, bool), f"scene.{key}", "auto, true or false", value)
-        require(self.first_frame >= 0, "scene.first_frame", ">= 0", self.first_frame)
-        require(self.frames >= 1, "scene.frames", "at least 1", self.frames)
-        require(
-            self.test_every >= 2 or (self.test_every == 0 and self.reader in ("video", "auto")),
-            "scene.test_every",
-            "at least 2",
-            self.test_every,
-        )
-        require(
-            self.log_cameras is None
-            or (0 < len(self.log_cameras) == len(set(self.log_cameras)) and min(self.log_cameras) >= 0),
-            "scene.log_cameras",
-            "different camera numbers, 0 or more",
-            self.log_cameras and list(self.log_cameras),
-        )
-        require(self.sky_masks in SKY_MASKS, "scene.sky_masks", ", ".join(SKY_MASKS), self.sky_masks)
-        require(self.layout in STREET_LAYOUTS, "scene.layout", ", ".join(STREET_LAYOUTS), self.layout)
-        require(
-            self.background_model in BACKGROUND_MODELS,
-            "scene.background_model",
-            ", ".join(BACKGROUND_MODELS),
-            self.background_model,
-        )
-        require(self.cameras >= 3, "scene.cameras", "at least 3", self.cameras)
-        require(self.test_split in ("test", "val"), "scene.test_split", "test or val", self.test_split)
-        require(
-            self.validation_every == 0 or self.validation_every >= 2,
-            "scene.validation_every",
-            "at least 2, or 0 (off)",
-            self.validation_every,
-        )
-        require(
-            1 <= self.downscale <= 16 or (self.downscale == 0 and self.reader not in WHOLE_SIZE),
-            "scene.downscale",
-            "1 to 16",
-            self.downscale,
-        )
-        require(
-            self.background in COLOR_NAMES or _is_color(self.background),
-            "scene.background",
-            f"{', '.join(COLOR_NAMES)} or three values in [0, 1]",
-            self.background,
-        )
+        colors = f"{', '.join(COLOR_NAMES)} or three values in [0, 1]"
+        require(_is_background(self.background), "scene.background", colors, self.background)
         if not isinstance(self.background, str):
             self.background = [float(channel) for channel in self.background]
-        require(11 <= self.size <= 4096, "scene.size", "11 to 4096, as SSIM has a window of 11", self.size)
-        require(self.train_views >= 1, "scene.train_views", "at least 1", self.train_views)
-        require(self.test_views >= 1, "scene.test_views", "at least 1", self.test_views)
-        require(self.camera_path in CAMERA_PATHS, "scene.camera_path", ", ".join(CAMERA_PATHS), self.camera_path)
-        require(
-            len(self.init_box) == 2 and self.init_box[0] < self.init_box[1],
-            "scene.init_box",
-            "[low, high] with low < high",
-            self.init_box,
-        )
-        require(self.near > 0, "scene.near", "> 0", self.near)
 
 
-def require(condition: bool, key: str, expected: str, found: Any) -> None:
-    """Raises a ValueError of one line if the condition is false."""
-    if not condition:
-        raise ValueError(f"{key}: expected {expected}, found {found!r}")
+def _are_numbers(cameras: Sequence[int]) -> bool:
+    return all(n >= 0 for n in cameras) and len(set(cameras)) == len(cameras)
 
 
-def _is_color(value: Any) -> bool:
-    return (
+def _is_background(value: Any) -> bool:
+    return value in COLOR_NAMES or (
         isinstance(value, (list, tuple))
         and len(value) == 3
         and all(isinstance(c, (int, float)) and not isinstance(c, bool) and 0 <= c <= 1 for c in value)

@@ -39,16 +39,10 @@ def _made(name: str, cfg: SceneConfig, what: str, log: Log) -> Path:
     """The folder of the scene, which is rendered first unless it is in the cache."""
     from datasets.synthetic import make_scene
 
+    keys = ("seed", "size", "train_views", "test_views", "cameras", "frames", "layout", "camera_path")
     return make_scene(
         name,
         cfg.cache,
-        seed=cfg.seed,
-        size=cfg.size,
-        train_views=cfg.train_views,
-        test_views=cfg.test_views,
-        cameras=cfg.cameras,
-        frames=cfg.frames,
-        layout=cfg.layout,
-        camera_path=cfg.camera_path,
         progress=lambda done, total: log(f"{cfg.name}: {done} of {total} {what} rendered"),
+        **{key: getattr(cfg, key) for key in keys},
     )

@@ -30,9 +30,22 @@ SCENE_NAMES = PHOTOGRAPHED + FILMED + DRIVEN
 Progress = Callable[[int, int], None]  # called after each camera of a film: cameras done, all cameras
 
 
-def make_scene(
+def make_scene(name: str, cache: str | Path, *, progress: Progress | None = None, **given: Any) -> Path:
+    """The folder of a synthetic scene under `cache`; traces the scene if it is not there.
+
+    given: as of `parameters_of`. The folder's name ends with a hash of everything that determines the images: the
+    sources of the tracer and of the scene, and the parameters. Raises SceneError for an unknown name or an invalid
+    argument.
+    """
+    parameters = parameters_of(name, **given)
+    folder = Path(cache) / f"{name}-{_fingerprint({'scene': name, **parameters})}"
+    if not (folder / "meta.json").is_file():
+        build_scene(folder, scene=name, progress=progress, **parameters)
+    return folder
+
+
+def parameters_of(
     name: str,
-    cache: str | Path,
     *,
     seed: int = 0,
     size: int = 200,
@@ -40,90 +53,64 @@ def make_scene(
     test_views: int = 12,
     cameras: int = 12,
     frames: int = 60,
-    processes: int = 1,
     layout: str = "processed",
     camera_path: str = "jumps",
-    progress: Progress | None = None,
-) -> Path:
-    """The folder of a synthetic scene under `cache`; traces the scene if it is not there.
+) -> dict[str, Any]:
+    """Those of the arguments that determine the scene.
 
-    size: image width in pixels. train_views, test_views, camera_path: of photographed scenes, see build_scene. cameras,
-    frames, processes, progress: of filmed scenes, see build_scene. frames, layout (urban.write.WRITERS): of drives. The
-    folder's name ends with a hash of everything that determines the images: the sources of the tracer and of the scene,
-    and the arguments.
-    Raises SceneError for an unknown name or an invalid argument.
+    size: image width in pixels. train_views, test_views, camera_path: of photographed scenes, "jumps" for one camera
+    per time as D-NeRF, "arc" for one camera that moves, with test views beside it and validation views on its path.
+    cameras, frames: of filmed scenes. frames, layout (urban.write.WRITERS): of drives.
     """
-    _check_name(name, camera_path)
-    parameters: dict[str, Any] = {"scene": name, "seed": seed, "size": size}
+    if name not in SCENE_NAMES:
+        raise SceneError("scene.name", f"synthetic/ and one of {', '.join(SCENE_NAMES)}", repr(name))
+    if camera_path != "jumps" and name not in PHOTOGRAPHED:
+        raise SceneError("scene.camera_path", f"jumps for {name}; arc is for {', '.join(PHOTOGRAPHED)}", camera_path)
     if name in FILMED:
-        parameters |= {"cameras": cameras, "frames": frames}
-    elif name in DRIVEN:
-        parameters |= {"frames": frames, "layout": layout}
-    else:
-        parameters |= {"train_views": train_views, "test_views": test_views, "camera_path": camera_path}
-    folder = Path(cache) / f"{name}-{_fingerprint(parameters)}"
-    if not (folder / "meta.json").is_file():
-        build_scene(folder, **parameters, processes=processes, progress=progress)
-    return folder
+        return {"seed": seed, "size": size, "cameras": cameras, "frames": frames}
+    if name in DRIVEN:
+        return {"seed": seed, "size": size, "frames": frames, "layout": layout}
+    views = {"train_views": train_views, "test_views": test_views}
+    return {"seed": seed, "size": size, **views, "camera_path": camera_path}
 
 
 def build_scene(
-    folder: Path,
-    *,
-    scene: str,
-    seed: int,
-    size: int,
-    train_views: int = 100,
-    test_views: int = 12,
-    cameras: int = 12,
-    frames: int = 60,
-    samples: int = 3,
-    processes: int = 1,
-    layout: str = "processed",
-    camera_path: str = "jumps",
-    progress: Progress | None = None,
+    folder: Path, *, scene: str, samples: int = 3, processes: int = 1, progress: Progress | None = None, **given: Any
 ) -> Path:
     """Traces a scene into `folder`, which must be absent or empty. The same arguments give the same bytes.
 
-    train_views, test_views, camera_path: of a photographed scene, "jumps" for one camera per time as D-NeRF, "arc" for
-    one camera that moves, with test views beside it and validation views on its path. The rest is for filmed scenes:
-    samples × samples rays per pixel, `processes` cameras in parallel (spawned: the caller's main module must be
-    importable).
+    given: as of `parameters_of`. samples, processes: of filmed scenes: samples × samples rays per pixel, `processes`
+    cameras in parallel (spawned: the caller's main module must be importable).
     """
-    _check_name(scene, camera_path)
+    parameters = parameters_of(scene, **given)
     if scene in FILMED:
         from datasets.synthetic.write_film import FilmSettings, write_film
 
-        settings = FilmSettings(scene=scene, seed=seed, size=size, cameras=cameras, frames=frames, samples=samples)
+        settings = FilmSettings(scene=scene, samples=samples, **parameters)
         return write_film(settings, Path(folder), processes=processes, progress=progress)
 
     if scene in DRIVEN:
         from datasets.synthetic.drive import write_drive
 
-        return write_drive(
-            Path(folder), scene=scene, seed=seed, size=size, frames=frames, layout=layout, progress=progress
-        )
+        return write_drive(Path(folder), scene=scene, progress=progress, **parameters)
 
     from datasets.synthetic.write import write_scene
 
+    train_views, test_views = parameters["train_views"], parameters["test_views"]
     if train_views < 2 or test_views < 1:
         raise SceneError("scene.train_views, scene.test_views", "at least 2 and 1", f"{train_views} and {test_views}")
     # Separate generators: the cameras of a seed do not change when a scene draws more random numbers.
-    world_rng, *camera_rngs = np.random.default_rng(seed).spawn(4)
+    world_rng, *camera_rngs = np.random.default_rng(parameters["seed"]).spawn(4)
     world = importlib.import_module(f"datasets.synthetic.scenes.{scene}").build(world_rng)
-    poses = _poses(camera_path, train_views, test_views, camera_rngs)
+    poses = _poses(parameters["camera_path"], train_views, test_views, camera_rngs)
     meta = {
         "scene": scene,
-        "seed": seed,
-        "size": size,
-        "train_views": train_views,
-        "test_views": test_views,
-        "camera_path": camera_path,
+        **parameters,
         "flow_dt": 1 / (train_views - 1),  # to the next training time
         "flow": "pixels right and down to time + flow_dt, same camera",
         "depth": "z along the viewing axis",
     }
-    return write_scene(world, poses, size, meta, Path(folder))
+    return write_scene(world, poses, parameters["size"], meta, Path(folder))
 
 
 def _poses(
@@ -143,13 +130,6 @@ def _poses(
         "val": held_out_poses(validation_views, train_views, rngs[1]),
         "test": held_out_poses(test_views, train_views, rngs[2]),
     }
-
-
-def _check_name(name: str, camera_path: str) -> None:
-    if name not in SCENE_NAMES:
-        raise SceneError("scene.name", f"synthetic/ and one of {', '.join(SCENE_NAMES)}", repr(name))
-    if camera_path != "jumps" and name not in PHOTOGRAPHED:
-        raise SceneError("scene.camera_path", f"jumps for {name}; arc is for {', '.join(PHOTOGRAPHED)}", camera_path)
 
 
 def _fingerprint(parameters: dict) -> str:

@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, Optional
 
-from datasets.settings import SceneConfig, require
-from pipeline.config.ranges import at_least, check, one_of, positive_count
+from datasets.ranges import at_least, check, one_of, positive_count, require
+from datasets.settings import SceneConfig
 from pipeline.config.train_schema import TrainConfig
 
 MAX_SEED = 2**63 - 1  # int64, as checkpoints and tables hold it

@@ -8,8 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields
 from typing import Optional
 
-from datasets.settings import require
-from pipeline.config.ranges import Range, above, at_least, between, check, one_of, positive_count
+from datasets.ranges import Range, above, at_least, between, check, one_of, positive_count, require
 
 
 @dataclass

@@ -6,8 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from datasets.settings import require
-
 
 @dataclass(frozen=True)
 class Range:
@@ -58,3 +56,9 @@ def check(group: str, config: Any, ranges: dict[str, Range]) -> None:
     for name, allowed in ranges.items():
         value = getattr(config, name)
         require(value is None or allowed.holds(value), f"{group}.{name}", allowed.expected, value)
+
+
+def require(condition: bool, key: str, expected: str, found: Any) -> None:
+    """Raises a ValueError of one line if the condition is false."""
+    if not condition:
+        raise ValueError(f"{key}: expected {expected}, found {found!r}")
