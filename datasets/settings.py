@@ -50,7 +50,6 @@ class SceneConfig:
     # Driving logs: auto: masks that come with the data, else estimated from colour, edges and LiDAR | none | files |
     # estimated
     sky_masks: str = "auto"
-    layout: str = "processed"  # synthetic/street: the layout it is written in, processed | kitti_format
     downscale: int = 2  # images are read at 1/downscale of their size; 0 (own data): chosen by the size
     # Colour under transparent pixels: black, white or RGB in [0, 1]. auto: the border colour of opaque images if all
     # borders have one colour, else black
@@ -81,7 +80,6 @@ class SceneConfig:
             **dict.fromkeys(("frames", "train_views", "test_views"), positive_count()),
             "test_every": Range("at least 2", lambda n: n >= 2 or (n == 0 and self.reader in ("video", "auto"))),
             "sky_masks": one_of("auto", "none", "files", "estimated"),
-            "layout": one_of("processed", "kitti_format"),
             "background_model": one_of(*BACKGROUND_MODELS),
             "cameras": positive_count(3),
             "test_split": one_of("test", "val"),

@@ -39,7 +39,7 @@ def _made(name: str, cfg: SceneConfig, what: str, log: Log) -> Path:
     """The folder of the scene, which is rendered first unless it is in the cache."""
     from datasets.synthetic import make_scene
 
-    keys = ("seed", "size", "train_views", "test_views", "cameras", "frames", "layout", "camera_path")
+    keys = ("seed", "size", "train_views", "test_views", "cameras", "frames", "camera_path")
     return make_scene(
         name,
         cfg.cache,

@@ -53,14 +53,13 @@ def parameters_of(
     test_views: int = 12,
     cameras: int = 12,
     frames: int = 60,
-    layout: str = "processed",
     camera_path: str = "jumps",
 ) -> dict[str, Any]:
     """Those of the arguments that determine the scene.
 
     size: image width in pixels. train_views, test_views, camera_path: of photographed scenes, "jumps" for one camera
     per time as D-NeRF, "arc" for one camera that moves, with test views beside it and validation views on its path.
-    cameras, frames: of filmed scenes. frames, layout (urban.write.WRITERS): of drives.
+    cameras, frames: of filmed scenes. frames: of drives, too.
     """
     if name not in SCENE_NAMES:
         raise SceneError("scene.name", f"synthetic/ and one of {', '.join(SCENE_NAMES)}", repr(name))
@@ -69,7 +68,7 @@ def parameters_of(
     if name in FILMED:
         return {"seed": seed, "size": size, "cameras": cameras, "frames": frames}
     if name in DRIVEN:
-        return {"seed": seed, "size": size, "frames": frames, "layout": layout}
+        return {"seed": seed, "size": size, "frames": frames}
     views = {"train_views": train_views, "test_views": test_views}
     return {"seed": seed, "size": size, **views, "camera_path": camera_path}
 

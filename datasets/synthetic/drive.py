@@ -1,8 +1,8 @@
 """A synthetic drive: the car's way, three frontal cameras and a LiDAR on its roof, as on Waymo's, and its files.
 
-The layouts are those of datasets/urban/write.py, written atomically. truth/… holds moving, depth, flow, flow_valid and
-flow_dt, as datasets/ground_truth.py reads them; masks of the sky, and in the processed layout of what moves, stand
-where the data of real logs have them. meta.json holds the arguments that made the scene.
+They are written atomically, in the layout of datasets/urban/write.py. truth/… holds moving, depth, flow, flow_valid and
+flow_dt, as datasets/ground_truth.py reads them; masks of the sky and of what moves stand where real logs have them.
+meta.json holds the arguments that made the scene.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from datasets.synthetic.shapes import column, norm
 from datasets.synthetic.trace import NOTHING, first_hits, rays, trace
 from datasets.synthetic.world import World, moves, turn
 from datasets.urban.waymo.processed import OPENCV_TO_WAYMO
-from datasets.urban.write import WRITERS, Frame, FrameCamera
+from datasets.urban.write import Frame, FrameCamera, write_processed
 from rasterizer.camera import Camera
 
 RATE = 10.0  # frames a second
@@ -79,14 +79,7 @@ def sweep(world: World, time: float, rng: np.random.Generator) -> tuple[np.ndarr
 
 
 def write_drive(
-    folder: Path,
-    *,
-    scene: str,
-    seed: int,
-    size: int,
-    frames: int,
-    layout: str,
-    progress: Callable[[int, int], None] | None = None,
+    folder: Path, *, scene: str, seed: int, size: int, frames: int, progress: Callable[[int, int], None] | None = None
 ) -> Path:
     """Renders `frames` frames of three cameras, `size` pixels wide, into `folder`. The same arguments give the same
     bytes."""
@@ -105,12 +98,10 @@ def write_drive(
             )
             points, origin = sweep(world, time, lidar_rng)
             frame = Frame(time, vehicle_to_world(time), cameras, points, origin)
-            WRITERS[layout](temporary, index, frame)
+            write_processed(temporary, index, frame)
             if progress is not None:
                 progress(index + 1, frames)
-        write_json(
-            temporary / "meta.json", {"scene": scene, "seed": seed, "size": size, "frames": frames, "layout": layout}
-        )
+        write_json(temporary / "meta.json", {"scene": scene, "seed": seed, "size": size, "frames": frames})
     return folder
 
 

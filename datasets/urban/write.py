@@ -1,9 +1,7 @@
-"""Writes a driving log in the layouts of waymo/processed.py and waymo/kitti_format.py: synthetic drives, converted
-logs, and those that tests read back."""
+"""Writes a driving log in the layout of waymo/processed.py: synthetic drives, converted logs."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -21,9 +19,9 @@ class FrameCamera:
     number: int
     camera: Camera  # world_to_cam in the log's world
     image: np.ndarray | bytes  # (H, W, 3) uint8, written as PNG; or the bytes of a JPEG
-    distortion: tuple[float, ...] = (0.0,) * 5  # k1 k2 p1 p2 k3; the KITTI format has none
+    distortion: tuple[float, ...] = (0.0,) * 5  # k1 k2 p1 p2 k3
     sky: np.ndarray | None = None  # (H, W) bool
-    moving: np.ndarray | None = None  # (H, W) bool; the KITTI format has none
+    moving: np.ndarray | None = None  # (H, W) bool
     truth: dict[str, np.ndarray] | None = None  # arrays of datasets/ground_truth.py
 
 
@@ -66,36 +64,6 @@ def write_processed(folder: Path, index: int, frame: Frame, columns: int = 14) -
         rows[:, -3] = frame.intensity
         rows[:, -1] = 0 if frame.lasers is None else frame.lasers
         _save_rows(folder / "lidar" / f"{stem}.bin", rows)
-
-
-def write_kitti_format(folder: Path, index: int, frame: Frame) -> None:
-    """Frame `index` in KITTI's format; the sequence is 0, so that an ID is the frame's number."""
-    stem = f"{index:07d}"
-    _save_matrix(folder / "pose" / f"{stem}.txt", frame.vehicle_to_world)
-    _append_time(folder, frame.time, index)
-    world_to_vehicle = np.linalg.inv(frame.vehicle_to_world)
-    lines = {f"P{n}": np.zeros(12) for n in range(5)} | {"R0_rect": np.eye(3).ravel()}
-    lines |= {f"Tr_velo_to_cam_{n}": np.eye(3, 4).ravel() for n in range(5)}
-    for one in frame.cameras:
-        c = one.camera
-        lines[f"P{one.number}"] = np.array([[c.fx, 0, c.cx, 0], [0, c.fy, c.cy, 0], [0, 0, 1, 0]]).ravel()
-        lines[f"Tr_velo_to_cam_{one.number}"] = (c.world_to_cam @ frame.vehicle_to_world)[:3].ravel()
-        _save_image(folder / f"image_{one.number}", stem, one.image)
-        _save_mask(folder / f"sky_{one.number}" / f"{stem}.png", one.sky)
-        _save_truth(folder / "truth" / f"{stem}_{one.number}.npz", one.truth)
-    text = "".join(f"{name}: {' '.join(f'{x:.17g}' for x in values)}\n" for name, values in lines.items())
-    _made(folder / "calib" / f"{stem}.txt").write_text(text)
-    if frame.points is not None:
-        rows = np.zeros((len(frame.points), 6), "<f4")
-        rows[:, :3] = _moved(frame.points, world_to_vehicle)
-        rows[:, 3] = frame.intensity
-        _save_rows(folder / "velodyne" / f"{stem}.bin", rows)
-
-
-WRITERS: dict[str, Callable[[Path, int, Frame], None]] = {
-    "processed": write_processed,
-    "kitti_format": write_kitti_format,
-}
 
 
 def _moved(points: np.ndarray, matrix: np.ndarray) -> np.ndarray:

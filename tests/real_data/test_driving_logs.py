@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from kitti_folder import frames_of
+from kitti_format import write_kitti_format
 
 from datasets.readers.kitti import open_kitti
 from datasets.readers.waymo import open_waymo
@@ -16,7 +17,7 @@ from datasets.urban.assemble import scene_of_log
 from datasets.urban.log import DrivingLog
 from datasets.urban.projection import depth_image
 from datasets.urban.waymo.components import Components, vehicle_poses
-from datasets.urban.write import write_kitti_format, write_processed
+from datasets.urban.write import write_processed
 
 pytestmark = pytest.mark.data
 FRAMES = 4

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from kitti_format import write_kitti_format
 
 from datasets.scene import Scene
 from datasets.settings import SceneConfig
@@ -23,9 +24,9 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("cache")
 
 
-def street(cache: Path, layout: str = "processed", **changes: object) -> Scene:
+def street(cache: Path, **changes: object) -> Scene:
     common = {"reader": "synthetic", "downscale": 1, "size": SIZE, "frames": FRAMES, "test_every": FRAMES}
-    cfg = SceneConfig(name="synthetic/street", cache=str(cache), layout=layout, **{**common, **changes})
+    cfg = SceneConfig(name="synthetic/street", cache=str(cache), **{**common, **changes})
     return open_source(cfg, log=lambda line: None).scene()
 
 
@@ -34,9 +35,10 @@ def scene(cache: Path) -> Scene:
     return street(cache)
 
 
-def test_both_layouts_give_the_same_scene(cache: Path, scene: Scene) -> None:
+def test_both_layouts_give_the_same_scene(tmp_path: Path, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     """Images, masks and truth exactly; cameras and points to rounding (the files hold 17 digits, float32 points)."""
-    other = street(cache, "kitti_format")
+    monkeypatch.setattr(drive, "write_processed", write_kitti_format)
+    other = street(tmp_path)
     assert len(scene.train) == 3 * (FRAMES - 1) and len(scene.test) == 3
     for a, b in zip(scene.train + scene.test, other.train + other.test):
         assert a.name == b.name and a.time == b.time and (np.asarray(a.image) == np.asarray(b.image)).all()

@@ -7,6 +7,7 @@ from pathlib import Path
 import kitti_folder as k
 import numpy as np
 import pytest
+from kitti_format import write_kitti_format
 from PIL import Image
 
 from datasets.files.errors import SceneError
@@ -17,7 +18,7 @@ from datasets.source import open_source
 from datasets.urban.assemble import scene_of_log
 from datasets.urban.log import DrivingLog
 from datasets.urban.waymo.processed import columns_of
-from datasets.urban.write import Frame, FrameCamera, write_kitti_format, write_processed
+from datasets.urban.write import Frame, FrameCamera, write_processed
 from rasterizer.camera import Camera
 
 NUMBERS = {2: 0, 3: 1}  # KITTI's cameras -> Waymo's

@@ -8,11 +8,12 @@ from pathlib import Path
 
 import numpy as np
 from hypothesis.strategies import SearchStrategy
+from kitti_format import write_kitti_format
 
 from datasets.readers.waymo import open_waymo
 from datasets.settings import SceneConfig
 from datasets.urban.assemble import scene_of_log
-from datasets.urban.write import Frame, FrameCamera, write_kitti_format, write_processed
+from datasets.urban.write import Frame, FrameCamera, write_processed
 from fuzz.edits.bytes import changed_files, edit_text
 from fuzz.scene_checks import check_scene
 from fuzz.target import Changes, Files, Target, read_files, valid_or_refused
