@@ -6,8 +6,9 @@ needed: most scenes need no video decoder. A reader has
     open_source(cfg, threads, log) -> Source
     matches(path) -> str | None     for scene=auto: what is missing in a folder of this layout; None: nothing
     TITLE, PRECEDENCE               for scene=auto: what messages call it, and its place: the lowest is asked first
+    as_found(cfg, log)              for scene=auto, optional: the settings where the folder decides more of them
 
-The last two are left out by readers that scene=auto does not try.
+Readers without `matches` are not tried by scene=auto.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol, cast
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -140,23 +141,19 @@ class PosedImages(Source):
         return validate_scene(hold_out(scene, self.cfg.validation_every))
 
 
-class Reader(Protocol):
-    """A module of datasets/readers."""
-
-    def open_source(self, cfg: SceneConfig, threads: int, log: Log) -> Source: ...
-
-
 def open_source(cfg: SceneConfig, *, threads: int = 0, log: Log = print) -> Source:
     """The data of a configuration, in the layout of scene.reader or, if that is auto, of the files.
 
     Synthetic videos and logs are made first, unless they are in the cache. threads: for decoding; 0: all cores. Raises
     SceneError for invalid data and settings that do not fit them.
     """
-    name = cfg.reader
-    if name == "auto":
-        name, line = detect(data_path(cfg))
-        log(line)
-    return cast(Reader, _reader(name)).open_source(cfg, threads, log)
+    if cfg.reader != "auto":
+        return _reader(cfg.reader).open_source(cfg, threads, log)
+    name, line = detect(data_path(cfg))
+    log(line)
+    reader = _reader(name)
+    cfg = reader.as_found(cfg, log) if hasattr(reader, "as_found") else replace(cfg, reader=name)
+    return reader.open_source(cfg, threads, log)
 
 
 def detect(path: Path) -> tuple[str, str]:
@@ -206,8 +203,3 @@ def without_validation(cfg: SceneConfig, footage: str) -> SceneConfig:
     if cfg.validation_every:
         raise SceneError("scene.validation_every", f"0 for {footage}", str(cfg.validation_every))
     return cfg
-
-
-def with_reader(cfg: SceneConfig, name: str, **changes: Any) -> SceneConfig:
-    """`cfg` with the reader that scene=auto found; `cfg` itself if its reader is not auto."""
-    return replace(cfg, reader=name, **changes) if cfg.reader == "auto" else cfg

@@ -38,7 +38,7 @@ from datasets.files.image_files import common_size, read_rgba
 from datasets.ground_truth import truth_beside
 from datasets.scene import Scene, View, camera_extent, capture_of, make_camera, validate_scene
 from datasets.settings import SceneConfig
-from datasets.source import Log, PosedImages, Source, data_folder, data_path, with_reader
+from datasets.source import Log, PosedImages, Source, data_folder, data_path
 from rasterizer.camera import Camera
 
 # Times within [0, 1] that span more than this are in D-NeRF's unit, whose range is [0, 1].
@@ -60,14 +60,12 @@ def matches(path: Path) -> str | None:
 
 
 def open_source(cfg: SceneConfig, threads: int, log: Log) -> Source:
-    if cfg.reader == "auto":
-        cfg = _with_split(with_reader(cfg, "dnerf"), log)
     return PosedImages(cfg, lambda: read_dnerf(data_folder(cfg), cfg, log))
 
 
-def _with_split(cfg: SceneConfig, log: Log) -> SceneConfig:
-    """For a folder without the test split: transforms_val.json, else every eighth training view."""
-    path = data_path(cfg)
+def as_found(cfg: SceneConfig, log: Log) -> SceneConfig:
+    """Where the test split is missing transforms_val.json is held out, else every eighth training view."""
+    cfg, path = replace(cfg, reader="dnerf"), data_path(cfg)
     if cfg.validation_every or has_split(path, cfg.test_split):
         return cfg
     missing = f"{path}: there is no transforms_{cfg.test_split}.json"

@@ -37,7 +37,7 @@ from datasets.plenoptic.videos import PLENOPTIC_NAME, find_cameras, video_paths
 from datasets.readers.llff import image_folder
 from datasets.scene import Box, Scene
 from datasets.settings import SceneConfig
-from datasets.source import Calibration, Log, Photograph, data_folder, with_reader, without_validation
+from datasets.source import Calibration, Log, Photograph, data_folder, without_validation
 from rasterizer.camera import Camera
 
 TITLE, PRECEDENCE = "Plenoptic Video", 30
@@ -114,13 +114,13 @@ class PosedFootage(FilmedSource):
         )
 
 
+def as_found(cfg: SceneConfig, log: Log) -> SceneConfig:
+    """Colours are corrected on request only: by default of what is known to need it, videos without poses."""
+    downscale, color = cfg.downscale or DOWNSCALE, cfg.color_correction is True
+    return replace(cfg, reader="plenoptic", downscale=downscale, color_correction=color)
+
+
 def open_source(cfg: SceneConfig, threads: int, log: Log) -> PosedFootage:
-    cfg = with_reader(
-        cfg,
-        "plenoptic",
-        downscale=cfg.downscale or DOWNSCALE,
-        color_correction=cfg.color_correction is True,  # only what is known to need it
-    )
     return open_folder(data_folder(cfg), videos_config(cfg), threads, log)
 
 

@@ -22,7 +22,7 @@ from datasets.plenoptic.unsynchronised import align, is_synchronised, offsets_of
 from datasets.plenoptic.videos import find_footage, video_paths
 from datasets.scene import Scene
 from datasets.settings import SceneConfig
-from datasets.source import Calibration, Log, Photograph, Size, Source, data_path, with_reader, without_validation
+from datasets.source import Calibration, Log, Photograph, Size, Source, data_path, without_validation
 from datasets.video_files.decode import image_paths
 
 TITLE, PRECEDENCE = "videos or images without poses", 80
@@ -37,7 +37,7 @@ def matches(path: Path) -> str | None:
 
 
 def open_source(cfg: SceneConfig, threads: int, log: Log) -> Source:
-    cfg, path = with_reader(cfg, "video"), data_path(cfg)
+    path = data_path(cfg)
     if is_clip(path):
         cfg = without_validation(cfg, "clips (scene.test_every holds out other frames)")
         return ClipSource(cfg, lambda: open_clip(path, cfg, log))

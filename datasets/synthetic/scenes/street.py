@@ -1,6 +1,6 @@
 """Scene `street`: a street with houses, signs and trees; cars, and a walker who crosses it; a sky.
 
-Purpose: a driving log with exact depth, flow and masks, seen from a car that drives along +x (drive/rig.py). Metres and
+Purpose: a driving log with exact depth, flow and masks, seen from a car that drives along +x (drive.py). Metres and
 seconds, z up, the road's surface at z = 0. What moves casts no shadow.
 """
 

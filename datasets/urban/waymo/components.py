@@ -119,7 +119,7 @@ def pixel_poses(files: Components) -> Iterator[Row]:
 
 
 def labelled_boxes(files: Components) -> Iterator[Row]:
-    """{time, box} of each label (labelled_boxes.moving_boxes); may be absent."""
+    """{time, box} of each label (convert.moving_boxes); may be absent."""
     prefix = "[LiDARBoxComponent]."
     names = [f"{prefix}box.{part}.{axis}" for part in ("center", "size") for axis in "xyz"]
     names += [f"{prefix}box.heading", *(f"{prefix}speed.{axis}" for axis in "xy")]
