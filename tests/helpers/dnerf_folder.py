@@ -55,7 +55,7 @@ def write_folder(root: Path) -> Path:
     return root
 
 
-def read(folder: Path, **options: object) -> Scene:
+def read(folder: Path, log: Callable[[str], None] = lambda line: None, **options: object) -> Scene:
     """By the reader of the layout, over black."""
     cfg = SceneConfig("toy", "dnerf", str(folder), **{"background": "black", **options})
-    return open_source(cfg, log=lambda line: None).scene()
+    return open_source(cfg, log=log).scene()

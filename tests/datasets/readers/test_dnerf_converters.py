@@ -32,12 +32,12 @@ def write_opaque_images(root: Path, border: int, inside: int = 60) -> Path:
 
 def test_background_of_opaque_images_is_their_border_colour(folder: Path) -> None:
     logged: list[str] = []
-    scene = read(write_opaque_images(folder, 255), background=None, downscale=1, log=logged.append)
+    scene = read(write_opaque_images(folder, 255), background="auto", downscale=1, log=logged.append)
     assert scene.background == (1.0, 1.0, 1.0)
     assert logged == ["scene.background: white, the border colour of the images; scene.background=black overrides"]
-    assert read(write_opaque_images(folder, 253), background=None, downscale=1).background == (1.0, 1.0, 1.0)
-    assert read(write_opaque_images(folder, 3), background=None, downscale=1).background == (0.0, 0.0, 0.0)
-    assert read(write_opaque_images(folder, 102), background=None, downscale=1).background == (0.4, 0.4, 0.4)
+    assert read(write_opaque_images(folder, 253), background="auto", downscale=1).background == (1.0, 1.0, 1.0)
+    assert read(write_opaque_images(folder, 3), background="auto", downscale=1).background == (0.0, 0.0, 0.0)
+    assert read(write_opaque_images(folder, 102), background="auto", downscale=1).background == (0.4, 0.4, 0.4)
 
 
 def test_background_setting_overrides_the_border_colour(folder: Path) -> None:
@@ -49,10 +49,10 @@ def test_background_setting_overrides_the_border_colour(folder: Path) -> None:
 
 def test_background_of_alpha_images_and_photographs_is_black(folder: Path) -> None:
     logged: list[str] = []
-    assert read(folder, background=None, log=logged.append).background == (0.0, 0.0, 0.0)  # random, with alpha
+    assert read(folder, background="auto", log=logged.append).background == (0.0, 0.0, 0.0)  # random, with alpha
     for path in (folder / "train").iterdir():
         Image.open(path).convert("RGB").save(path)  # random, opaque: no common border colour
-    assert read(folder, background=None, log=logged.append).background == (0.0, 0.0, 0.0)
+    assert read(folder, background="auto", log=logged.append).background == (0.0, 0.0, 0.0)
     assert logged == []
 
 

@@ -162,15 +162,7 @@ def test_cache_folder_depends_on_the_scenes_arguments(tmp_path: Path, monkeypatc
     assert names("counter", {"cameras": 4}, {"frames": 5}, {"size": 64}, {"seed": 1}) == 5
     assert names("counter", {"train_views": 4}, {"test_views": 5}) == 1
     assert names("wheel", {"cameras": 4}, {"frames": 5}) == 1
-    assert made[0] == {
-        "scene": "counter",
-        "seed": 0,
-        "size": 200,
-        "cameras": 12,
-        "frames": 60,
-        "processes": 1,
-        "progress": None,
-    }
+    assert made[0] == {"scene": "counter", "seed": 0, "size": 200, "cameras": 12, "frames": 60, "progress": None}
 
 
 @pytest.mark.parametrize(
