@@ -19,8 +19,8 @@ import pytest  # noqa: E402
 MOST_PROCESSES = 8  # more would wait for the longest file
 # The longest files, longest first: one that began last would leave the other processes idle.
 LONGEST = (
-    "test_kernel_precision", "test_pipeline", "test_sfm", "test_clip_set", "test_sfm_clip", "test_kernel_stability",
-    "test_filmed", "test_first_contact", "test_fuzz", "test_kernel_vs_reference", "test_atomic_write", "test_loop",
+    "test_pipeline", "test_kernel_precision", "test_sfm", "test_clip_set", "test_sweeper", "test_kernel_stability",
+    "test_sfm_clip", "test_filmed", "test_first_contact", "test_config", "test_atomic_write", "test_settle",
 )  # fmt: skip
 
 
