@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -22,8 +23,8 @@ _FIELDS = tuple(Gaussians.__dataclass_fields__)
 class _Rasterize(torch.autograd.Function):
     @staticmethod
     def forward(ctx, request: Request, threads: int, *tensors: Tensor | None) -> tuple[Tensor, ...]:
-        named = zip(_FIELDS, tensors, strict=True)
-        gaussians = Gaussians.from_tensors({name: tensor.detach() for name, tensor in named if tensor is not None})
+        detached: list[Any] = [None if tensor is None else tensor.detach() for tensor in tensors]
+        gaussians = Gaussians(*detached)
         rasterizer = Rasterizer(threads)
         out = rasterizer.render(gaussians, request, differentiable=any(ctx.needs_input_grad))
         ctx.rasterizer, ctx.outputs = rasterizer, tuple(request.outputs)
@@ -36,10 +37,7 @@ class _Rasterize(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx, *image_gradients: Tensor | None) -> tuple[Tensor | None, ...]:
-        named_tensors = zip(_FIELDS, ctx.saved_tensors, strict=True)
-        gradients = Gradients.zeros_like(
-            Gaussians.from_tensors({name: tensor for name, tensor in named_tensors if tensor is not None})
-        )
+        gradients = Gradients.zeros_like(Gaussians(*ctx.saved_tensors))
         threads = ctx.rasterizer.threads
         d_images = {f"d_{name}": gradient for name, gradient in zip(ctx.outputs, image_gradients, strict=True)}
         ctx.rasterizer.backward(gradients, **d_images)

@@ -83,11 +83,6 @@ class Table:
         return self.notes + tuple(("", text) for text, occurs in legend if occurs)
 
 
-def text(value: str) -> Cell:
-    """A text cell."""
-    return Cell(value)
-
-
 def number(value: float, decimals: int = 2) -> Cell:
     """One of our numbers; NaN: not measured."""
     return NOT_MEASURED if value != value else Cell(f"{value:,.{decimals}f}", float(value))

@@ -8,7 +8,7 @@ from pathlib import Path
 import pandas as pd
 
 from pipeline.evaluation.metrics import METRICS
-from pipeline.presentation.table import NO_RUN, Cell, Column, Row, Table, printed, text
+from pipeline.presentation.table import NO_RUN, Cell, Column, Row, Table, printed
 from pipeline.report import scenes
 from pipeline.report.run_table import PROTOCOL_NOTE, Shown, missing_notes
 from pipeline.report.runs import BEST, FINAL, Collection
@@ -83,8 +83,8 @@ class PaperTable:
         return Column(column.key, header, ours_only=self._is_partial(column))
 
     def _printed(self, line: dict[str, str]) -> Row:
-        cells = {"method": text(line.get("method", THIS_PAPER)), "model": text(line.get("model", ""))}
-        cells["scenes"] = text(line.get("scenes") or "–")
+        cells = {"method": Cell(line.get("method", THIS_PAPER)), "model": Cell(line.get("model", ""))}
+        cells["scenes"] = Cell(line.get("scenes") or "–")
         for column in self.columns:
             parts = [line[part] for part in column.mean_of if line.get(part)]
             cells[column.key] = printed(line.get(column.key, ""))
@@ -101,9 +101,9 @@ class PaperTable:
             covered, wanted = of_method["scene"].nunique(), len(self.scenes)
             for protocol, name in _PROTOCOL.items():
                 cells = {
-                    "method": text(f"Ours, {method}, {name}"),
-                    "model": text(of_method["model"].iloc[0]),
-                    "scenes": text(str(wanted) if covered == wanted else f"mean of {covered} of {wanted}"),
+                    "method": Cell(f"Ours, {method}, {name}"),
+                    "model": Cell(of_method["model"].iloc[0]),
+                    "scenes": Cell(str(wanted) if covered == wanted else f"mean of {covered} of {wanted}"),
                 }
                 for column in self.columns:
                     found = of_method[of_method["scene"].isin(column.scenes)]

@@ -14,7 +14,7 @@ import pandas as pd
 
 from pipeline.evaluation.metrics import METRICS, Metric
 from pipeline.presentation.statistics import FORMULA, Difference, Estimate, difference, estimate, mean_difference
-from pipeline.presentation.table import NO_RUN, NOTHING, Cell, Column, Row, Table, measured, number, signed, text
+from pipeline.presentation.table import NO_RUN, NOTHING, Cell, Column, Row, Table, measured, number, signed
 from pipeline.report import scenes
 from pipeline.report.runs import BEST, FINAL, Collection
 
@@ -158,7 +158,7 @@ def table(runs: pd.DataFrame, spec: RunTable) -> Table | None:
     rows: list[Row] = []
     found: dict[tuple, dict[tuple, list[Difference | None]]] = {}  # key without scene -> key -> its differences
     for key, group in groups.items():
-        cells = {name: text(str(value)) for name, value in zip(spec.rows, key)}
+        cells = {name: Cell(str(value)) for name, value in zip(spec.rows, key)}
         cells |= {"seeds": number(len(group), 0)} | {one.column: one.cell(group) for one in columns}
         if differences:
             base = groups.get(bases[key] or ())
@@ -214,9 +214,9 @@ def _difference_cells(
     for one, value in zip(differences, values):
         name, word = f"{one.column}.difference", f"{one.column}.verdict"
         if value is None:
-            cells |= {name: NOTHING, word: text(missing) if missing else NOTHING}
+            cells |= {name: NOTHING, word: Cell(missing) if missing else NOTHING}
         else:
-            cells |= {name: signed(value, one.metric.decimals), word: text(value.verdict(one.metric.better))}
+            cells |= {name: signed(value, one.metric.decimals), word: Cell(value.verdict(one.metric.better))}
     return cells
 
 
@@ -238,7 +238,7 @@ def _means_over_scenes(
             continue
         names = iter(rest)
         cells = {
-            name: text(f"mean of {len(by_scene)}" if name == "scene_label" else str(next(names))) for name in spec.rows
+            name: Cell(f"mean of {len(by_scene)}" if name == "scene_label" else str(next(names))) for name in spec.rows
         }
         every = pd.concat([groups[key] for key in by_scene])
         means = [

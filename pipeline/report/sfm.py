@@ -14,7 +14,7 @@ from typing import Any
 import pandas as pd
 
 from datasets.files.errors import clear
-from pipeline.presentation.table import Column, Row, Table, number, text
+from pipeline.presentation.table import Cell, Column, Row, Table, number
 from pipeline.report import scenes
 from pipeline.report.runs import BrokenRun, is_number, read_object
 from pipeline.report.strips import compose, opened, webp_name
@@ -92,7 +92,7 @@ def read_sfm(path: Path) -> dict[str, Any]:
 def _row(scene: str, result: dict[str, Any], runs: int) -> Row:
     decimals = {"points": 0, "mean_error_px": 3, "mean_track_length": 2, "cameras": 0, "registered": 0, "seconds": 1}
     cells = {key: number(result[key], places) for key, places in decimals.items()}
-    return Row({"scene": text(scene), "poses": text(result["poses"]), "runs": number(runs, 0)} | cells)
+    return Row({"scene": Cell(scene), "poses": Cell(result["poses"]), "runs": number(runs, 0)} | cells)
 
 
 def _table(rows: list[Row]) -> Table:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import pandas as pd
 
 from pipeline.presentation.statistics import estimate
-from pipeline.presentation.table import Cell, Column, Row, Table, measured, text
+from pipeline.presentation.table import Cell, Column, Row, Table, measured
 from pipeline.report import scenes
 from pipeline.report.run_table import FOLDED, HEADERS
 from pipeline.report.runs import Collection
@@ -59,11 +59,11 @@ class TimeToPsnr:
                 for _, seeds in curves[curves["model"] == model].groupby("recipe_label", sort=True):
                     seconds = [seconds_to(run, level) for _, run in seeds.groupby("run")]
                     reached = [value for value in seconds if value is not None]
-                    cells = {name: text(seeds[name].iloc[0]) for name in _HEADS}
+                    cells = {name: Cell(seeds[name].iloc[0]) for name in _HEADS}
                     cells |= {
                         "level": Cell(f"{level:g} dB", level),
-                        "seconds": measured(estimate(reached), 1) if reached else text("never reached"),
-                        "reached": text(f"{len(reached)} of {len(seconds)}"),
+                        "seconds": measured(estimate(reached), 1) if reached else Cell("never reached"),
+                        "reached": Cell(f"{len(reached)} of {len(seconds)}"),
                     }
                     rows.append(Row(cells))
         return rows

@@ -71,7 +71,7 @@ class LogTail:
         self._held_out: float | None = None
 
     def newest(self) -> dict | None:
-        """The numbers of the newest iteration, as TrainingView.see takes them; None without a newer one."""
+        """The numbers of the newest iteration, as TrainingView.step reports them; None without a newer one."""
         if not self._path.exists():
             return None
         with open(self._path, "rb") as file:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.presentation.table import NO_RUN, NOT_MEASURED, NOT_REPORTED, NOTHING, Column, Row, Table, number, text
+from pipeline.presentation.table import NO_RUN, NOT_MEASURED, NOT_REPORTED, NOTHING, Cell, Column, Row, Table, number
 from pipeline.presentation.table_files import comma_separated, markdown
 from pipeline.presentation.table_layout import laid_out
 
@@ -19,7 +19,7 @@ def table(columns: list[Column], *rows: dict, kinds: str = "") -> Table:
         "T",
         (NAME, *columns),
         tuple(
-            Row({"name": text(f"row {i}")} | row, "paper" if kinds[i : i + 1] == "p" else "ours")
+            Row({"name": Cell(f"row {i}")} | row, "paper" if kinds[i : i + 1] == "p" else "ours")
             for i, row in enumerate(rows)
         ),
     )
@@ -74,7 +74,7 @@ def test_wide_table_is_split_between_groups() -> None:
 def test_every_column_is_shown_and_no_part_is_too_wide(shape: list[tuple[int, str, bool]], width: int) -> None:
     """Except for parts with a single column beside the repeated ones, which cannot be narrower."""
     columns = [Column(f"c{i}", "H", is_number, group=group) for i, (_, group, is_number) in enumerate(shape)]
-    cells = {f"c{i}": text("w" * length) for i, (length, _, _) in enumerate(shape)}
+    cells = {f"c{i}": Cell("w" * length) for i, (length, _, _) in enumerate(shape)}
     found = laid_out(table(columns, cells), width)
     assert {c.key for part in found.parts for c in part} == {"name", *(c.key for c in columns)}
     for part in found.parts:
