@@ -83,7 +83,6 @@ def _numbers(text: str) -> list[float]:
 
 
 def _table() -> str:
-    """The formats, for --help."""
     lines = ["formats, who reads them, and what they lose:", ""]
     for name, form in FORMATS.items():
         lines.append(f"  {name:<9} {form.holds}; {form.read_by}")

@@ -19,8 +19,6 @@ from pipeline.model.released_checkpoint import released_bytes
 
 @dataclass(frozen=True)
 class Format:
-    """One file format."""
-
     read_by: str
     loses: str
 

@@ -66,7 +66,6 @@ class Table:
     section: str = "comparisons"  # of the report
 
     def cell(self, row: Row, column: Column) -> Cell:
-        """The cell of `row` under `column`."""
         return row.cells.get(column.key, NO_RUN)
 
     @property

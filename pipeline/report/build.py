@@ -21,8 +21,6 @@ from pipeline.report.time_to_psnr import TimeToPsnr
 
 @dataclass(frozen=True)
 class Report:
-    """A report in memory."""
-
     files: dict[str, bytes]  # path below the output folder -> content
     warnings: tuple[str, ...]  # runs left out, and files of runs that could not be read
     terminal: str  # the summary and the tables that compare

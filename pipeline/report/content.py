@@ -66,7 +66,6 @@ class Content:
 
     @property
     def facts(self) -> list[str]:
-        """Number of runs, dates, machines, commits."""
         dates = sorted(date[:10] for date in self.runs["date"] if date != "unknown")
         # A commit hash is shortened; a suffix (-dirty) is kept.
         commits = {re.sub(rf"^([0-9a-f]{{{_COMMIT}}})[0-9a-f]*", r"\1", commit) for commit in self.runs["git_commit"]}
@@ -138,7 +137,6 @@ def summary_markdown(content: Content) -> str:
 
 
 def report_markdown(content: Content) -> str:
-    """report.md."""
     pictures = {
         "strips": [
             f"![{s.scene}, {s.recipe_label}, {s.model}: {s.view}, {s.choice_text}](strips/{s.filename})\n"

@@ -20,8 +20,6 @@ _MAX_SIDE = 1200  # pixels
 
 @dataclass(frozen=True)
 class RunFigure:
-    """One figure as WebP."""
-
     scene: str
     run: str
     title: str

@@ -39,8 +39,6 @@ PROTOCOL_NOTE = (
 
 @dataclass(frozen=True)
 class Shown:
-    """A metric in a column."""
-
     key: str
     protocol: str = FINAL  # no meaning for costs
 
@@ -118,8 +116,6 @@ def fewest_changes(key: Key, groups: Groups) -> Key | None:
 
 @dataclass(frozen=True)
 class RunTable:
-    """A table of runs as data."""
-
     slug: str
     title: str
     rows: tuple[str, ...]  # columns of Collection.runs; runs that are equal in them are averaged

@@ -54,7 +54,6 @@ class Strip:
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """What is side by side."""
         if self.choice == MOTION:
             return MOVING_PARTS
         return ("render", "truth", f"difference × {DIFFERENCE_GAIN}", *(("depth",) if self.with_depth else ()))

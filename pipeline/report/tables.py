@@ -16,8 +16,6 @@ from pipeline.report.scenes import DNERF, FAMILIES, FULL, MADE_FOR, PLENOPTIC, T
 
 
 class Built(Protocol):
-    """An entry of TABLES."""
-
     def build(self, collection: Collection) -> Table | None: ...
 
 

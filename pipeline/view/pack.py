@@ -63,8 +63,6 @@ def quantised(name: str, values: np.ndarray, step: float) -> tuple[Column, list[
 
 @dataclass(frozen=True)
 class Packed:
-    """A model of a viewer."""
-
     header: dict  # count, kind, columns: what the page needs to read `data`
     data: bytes  # zlib
 

@@ -44,8 +44,6 @@ class FrameTime:
 
 @dataclass(frozen=True)
 class WorkCounts:
-    """The amount of work in a frame."""
-
     gaussians: int
     alive: int  # p(t) >= 0.05
     visible: int
@@ -96,7 +94,6 @@ def time_frame(workload: Workload, threads: int, repeats: int, **options) -> Fra
 
 
 def count_work(workload: Workload) -> WorkCounts:
-    """Render the workload's view once and count."""
     rasterizer = Rasterizer(1)
     rasterizer.render(workload.gaussians, workload.request())
     pairs, contributing = rasterizer.count_pairs()

@@ -32,8 +32,6 @@ class Rates:
 
 @dataclass(frozen=True)
 class Work:
-    """Work of one stage."""
-
     operations: float
     bytes: float
 

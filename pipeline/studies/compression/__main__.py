@@ -36,8 +36,6 @@ HEADER = ("Gaussians", "stored as", "MB", "MB / full", "FPS", "FPS / full", "PSN
 
 @dataclass(frozen=True)
 class Point:
-    """One compressed model, measured."""
-
     fraction: float  # of the Gaussians kept
     precision: Precision
     gaussians: int

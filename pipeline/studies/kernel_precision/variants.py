@@ -40,8 +40,6 @@ def _in_cpp(value: float | str) -> str:
 
 @dataclass(frozen=True)
 class Variant:
-    """One kernel of the comparison."""
-
     name: str  # part of its extension module's name: letters, digits, _
     trade: str  # its trade-off, in TRADES
     label: str
@@ -76,7 +74,6 @@ def _variant(trade: str, name: str, label: str, **values: Any) -> Variant:
 
 
 def _steps(trade: str, field: str, label: str, *values: float | Fraction) -> list[Variant]:
-    """One choice at several values."""
     shown = [str(value) if isinstance(value, Fraction) else f"{value:g}" for value in values]
     names = [re.sub(r"[./]", "_", text).replace("-", "m") for text in shown]
     numbers = [float(value) if isinstance(value, Fraction) else value for value in values]

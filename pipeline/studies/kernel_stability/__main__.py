@@ -88,7 +88,6 @@ def measure_case(case: Case, steps: int) -> Row:
 
 
 def markdown(rows: Sequence[Row], heading: str) -> str:
-    """One line for each family."""
     lines = []
     for name in dict.fromkeys(row.case.family for row in rows):
         group = [row for row in rows if row.case.family == name]

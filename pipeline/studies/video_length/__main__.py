@@ -93,7 +93,6 @@ def markdown(lengths: Lengths, heading: str) -> str:
 
 
 def comma_separated(lengths: Lengths) -> str:
-    """One line for each run."""
     rows = [[frames, *run] for frames, values in lengths.items() for run in zip(*(values[c].tolist() for c in COLUMNS))]
     return csv_text(["frames", *COLUMNS], rows)
 

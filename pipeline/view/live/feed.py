@@ -46,7 +46,6 @@ class Feed:
             self._changed.notify_all()
 
     def offer(self, iteration: int, packed: Packed) -> None:
-        """A newer model."""
         header = json.dumps({**packed.header, "iteration": iteration}).encode()
         message = struct.pack("<I", len(header)) + header + packed.data
         with self._changed:

@@ -56,7 +56,6 @@ def _newest_model(folder: Path) -> tuple[Path, int] | None:
 
 
 def _load(path: Path) -> tuple[Model, int]:
-    """The model and its iteration."""
     if path.name == checkpoints.FILE_NAME:
         return checkpoints.load_model(path), checkpoints.saved_iteration(path)
     return load_ply(path), 0

@@ -104,7 +104,6 @@ class LiveServer:
         return Handler
 
     def answer(self, request: BaseHTTPRequestHandler) -> None:
-        """Answers a GET."""
         if refused := self._refusal(request):
             _send(request, HTTPStatus.FORBIDDEN, "text/plain; charset=utf-8", refused.encode())
             return
