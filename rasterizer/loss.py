@@ -53,11 +53,3 @@ class PhotometricLoss:
         )
         loss = (1 - self.ssim_weight) * l1 + self.ssim_weight * (1 - ssim) + self.mse_weight * mse
         return LossValue(loss, l1, ssim, mse, d_image)
-
-
-def photometric_loss(
-    image: Tensor, target: Tensor, ssim_weight: float = SSIM_WEIGHT, mse_weight: float = 0.0, threads: int = 0
-) -> tuple[float, float, float, Tensor]:
-    """(loss, l1, ssim, ∂loss/∂image) of one pair; see `PhotometricLoss`."""
-    value = PhotometricLoss(ssim_weight, mse_weight, threads)(image, target)
-    return value.loss, value.l1, value.ssim, value.d_image

@@ -15,7 +15,7 @@ from pipeline.evaluation.moving_pixels import MovingPixels
 from pipeline.evaluation.renderer import Renderer
 from pipeline.model.model import Model
 from rasterizer import Rasterizer
-from rasterizer.loss import photometric_loss
+from rasterizer.loss import PhotometricLoss
 
 
 def quick_evaluate(
@@ -30,17 +30,16 @@ def quick_evaluate(
     """
     moving = moving or MovingPixels(scene, cfg.train.resolution_scale)
     renderer = Renderer(model, scene, cfg, rasterizer)
+    criterion = PhotometricLoss(mse_weight=cfg.train.mse_weight, threads=rasterizer.threads)
 
     def means(views: Sequence[View]) -> dict[str, float | None]:
         rows: list[dict[str, float | None]] = []
         for index in evenly_spaced(len(views), cfg.train.eval_views):
             target = target_of(views[index], cfg.train.resolution_scale)
             image = renderer.tensor(target.camera, target.time).clamp_(0.0, 1.0)
-            loss, _, ssim, _ = photometric_loss(
-                image, target.image, mse_weight=cfg.train.mse_weight, threads=rasterizer.threads
-            )
+            loss = criterion(image, target.image)
             render, truth = (pixels.numpy().transpose(1, 2, 0) for pixels in (image, target.image))
-            rows.append({"psnr": _valid_psnr(render, truth, target), "ssim": ssim, "test_loss": loss})
+            rows.append({"psnr": _valid_psnr(render, truth, target), "ssim": loss.ssim, "test_loss": loss.loss})
             mask = moving.of(index) if views is scene.test else None
             rows[-1]["psnr_moving"] = masked_psnr(render, truth, mask)
         found = {name: mean(rows, name) for name in ("psnr", "ssim", "test_loss")}

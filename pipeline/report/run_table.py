@@ -131,50 +131,46 @@ class RunTable:
     notes: tuple[str, ...] = ()
 
     def build(self, collection: Collection) -> Table | None:
+        """None without rows."""
         runs = collection.runs
         runs = runs if self.where is None else runs[self.where(runs).astype(bool)]
-        return table(runs, self)
-
-
-def table(runs: pd.DataFrame, spec: RunTable) -> Table | None:
-    """The table of `spec`; None without rows."""
-    if runs.empty:
-        return None
-    columns, differences = (
-        [one for one in wanted() if one.metric.group == "quality" or one.numbers(runs).notna().any()]
-        for wanted in (spec.columns, spec.differences)
-    )
-    groups = dict(_groups(runs, spec.rows))
-    bases = {key: spec.against(key, groups) if spec.against else None for key in groups}
-    if spec.only_compared:
-        compared = {key: bases[key] for key in groups if bases[key] in groups}
-        groups = {key: group for key, group in groups.items() if key in {*compared, *compared.values()}}
-        if not groups:
+        if runs.empty:
             return None
-    rows: list[Row] = []
-    found: dict[tuple, dict[tuple, list[Difference | None]]] = {}  # key without scene -> key -> its differences
-    for key, group in groups.items():
-        cells = {name: Cell(str(value)) for name, value in zip(spec.rows, key)}
-        cells |= {"seeds": number(len(group), 0)} | {one.column: one.cell(group) for one in columns}
-        if differences:
-            base = groups.get(bases[key] or ())
-            values = [None if base is None else one.difference(group, base) for one in differences]
-            missing = f"no run of {spec.baseline_name}" if base is None else "not measured"
-            cells |= _difference_cells(differences, values, "" if bases[key] is None else missing)
-            if base is not None:
-                found.setdefault(_without_scene(spec, key), {})[key] = values
-        rows.append(Row(cells))
-    if spec.across_scenes:
-        rows += _means_over_scenes(spec, columns, differences, groups, found)
-    return Table(
-        spec.slug,
-        spec.title,
-        _columns(spec, columns, differences),
-        tuple(rows),
-        notes=_notes(runs, [*columns, *differences], bool(found), spec.notes),
-        over_seeds="run" not in spec.rows,
-        section=spec.section,
-    )
+        columns, differences = (
+            [one for one in wanted() if one.metric.group == "quality" or one.numbers(runs).notna().any()]
+            for wanted in (self.columns, self.differences)
+        )
+        groups = dict(_groups(runs, self.rows))
+        bases = {key: self.against(key, groups) if self.against else None for key in groups}
+        if self.only_compared:
+            compared = {key: bases[key] for key in groups if bases[key] in groups}
+            groups = {key: group for key, group in groups.items() if key in {*compared, *compared.values()}}
+            if not groups:
+                return None
+        rows: list[Row] = []
+        found: dict[tuple, dict[tuple, list[Difference | None]]] = {}  # key without scene -> key -> its differences
+        for key, group in groups.items():
+            cells = {name: Cell(str(value)) for name, value in zip(self.rows, key)}
+            cells |= {"seeds": number(len(group), 0)} | {one.column: one.cell(group) for one in columns}
+            if differences:
+                base = groups.get(bases[key] or ())
+                values = [None if base is None else one.difference(group, base) for one in differences]
+                missing = f"no run of {self.baseline_name}" if base is None else "not measured"
+                cells |= _difference_cells(differences, values, "" if bases[key] is None else missing)
+                if base is not None:
+                    found.setdefault(_without_scene(self, key), {})[key] = values
+            rows.append(Row(cells))
+        if self.across_scenes:
+            rows += _means_over_scenes(self, columns, differences, groups, found)
+        return Table(
+            self.slug,
+            self.title,
+            _columns(self, columns, differences),
+            tuple(rows),
+            notes=_notes(runs, [*columns, *differences], bool(found), self.notes),
+            over_seeds="run" not in self.rows,
+            section=self.section,
+        )
 
 
 def _groups(runs: pd.DataFrame, names: Sequence[str]) -> Iterator[tuple[tuple, pd.DataFrame]]:

@@ -13,7 +13,15 @@ from builders import generator
 from torch import Tensor
 
 from rasterizer.kernel_loader import kernel
-from rasterizer.loss import PhotometricLoss, photometric_loss
+from rasterizer.loss import SSIM_WEIGHT, PhotometricLoss
+
+
+def photometric_loss(
+    image: Tensor, target: Tensor, ssim_weight: float = SSIM_WEIGHT, mse_weight: float = 0.0, threads: int = 0
+) -> tuple[float, float, float, Tensor]:
+    """(loss, l1, ssim, ∂loss/∂image) of one pair."""
+    value = PhotometricLoss(ssim_weight, mse_weight, threads)(image, target)
+    return value.loss, value.l1, value.ssim, value.d_image
 
 
 def plain_loss(image: Tensor, target: Tensor, weight: float, mse_weight: float = 0.0) -> tuple[Tensor, Tensor, Tensor]:
@@ -185,12 +193,12 @@ def test_an_image_without_pixels_or_of_another_form_is_refused(shape: tuple[int,
 
 OUT_OF_MEMORY = """
 import resource, torch
-from rasterizer.loss import PhotometricLoss, photometric_loss
+from rasterizer.loss import PhotometricLoss
 image = torch.zeros(3, 1, 2**20)
 used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
 resource.setrlimit(resource.RLIMIT_AS, (used + 2**27, used + 2**27))
 try:
-    photometric_loss(image, image, threads=2)
+    PhotometricLoss(threads=2)(image, image)
 except MemoryError:
     print("MemoryError")
 """
