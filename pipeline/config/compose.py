@@ -7,7 +7,7 @@ import os
 import re
 import shlex
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -31,13 +31,17 @@ class Command:
     """The overrides of a command line, `key=value`: they compose a configuration for each kind of scene."""
 
     overrides: tuple[str, ...]
+    # By kind of scene: composing takes a tenth of a second, and a run asks several times.
+    _configs: dict[str | None, Config] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def config(self, capture: str | None = None) -> Config:
         """The configuration where the scene is of this kind (conf/capture); None: where that is not known yet.
 
         Raises what Hydra, OmegaConf and the schema raise.
         """
-        return to_config(_composed([*self.overrides, *self._of_kind(capture)]))
+        if capture not in self._configs:
+            self._configs[capture] = to_config(_composed([*self.overrides, *self._of_kind(capture)]))
+        return self._configs[capture]
 
     def preset(self, capture: str | None = None) -> Config:
         """The same with nothing but the choices of scene, schedule and ablation: what else differs, the command set."""
