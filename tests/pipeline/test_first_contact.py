@@ -214,7 +214,8 @@ def interrupted(shell: Shell, *arguments: str, after: str) -> str:
 def test_an_interruption_says_what_is_kept(shell: Shell) -> None:
     long = (*TINY, "train.iterations=20000", "train.eval_every=20000", "out=long")
     err = interrupted(shell, *long, "train.checkpoint_every=20000", after="train: ")
-    assert err == "error: interrupted; init kept, no iteration of training yet; the same command goes on from there\n"
+    kept = "prepare, settle, init kept, no iteration of training yet"
+    assert err == f"error: interrupted; {kept}; the same command goes on from there\n"
     often = (*long, "train.checkpoint_every=5", "resume=false")  # which the same command would start over once more
     err = interrupted(shell, *often, after="1000/")
     assert re.fullmatch(r"error: interrupted; the same command without resume=false goes on from iteration \d+\n", err)

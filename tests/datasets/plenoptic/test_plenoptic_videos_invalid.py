@@ -106,11 +106,7 @@ INVALID_INPUT: dict[str, tuple[Callable[[Path], object], dict, str]] = {
         {"first_frame": FRAMES},
         "scene.first_frame: expected below the 6 frames of each camera, found 6",
     ),
-    "too small for the downscale": (
-        lambda f: small_films(f, 16, 8),
-        {"downscale": 9},
-        r"at least 9 pixels a side .* found 16 x 8",
-    ),
+    "too small": (lambda f: small_films(f, 16, 8), {}, r"cam00\.mp4: expected at least 16 pixels a side, found 16 x 8"),
     "no such test camera": (
         lambda f: None,
         {"test_cameras": [7]},
