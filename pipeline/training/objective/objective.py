@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import reduce
 
 import torch
 from torch import Tensor
@@ -47,17 +48,15 @@ class Objective:
         d_environment_map: of the map's image; None: the map is not trained.
         """
         target, shown = view.target, model if view.dropped is None else without(model, view.dropped)
-        needed = {output for term in self._image_terms for output in term.outputs(target)}
-        rendered = render(self._rasterizer, shown, self._request(view, needed))
+        terms = [term for term in self._image_terms if term.outputs(target)]
+        outputs = {output for term in terms for output in term.outputs(target)}
+        rendered = render(self._rasterizer, shown, self._request(view, outputs))
         compared = view
         if target.mask is not None:  # outside it the target is what is rendered, so that SSIM's windows see no error
             compared = replace(
                 view, target=replace(target, image=torch.where(target.mask, target.image, rendered.image))
             )
-        found = ImageGradient()
-        for term in self._image_terms:
-            if term.outputs(target):
-                found = found + term(rendered, compared)
+        found = reduce(ImageGradient.__add__, (term(rendered, compared) for term in terms))
         if target.mask is not None:
             found = found.inside(target.mask)
         gradient = backward(self._rasterizer, shown, rendered, found, gradients, d_environment_map)
