@@ -1,4 +1,4 @@
-"""Writes a table as Markdown (padded to read in a terminal) and CSV (one number per cell)."""
+"""Writes a table as Markdown (padded to read in a terminal), CSV (one number per cell) and LaTeX."""
 
 from __future__ import annotations
 
@@ -8,10 +8,24 @@ import io
 from pipeline.presentation.table import NOT_MEASURED, NOT_REPORTED, NOTHING, Cell, Column, Row, Table
 from pipeline.presentation.table_layout import laid_out
 
+# fmt: off
+_LATEX = {
+    "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
+    "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "<": r"\textless{}", ">": r"\textgreater{}",
+    "±": r"$\pm$", "×": r"$\times$", "−": r"$-$", "–": r"--", "·": r"$\cdot$", "…": r"\ldots{}",
+    "↑": r"$\uparrow$", "↓": r"$\downarrow$", "√": r"$\surd$", "≥": r"$\geq$",
+    "¹": r"$^{1}$", "²": r"$^{2}$", "³": r"$^{3}$", "⁴": r"$^{4}$", "⁵": r"$^{5}$", "⁶": r"$^{6}$",
+    "⁷": r"$^{7}$", "⁸": r"$^{8}$", "₁": r"$_{1}$", "₂": r"$_{2}$",
+}
+# fmt: on
 
-def files_of(table: Table) -> dict[str, bytes]:
-    """<slug>.md and .csv -> content."""
-    return {f"{table.slug}.md": markdown(table).encode(), f"{table.slug}.csv": comma_separated(table).encode()}
+
+def files_of(table: Table, with_latex: bool = False) -> dict[str, bytes]:
+    """<slug>.md and .csv, with `with_latex` also .tex -> content."""
+    written = {"md": markdown(table), "csv": comma_separated(table)}
+    if with_latex:
+        written["tex"] = latex(table)
+    return {f"{table.slug}.{suffix}": content.encode("utf-8") for suffix, content in written.items()}
 
 
 def markdown(table: Table) -> str:
@@ -61,6 +75,37 @@ def _csv_cell(cell: Cell, row: Row) -> str:
         return ""
     as_printed = row.kind != "ours" and cell.error is None  # the paper's numbers keep their digits
     return cell.text if cell.value is None or as_printed else _plain(cell.value)
+
+
+def latex(table: Table) -> str:
+    r"""A table environment with booktabs rules; a \midrule separates the paper's rows from ours."""
+    out = [
+        "% needs \\usepackage{booktabs}",
+        r"\begin{table}",
+        r"\centering",
+        rf"\caption{{{escape(table.title)}}}",
+        rf"\label{{tab:{table.slug}}}",
+        r"\begin{tabular}{" + "".join("r" if c.number else "l" for c in table.columns) + "}",
+        r"\toprule",
+        " & ".join(escape(c.header) for c in table.columns) + r" \\",
+        r"\midrule",
+    ]
+    previous = None
+    for row in table.rows:
+        ours = row.kind == "ours"
+        if previous is not None and ours != previous:
+            out.append(r"\midrule")
+        previous = ours
+        out.append(" & ".join(escape(_shown(table, row, c)) for c in table.columns) + r" \\")
+    out += [r"\bottomrule", r"\end{tabular}"]
+    notes = ([table.caption] if table.caption else []) + [f"{mark} {note}".strip() for mark, note in table.footnotes]
+    out += [r"\par\smallskip\footnotesize " + r" \\ ".join(escape(note) for note in notes)] if notes else []
+    return "\n".join([*out, r"\end{table}", ""])
+
+
+def escape(text: str) -> str:
+    """`text` with LaTeX's special characters escaped."""
+    return "".join(_LATEX.get(character, character) for character in text)
 
 
 def _shown(table: Table, row: Row, column: Column) -> str:

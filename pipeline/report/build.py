@@ -27,16 +27,20 @@ class Report:
 
 
 def build_report(
-    runs_dir: Path, no_pictures: tuple[str, ...] = (), levels: tuple[float, ...] = (), out: Path = Path()
+    runs_dir: Path,
+    no_pictures: tuple[str, ...] = (),
+    levels: tuple[float, ...] = (),
+    with_latex: bool = False,
+    out: Path = Path(),
 ) -> Report:
     """The report of the runs below `runs_dir`; FileNotFoundError if there are none.
 
     no_pictures: scenes or families of scenes without images. levels: dB, of the table of training time to a PSNR.
-    out: the folder that the files will be in.
+    with_latex: whether to write each table as .tex too. out: the folder that the files will be in.
     """
     collection = collect(runs_dir)
     content = content_of(collection, no_pictures, levels, _plots(collection))
-    files = {f"tables/{name}": data for table in content.tables for name, data in files_of(table).items()}
+    files = {f"tables/{name}": data for table in content.tables for name, data in files_of(table, with_latex).items()}
     files |= {f"plots/{plot.slug}.svg": plot.light.encode() for plot in content.plots}
     pictures: list[Strip | RunFigure | SfmPicture] = [*content.strips, *content.figures, *content.sfm_pictures]
     files |= {f"strips/{picture.filename}": picture.webp for picture in pictures}

@@ -1,9 +1,25 @@
-"""Tables as Markdown and CSV."""
+"""Tables as Markdown, CSV and LaTeX."""
 
 from __future__ import annotations
 
 from pipeline.presentation.table import Cell, Column, Row, Table
-from pipeline.presentation.table_files import comma_separated, markdown
+from pipeline.presentation.table_files import comma_separated, escape, latex, markdown
+
+
+def test_latex_escapes_every_special_character() -> None:
+    assert escape(r"a_b & 50% {$#~^\ ± ×") == (
+        r"a\_b \& 50\% \{\$\#\textasciitilde{}\textasciicircum{}\textbackslash{} $\pm$ $\times$"
+    )
+    table = Table(
+        "t",
+        "no_4drot & more",
+        (Column("a", "A_1", False), Column("b", "B")),
+        (Row({"a": Cell("x_y"), "b": Cell("1.00 ± 0.10", 1.0, 0.1)}, mark="¹"),),
+    )
+    source = latex(table)
+    assert r"x\_y$^{1}$ & 1.00 $\pm$ 0.10 \\" in source
+    assert r"\caption{no\_4drot \& more}" in source
+    assert source.count("{") == source.count("}")
 
 
 def test_csv_names_what_follows_the_sign_of_uncertainty() -> None:

@@ -106,3 +106,13 @@ def test_command_reports_a_foreign_file_in_one_line(tmp_path, capsys) -> None:
     printed = capsys.readouterr()
     assert printed.out == "" and printed.err.count("\n") == 1 and "give another --out" in printed.err
     assert files(tmp_path / "report") == {"report.md": b"# My own"}
+
+
+def test_latex_is_written_on_request_and_removed_by_the_next_report(tmp_path) -> None:
+    write_run(tmp_path / "runs", "synthetic/wheel")
+    assert main([str(tmp_path / "runs"), "--latex"]) == 0
+    tables = {path.stem: path for path in (tmp_path / "report/tables").glob("*.tex")}
+    assert {"all_runs", "scenes_synthetic"} <= tables.keys()
+    assert r"\begin{tabular}" in tables["all_runs"].read_text()
+    assert main([str(tmp_path / "runs")]) == 0
+    assert {path.suffix for path in (tmp_path / "report/tables").iterdir()} == {".md", ".csv"}
