@@ -44,8 +44,16 @@ def adam_step(
     rates = given.tolist() if given.ndim else [float(given)] * columns
     if len(rates) != columns:
         raise ValueError(f"lr must hold one rate or one for each of {columns} columns, got {len(rates)}")
-    kernel.adam(
-        p=param, g=grad, m=m, v=v, lr=rates, keep=sparse_rows, step=step, threads=thread_count(threads), **_ADAM
+    kernel.adam_step(
+        param=param,
+        grad=grad,
+        m=m,
+        v=v,
+        lr=rates,
+        sparse_rows=sparse_rows,
+        step=step,
+        threads=thread_count(threads),
+        **_ADAM,
     )
 
 
@@ -75,7 +83,7 @@ def sh_adam_step(
     coefficients, orders = SH_LAYOUTS[sh.shape[1]]
     used_orders = 1 + max((view.fourier_order for view in gradients.views), default=0)
     used_coefficients = (1 + max((view.sh_degree for view in gradients.views), default=0)) ** 2
-    kernel.adam_sh(
+    kernel.sh_adam_step(
         sh=sh,
         m=m,
         v=v,
@@ -84,7 +92,7 @@ def sh_adam_step(
         active_coefficients=min(used_coefficients, coefficients),
         active_orders=min(used_orders, orders),
         lr=[float(rate) for rate in lr],
-        keep=sparse_rows,
+        sparse_rows=sparse_rows,
         views=[view.as_tuple() for view in gradients.views],
         step=step,
         threads=thread_count(threads),

@@ -43,7 +43,7 @@ class ViewGradient:
     def mark_visible(self, mask: Tensor, threads: int = 1) -> None:
         """Set `mask` (N,) uint8 to 1 in place for the visible Gaussians; other entries stay."""
         self._check(len(mask), torch.uint8, mask=mask)
-        kernel.mark_seen(id=self.visible, seen=mask, threads=thread_count(threads))
+        kernel.mark_visible(visible=self.visible, mask=mask, threads=thread_count(threads))
 
     def accumulate(
         self,
@@ -61,8 +61,8 @@ class ViewGradient:
         views: number of views. radius: largest radius, pixels.
         """
         self._check(len(space), torch.float32, space=space, time=time, views=views, radius=radius)
-        kernel.add_view(
-            id=self.visible,
+        kernel.accumulate(
+            visible=self.visible,
             mean2d=self.mean2d,
             mean_t=self.mean_t,
             radius=self.radius,

@@ -36,9 +36,11 @@ class Rasterizer:
         kernel: another build, for measurements; one in float64 reads and writes float64 tensors.
         """
         self.threads = thread_count(threads)
-        self._kernel, self._state = kernel, kernel.Frame()
+        self._kernel, self._state = kernel, kernel.Rasterizer()
         self.dtype = torch.float64 if kernel.choices["float64"] else torch.float32
-        self._model: Any = None  # the Gaussians as the kernel sees them; None before the first view, or if one failed
+        self._gaussians: Any = (
+            None  # the Gaussians as the kernel sees them; None before the first view, or if one failed
+        )
         self._differentiable = False
 
     def render(self, gaussians: Gaussians, request: Request, differentiable: bool = True) -> RenderOutput:
@@ -53,8 +55,8 @@ class Rasterizer:
         self.fourier_order = gaussians.fourier_order if request.fourier_order is None else int(request.fourier_order)
         coefficients, orders = SH_LAYOUTS[gaussians.sh.shape[1]]
         detached = {name: tensor.detach() for name, tensor in gaussians.tensors().items()}
-        self._model = None  # should this view fail, there is nothing to go backward from
-        model = self._kernel.Model(**{**MISSING, **detached}, coefficients=coefficients, stored_order=orders - 1)
+        self._gaussians = None  # should this view fail, there is nothing to go backward from
+        stored = self._kernel.Gaussians(**{**MISSING, **detached}, coefficients=coefficients, stored_order=orders - 1)
         self._shapes = {name: tensor.shape for name, tensor in detached.items()}
         self._set_view(request)
         size = request.camera.height, request.camera.width
@@ -63,8 +65,8 @@ class Rasterizer:
         self._images = {name: image.detach() for name, image in images.items()}
         # Under torch.inference_mode tensors have no version, and no backward pass.
         self._versions = {name: image._version for name, image in self._images.items() if not image.is_inference()}
-        self._state.render(model, **{name: self._images.get(name) for name in OUTPUT_CHANNELS})
-        self._model = model
+        self._state.render(stored, **{name: self._images.get(name) for name in OUTPUT_CHANNELS})
+        self._gaussians = stored
         return RenderOutput(**{name: images.get(name) for name in OUTPUT_CHANNELS})
 
     def _set_view(self, request: Request) -> None:
@@ -107,7 +109,7 @@ class Rasterizer:
         RuntimeError without such a render or when an image was changed in place, ValueError for an output that was not
         rendered, a gradient of another shape or type, or `gradients` of other Gaussians.
         """
-        if self._model is None or not self._differentiable:
+        if self._gaussians is None or not self._differentiable:
             raise RuntimeError(
                 "Rasterizer.backward must follow Rasterizer.render with differentiable=True, got no such view"
             )
@@ -126,10 +128,10 @@ class Rasterizer:
         )
         colors = ViewColors(out.visible, self._empty(visible, 8), self.sh_degree, self.fourier_order)
         self._state.backward(
-            self._model,
+            self._gaussians,
             **d_images,
             **{**MISSING, **gradients.dense()},
-            id=out.visible,
+            visible=out.visible,
             mean2d=out.mean2d,
             mean_t=out.mean_t,
             radius=out.radius,
@@ -172,16 +174,16 @@ class Rasterizer:
 
         Runs record it as `n_alive`. A static model has no marginal, so all of its Gaussians count.
         """
-        return self._state.in_time
+        return self._state.alive
 
     @property
     def intersections(self) -> int:
         """Number of (tile, Gaussian) intersections of the last view."""
-        return self._state.entries
+        return self._state.intersections
 
     def count_pairs(self) -> tuple[int, int]:
         """(pixel, Gaussian) pairs that the last view evaluated, and those that contributed; for benchmarks."""
-        return self._state.count_pixel_gaussian_pairs()
+        return self._state.count_pairs()
 
     @property
     def stage_ms(self) -> dict[str, float]:

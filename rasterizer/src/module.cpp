@@ -59,8 +59,8 @@ T* pointer(const std::optional<Array<T>>& a) {
     return a ? a->data() : nullptr;
 }
 
-// The stored model; keeps its arrays alive.
-struct Model {
+// The stored parameters; keeps its arrays alive.
+struct Gaussians {
     In mean, log_scale, quat_left;
     std::optional<In> quat_right, velocity;
     In opacity_logit;
@@ -101,8 +101,8 @@ CameraDouble camera_from(int width, int height, const std::vector<double>& intri
 }
 
 // The camera of the flow's later time, as the kernel reads it.
-splat::LaterCamera<double> later_of(const CameraDouble& now, const CameraDouble& later, bool moved) {
-    splat::LaterCamera<double> r{
+splat::FlowCamera<double> flow_camera_of(const CameraDouble& now, const CameraDouble& later, bool moved) {
+    splat::FlowCamera<double> r{
         {}, {}, {later.fx - now.fx, later.fy - now.fy}, {later.cx - now.cx, later.cy - now.cy}, moved};
     for (int i = 0; i < 3; ++i) {
         for (int j = 0; j < 3; ++j) r.rotation[i][j] = later.rotation[i][j];
@@ -111,8 +111,8 @@ splat::LaterCamera<double> later_of(const CameraDouble& now, const CameraDouble&
     return r;
 }
 
-// Python's Frame: the state of one view, with the rendered images, which the backward pass reads.
-class FrameBinding {
+// The state of one view, with the rendered images, which the backward pass reads.
+class Rasterizer {
 public:
     void set_view(const CameraDouble& camera, double time, double marginal_offset, double duration,
                   scalar near_plane, const std::vector<scalar>& background, scalar flow_dt,
@@ -121,7 +121,8 @@ public:
         state_.camera_double = camera;
         state_.camera_double.time = time;
         state_.camera_double.marginal_offset = marginal_offset;
-        state_.camera_double.later = later_of(camera, flow_camera.value_or(camera), flow_camera.has_value());
+        state_.camera_double.flow_camera =
+            flow_camera_of(camera, flow_camera.value_or(camera), flow_camera.has_value());
         state_.camera = splat::rounded(state_.camera_double);
         state_.settings = {duration,
                            near_plane,
@@ -135,19 +136,19 @@ public:
                            differentiable,
                            threads};
     }
-    void render(const Model& model, std::optional<Out> color, std::optional<Out> alpha,
+    void render(const Gaussians& gaussians, std::optional<Out> color, std::optional<Out> alpha,
                 std::optional<Out> depth, std::optional<Out> flow, std::optional<Out> stats) {
         const splat::OutputPlanes out{pointer(color), pointer(alpha), pointer(depth), pointer(flow),
                                       pointer(stats)};
         rendered_ = {color, alpha, depth, flow, stats};
         nb::gil_scoped_release release;
-        splat::render(state_, model.motion(), model.parameters(), out);
+        splat::render(state_, gaussians.motion(), gaussians.parameters(), out);
     }
-    void backward(const Model& model, std::optional<In> color, std::optional<In> alpha,
+    void backward(const Gaussians& gaussians, std::optional<In> color, std::optional<In> alpha,
                   std::optional<In> depth, std::optional<In> flow, std::optional<In> stats, Out mean,
                   Out log_scale, Out quat_left, std::optional<Out> quat_right, std::optional<Out> velocity,
-                  Out opacity_logit, Array<int32_t> id, Out mean2d, Out mean_t, Out radius, Out unoccluded,
-                  Out color_gradient) {
+                  Out opacity_logit, Array<int32_t> visible, Out mean2d, Out mean_t, Out radius,
+                  Out unoccluded, Out color_gradient) {
         const splat::InputPlanes d{pointer(color), pointer(alpha), pointer(depth), pointer(flow),
                                    pointer(stats)};
         const splat::InputPlanes rendered{pointer(rendered_[0]), pointer(rendered_[1]), pointer(rendered_[2]),
@@ -155,16 +156,17 @@ public:
         const splat::ParameterGradients out{mean.data(),         log_scale.data(),  quat_left.data(),
                                             pointer(quat_right), pointer(velocity), opacity_logit.data()};
         const splat::ViewGradient view{
-            id.data(),     mean2d.data(),     mean_t.data(),
-            radius.data(), unoccluded.data(), reinterpret_cast<splat::ColorGradient*>(color_gradient.data())};
+            visible.data(),    mean2d.data(),
+            mean_t.data(),     radius.data(),
+            unoccluded.data(), reinterpret_cast<splat::ColorGradient*>(color_gradient.data())};
         nb::gil_scoped_release release;
-        splat::render_backward(state_, model.motion(), model.parameters(), rendered, d, out, view);
+        splat::render_backward(state_, gaussians.motion(), gaussians.parameters(), rendered, d, out, view);
     }
     uint32_t visible() const { return state_.visible; }
-    uint32_t in_time() const { return state_.in_time; }
-    size_t entries() const { return state_.gradient_index.size(); }
-    std::tuple<uint64_t, uint64_t> count_pixel_gaussian_pairs() const {
-        const splat::PixelGaussianPairs pairs = splat::count_pixel_gaussian_pairs(state_);
+    uint32_t alive() const { return state_.alive; }
+    size_t intersections() const { return state_.gradient_index.size(); }
+    std::tuple<uint64_t, uint64_t> count_pairs() const {
+        const splat::PixelGaussianPairs pairs = splat::count_pairs(state_);
         return {pairs.evaluated, pairs.contributing};
     }
     std::vector<double> stage_ms() const { return {state_.stage_ms, state_.stage_ms + 6}; }
@@ -174,13 +176,13 @@ private:
     std::array<std::optional<Out>, 5> rendered_;
 };
 
-// id [V], color gradient [V, 8], sh_degree, fourier_order
+// visible [V], color gradient [V, 8], sh_degree, fourier_order
 using View = std::tuple<Array<const int32_t>, In, int, int>;
 
 std::vector<splat::ViewColors> view_colors(const std::vector<View>& views) {
     std::vector<splat::ViewColors> out;
-    for (const auto& [id, gradient, degree, order] : views)
-        out.push_back({static_cast<uint32_t>(id.shape(0)), id.data(),
+    for (const auto& [visible, gradient, degree, order] : views)
+        out.push_back({static_cast<uint32_t>(visible.shape(0)), visible.data(),
                        reinterpret_cast<const splat::ColorGradient*>(gradient.data()), degree, order});
     return out;
 }
@@ -192,23 +194,24 @@ void expand_sh(const std::vector<View>& views, Out dense, int coefficients, int 
                              dense.data(), threads);
 }
 
-void adam(Out p, In g, Out m, Out v, const std::vector<scalar>& lr, std::optional<Array<const uint8_t>> keep,
-          double beta1, double beta2, double epsilon, long step, int threads) {
-    const size_t rows = p.shape(0);
+void adam_step(Out param, In grad, Out m, Out v, const std::vector<scalar>& lr,
+               std::optional<Array<const uint8_t>> sparse_rows, double beta1, double beta2, double epsilon,
+               long step, int threads) {
+    const size_t rows = param.shape(0);
     nb::gil_scoped_release release;
-    splat::adam_rows(p.data(), g.data(), m.data(), v.data(), rows, static_cast<int>(lr.size()), lr.data(),
-                     pointer(keep), splat::AdamStep(beta1, beta2, epsilon, step), threads);
+    splat::adam_rows(param.data(), grad.data(), m.data(), v.data(), rows, static_cast<int>(lr.size()),
+                     lr.data(), pointer(sparse_rows), splat::AdamStep(beta1, beta2, epsilon, step), threads);
 }
 
-void adam_sh(Out sh, Out m, Out v, int coefficients, int orders, int active_coefficients, int active_orders,
-             const std::array<scalar, 4>& lr, std::optional<Array<const uint8_t>> keep,
-             const std::vector<View>& views, double beta1, double beta2, double epsilon, long step,
-             int threads) {
+void sh_adam_step(Out sh, Out m, Out v, int coefficients, int orders, int active_coefficients,
+                  int active_orders, const std::array<scalar, 4>& lr,
+                  std::optional<Array<const uint8_t>> sparse_rows, const std::vector<View>& views,
+                  double beta1, double beta2, double epsilon, long step, int threads) {
     const auto colors = view_colors(views);
     const uint32_t count = static_cast<uint32_t>(sh.shape(0));
     nb::gil_scoped_release release;
     splat::adam_sh(sh.data(), m.data(), v.data(), count, coefficients, orders, active_coefficients,
-                   active_orders, {lr[0], lr[1], lr[2], lr[3]}, pointer(keep), colors,
+                   active_orders, {lr[0], lr[1], lr[2], lr[3]}, pointer(sparse_rows), colors,
                    splat::AdamStep(beta1, beta2, epsilon, step), threads);
 }
 
@@ -222,17 +225,18 @@ bool all_finite(In array, int threads) {
     return splat::all_finite(array.data(), static_cast<int64_t>(array.size()), threads);
 }
 
-void add_view(Array<const int32_t> id, In mean2d, In mean_t, In radius, scalar half_width, scalar half_height,
-              scalar duration, Out space, Out time, Out views, Out largest_radius, int threads) {
+void accumulate(Array<const int32_t> visible, In mean2d, In mean_t, In radius, scalar half_width,
+                scalar half_height, scalar duration, Out space, Out time, Out views, Out largest_radius,
+                int threads) {
     const splat::DensificationStatistics to{space.data(), time.data(), views.data(), largest_radius.data()};
     nb::gil_scoped_release release;
-    splat::add_view(id.data(), mean2d.data(), mean_t.data(), radius.data(), static_cast<int64_t>(id.size()),
-                    half_width, half_height, duration, to, threads);
+    splat::accumulate(visible.data(), mean2d.data(), mean_t.data(), radius.data(),
+                      static_cast<int64_t>(visible.size()), half_width, half_height, duration, to, threads);
 }
 
-void mark_seen(Array<const int32_t> id, Array<uint8_t> seen, int threads) {
+void mark_visible(Array<const int32_t> visible, Array<uint8_t> mask, int threads) {
     nb::gil_scoped_release release;
-    splat::mark_seen(id.data(), static_cast<int64_t>(id.size()), seen.data(), threads);
+    splat::mark_visible(visible.data(), static_cast<int64_t>(visible.size()), mask.data(), threads);
 }
 
 std::tuple<double, double, double> photometric_loss(In image, In target, Out gradient, scalar ssim_weight,
@@ -248,54 +252,48 @@ std::tuple<double, double, double> photometric_loss(In image, In target, Out gra
 }  // namespace
 
 NB_MODULE(KERNEL_MODULE_NAME, m) {
-    // Autograd graphs that exist when the interpreter ends hold frames; that is no leak.
+    // Autograd graphs that exist when the interpreter ends hold rasterizers; that is no leak.
     nb::set_leak_warnings(false);
-    nb::class_<Model>(m, "Model")
-        .def(
-            "__init__",
-            [](Model* self, In mean, In log_scale, In quat_left, std::optional<In> quat_right,
-               std::optional<In> velocity, In opacity_logit, Array<const splat::ShStored> sh,
-               int coefficients, int stored_order) {
-                new (self) Model{mean,          log_scale, quat_left,    quat_right,  velocity,
-                                 opacity_logit, sh,        coefficients, stored_order};
-            },
-            nb::arg("mean"), nb::arg("log_scale"), nb::arg("quat_left"), nb::arg("quat_right").none(),
-            nb::arg("velocity").none(), nb::arg("opacity_logit"), nb::arg("sh"), nb::arg("coefficients"),
-            nb::arg("stored_order"));
+    nb::class_<Gaussians>(m, "Gaussians")
+        .def(nb::init<In, In, In, std::optional<In>, std::optional<In>, In, Array<const splat::ShStored>, int,
+                      int>(),
+             nb::arg("mean"), nb::arg("log_scale"), nb::arg("quat_left"), nb::arg("quat_right").none(),
+             nb::arg("velocity").none(), nb::arg("opacity_logit"), nb::arg("sh"), nb::arg("coefficients"),
+             nb::arg("stored_order"));
     nb::class_<CameraDouble>(m, "Camera").def_static("make", &camera_from);
-    nb::class_<FrameBinding>(m, "Frame")
+    nb::class_<Rasterizer>(m, "Rasterizer")
         .def(nb::init<>())
-        .def("set_view", &FrameBinding::set_view, nb::arg("camera"), nb::arg("time"),
+        .def("set_view", &Rasterizer::set_view, nb::arg("camera"), nb::arg("time"),
              nb::arg("marginal_offset"), nb::arg("duration"), nb::arg("near"), nb::arg("background"),
              nb::arg("flow_dt"), nb::arg("flow_camera").none(), nb::arg("sh_degree"),
              nb::arg("fourier_order"), nb::arg("extras"), nb::arg("differentiable"), nb::arg("threads"))
-        .def("render", &FrameBinding::render, nb::arg("model"), written("color").none(),
+        .def("render", &Rasterizer::render, nb::arg("gaussians"), written("color").none(),
              written("alpha").none(), written("depth").none(), written("flow").none(),
              written("stats").none())
-        .def("backward", &FrameBinding::backward, nb::arg("model"), nb::arg("d_color").none(),
+        .def("backward", &Rasterizer::backward, nb::arg("gaussians"), nb::arg("d_color").none(),
              nb::arg("d_alpha").none(), nb::arg("d_depth").none(), nb::arg("d_flow").none(),
              nb::arg("d_stats").none(), written("mean"), written("log_scale"), written("quat_left"),
              written("quat_right").none(), written("velocity").none(), written("opacity_logit"),
-             written("id"), written("mean2d"), written("mean_t"), written("radius"), written("unoccluded"),
-             written("color_gradient"))
-        .def_prop_ro("visible", &FrameBinding::visible)
-        .def_prop_ro("in_time", &FrameBinding::in_time)
-        .def_prop_ro("entries", &FrameBinding::entries)
-        .def("count_pixel_gaussian_pairs", &FrameBinding::count_pixel_gaussian_pairs)
-        .def_prop_ro("stage_ms", &FrameBinding::stage_ms);
+             written("visible"), written("mean2d"), written("mean_t"), written("radius"),
+             written("unoccluded"), written("color_gradient"))
+        .def_prop_ro("visible", &Rasterizer::visible)
+        .def_prop_ro("alive", &Rasterizer::alive)
+        .def_prop_ro("intersections", &Rasterizer::intersections)
+        .def("count_pairs", &Rasterizer::count_pairs)
+        .def_prop_ro("stage_ms", &Rasterizer::stage_ms);
     m.def("expand_sh", &expand_sh, nb::arg("views"), written("dense"), nb::arg("coefficients"),
           nb::arg("orders"), nb::arg("threads"));
-    m.def("adam", &adam, written("p"), nb::arg("g"), written("m"), written("v"), nb::arg("lr"),
-          nb::arg("keep").none(), nb::arg("beta1"), nb::arg("beta2"), nb::arg("epsilon"), nb::arg("step"),
-          nb::arg("threads"));
-    m.def("adam_sh", &adam_sh, written("sh"), written("m"), written("v"), nb::arg("coefficients"),
+    m.def("adam_step", &adam_step, written("param"), nb::arg("grad"), written("m"), written("v"),
+          nb::arg("lr"), nb::arg("sparse_rows").none(), nb::arg("beta1"), nb::arg("beta2"),
+          nb::arg("epsilon"), nb::arg("step"), nb::arg("threads"));
+    m.def("sh_adam_step", &sh_adam_step, written("sh"), written("m"), written("v"), nb::arg("coefficients"),
           nb::arg("orders"), nb::arg("active_coefficients"), nb::arg("active_orders"), nb::arg("lr"),
-          nb::arg("keep").none(), nb::arg("views"), nb::arg("beta1"), nb::arg("beta2"), nb::arg("epsilon"),
-          nb::arg("step"), nb::arg("threads"));
-    m.def("add_view", &add_view, nb::arg("id"), nb::arg("mean2d"), nb::arg("mean_t"), nb::arg("radius"),
-          nb::arg("half_width"), nb::arg("half_height"), nb::arg("duration"), written("space"),
-          written("time"), written("views"), written("largest_radius"), nb::arg("threads"));
-    m.def("mark_seen", &mark_seen, nb::arg("id"), written("seen"), nb::arg("threads"));
+          nb::arg("sparse_rows").none(), nb::arg("views"), nb::arg("beta1"), nb::arg("beta2"),
+          nb::arg("epsilon"), nb::arg("step"), nb::arg("threads"));
+    m.def("accumulate", &accumulate, nb::arg("visible"), nb::arg("mean2d"), nb::arg("mean_t"),
+          nb::arg("radius"), nb::arg("half_width"), nb::arg("half_height"), nb::arg("duration"),
+          written("space"), written("time"), written("views"), written("largest_radius"), nb::arg("threads"));
+    m.def("mark_visible", &mark_visible, nb::arg("visible"), written("mask"), nb::arg("threads"));
     m.def("set_to_zero", &set_to_zero, written("arrays"), nb::arg("threads"));
     m.def("all_finite", &all_finite, nb::arg("array"), nb::arg("threads"));
     nb::dict choices;  // what this kernel was built with (numerical_choices.hpp)

@@ -41,7 +41,7 @@ struct Parameters {
 
 // The camera at the later time of the optical flow, relative to that of the view.
 template <class Scalar>
-struct LaterCamera {
+struct FlowCamera {
     Scalar rotation[3][3];                     // world to camera
     Scalar shift[3];                           // the view's position less the later one, world axes
     Scalar focal_change[2], centre_change[2];  // later less now, pixels
@@ -58,7 +58,7 @@ struct CameraOf {
     Scalar position[3], position_low[3];
     Scalar time, time_low;
     Scalar marginal_offset;  // p is that of time + this
-    LaterCamera<Scalar> later;
+    FlowCamera<Scalar> flow_camera;
 };
 using Camera = CameraOf<scalar>;
 
@@ -86,14 +86,15 @@ inline Camera rounded(const CameraOf<double>& c) {
     }
     split(c.time, r.time, r.time_low);
     for (int i = 0; i < 3; ++i) {
-        for (int j = 0; j < 3; ++j) r.later.rotation[i][j] = static_cast<scalar>(c.later.rotation[i][j]);
-        r.later.shift[i] = static_cast<scalar>(c.later.shift[i]);
+        for (int j = 0; j < 3; ++j)
+            r.flow_camera.rotation[i][j] = static_cast<scalar>(c.flow_camera.rotation[i][j]);
+        r.flow_camera.shift[i] = static_cast<scalar>(c.flow_camera.shift[i]);
     }
     for (int a = 0; a < 2; ++a) {
-        r.later.focal_change[a] = static_cast<scalar>(c.later.focal_change[a]);
-        r.later.centre_change[a] = static_cast<scalar>(c.later.centre_change[a]);
+        r.flow_camera.focal_change[a] = static_cast<scalar>(c.flow_camera.focal_change[a]);
+        r.flow_camera.centre_change[a] = static_cast<scalar>(c.flow_camera.centre_change[a]);
     }
-    r.later.moved = c.later.moved;
+    r.flow_camera.moved = c.flow_camera.moved;
     return r;
 }
 

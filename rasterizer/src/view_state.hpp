@@ -30,9 +30,9 @@ struct ViewState {
     Buffer<scalar> extras;                 // kExtraStride a splat: depth, flow, statistics
     std::vector<uint32_t> chunk_count;     // visible splats of each chunk
     std::vector<uint32_t> chunk_first;     // visible splats of the chunks before it
-    std::vector<uint32_t> chunk_in_time;
+    std::vector<uint32_t> chunk_alive;
     uint32_t visible = 0;  // Gaussians on the screen
-    uint32_t in_time = 0;  // Gaussians with p(t) >= 0.05
+    uint32_t alive = 0;    // Gaussians with p(t) >= 0.05
 
     // sort: splat indices front to back
     using DepthBits = std::conditional_t<sizeof(scalar) == 4, uint32_t, uint64_t>;

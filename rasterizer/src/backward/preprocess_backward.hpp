@@ -13,7 +13,7 @@ namespace splat {
 
 // What a view reports of its visible Gaussians, in order of id: arrays of `visible` rows.
 struct ViewGradient {
-    int32_t* id;
+    int32_t* visible;
     scalar* mean2d;      // [V, 2] ∂L/∂mean2d, pixels
     scalar* mean_t;      // [V] ∂L/∂μt of this view alone
     scalar* radius;      // [V] of the splat, pixels
@@ -153,7 +153,7 @@ inline void preprocess_backward_lanes(const ViewState& view, const Parameters& p
         row[l].store(value);
         const size_t v = first_row + l;
         std::memcpy(&view_out.color[v], value, sizeof(ColorGradient));
-        view_out.id[v] = static_cast<int32_t>(ids[l]);
+        view_out.visible[v] = static_cast<int32_t>(ids[l]);
         view_out.mean2d[2 * v] = value[8];
         view_out.mean2d[2 * v + 1] = value[9];
         view_out.mean_t[v] = value[10];

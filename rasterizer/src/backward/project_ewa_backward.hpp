@@ -79,12 +79,12 @@ SPLAT_INLINE void flow_backward(const Flow<Real>& f, const CameraOf<ScalarOf<Rea
     for (int a = 0; a < 2; ++a) {
         Real d = zero_unless(f.valid, d_flow[a]);
         d_mean2d[a] -= d;
-        Real d_normalised = Real(focal[a] + c.later.focal_change[a]) * d;
+        Real d_normalised = Real(focal[a] + c.flow_camera.focal_change[a]) * d;
         d_cam[a] = d_normalised * f.later_inverse_z;
         d_inverse_z += d_normalised * f.later_cam[a];
     }
     d_cam[2] = -d_inverse_z * f.later_inverse_z * f.later_inverse_z;
-    camera_to_world_direction<Real>(c.later.rotation, d_cam, d_later);
+    camera_to_world_direction<Real>(c.flow_camera.rotation, d_cam, d_later);
     for (int i = 0; i < 3; ++i) {
         d_mean[i] += d_later[i];
         d_velocity[i] += d_later[i] * Real(flow_dt);

@@ -10,7 +10,7 @@ struct PixelGaussianPairs {
     uint64_t contributing;  // those of them with a weight above zero
 };
 
-inline PixelGaussianPairs count_pixel_gaussian_pairs(const ViewState& view) {
+inline PixelGaussianPairs count_pairs(const ViewState& view) {
     PixelGaussianPairs pairs{0, 0};
     const Float lane_x = Float::load(kBlockPixel.x), lane_y = Float::load(kBlockPixel.y);
     for (int tile = 0; tile < view.tiles(); ++tile) {

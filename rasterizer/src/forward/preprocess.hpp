@@ -54,9 +54,9 @@ inline int cull_in_time(const Parameters& p, uint32_t first, uint32_t last, cons
         }
         var_t += var_t * Float(kVarianceSlack) + sum_scale2 * Float(kScaleSlack);
         const Float dt = ((Float(c.time) - mean[3]) + Float(c.time_low)) + Float(c.marginal_offset);
-        unsigned in_time = bits(dt * dt <= max(var_t, kMinTimeVariance) * Float(kMinusTwoLnMinMarginal));
-        if (last - base < kLanes) in_time &= (1u << (last - base)) - 1;
-        n += compress_store_words(ids, in_time, candidates + n);
+        unsigned alive = bits(dt * dt <= max(var_t, kMinTimeVariance) * Float(kMinusTwoLnMinMarginal));
+        if (last - base < kLanes) alive &= (1u << (last - base)) - 1;
+        n += compress_store_words(ids, alive, candidates + n);
     }
     return n;
 }
@@ -111,7 +111,7 @@ inline int project_chunk(const Parameters& p, const Camera& c, const CameraOf<do
     out.count = 0;
     out.any_double_depth = false;
     const Float double_depth_threshold(double_depth_from(s));
-    int in_time_count = 0;
+    int alive_count = 0;
     for (int l = 0; l < kLanes && candidate_count > 0; ++l)
         candidates[candidate_count + l] = candidates[candidate_count - 1];
     for (int i = 0; i < candidate_count; i += kLanes) {
@@ -125,14 +125,14 @@ inline int project_chunk(const Parameters& p, const Camera& c, const CameraOf<do
         Float mahalanobis2 = max((log2_opacity - Float(kLog2MinAlpha)) * Float(2.f / kLog2E), 0.f);
         Float half_width = sqrt(mahalanobis2 * v[projected.kVarianceX]),
               half_height = sqrt(mahalanobis2 * v[projected.kVarianceY]);
-        const unsigned in_time = bits(v[projected.kLog2Marginal] >= Float(kLog2MinMarginal)) & lanes;
-        in_time_count += __builtin_popcount(in_time);
+        const unsigned alive = bits(v[projected.kLog2Marginal] >= Float(kLog2MinMarginal)) & lanes;
+        alive_count += __builtin_popcount(alive);
         Mask on_screen = (v[projected.kDepth] > Float(s.near_plane)) & (mahalanobis2 > Float(0.f)) &
                          (v[projected.kX] + half_width >= Float(0.f)) &
                          (v[projected.kX] - half_width <= Float(c.width - 1.f)) &
                          (v[projected.kY] + half_height >= Float(0.f)) &
                          (v[projected.kY] - half_height <= Float(c.height - 1.f));
-        const unsigned keep = bits(on_screen) & in_time;
+        const unsigned keep = bits(on_screen) & alive;
         if (!keep) continue;
         const Float half_trace = Float(0.5f) * (v[projected.kVarianceX] + v[projected.kVarianceY]);
         const Float difference =
@@ -180,7 +180,7 @@ inline int project_chunk(const Parameters& p, const Camera& c, const CameraOf<do
         }
         out.count += compress_store_words(candidates + i, keep, out.id + out.count);
     }
-    return in_time_count;
+    return alive_count;
 }
 
 // Evaluates the colours of the projected Gaussians and writes splats, extra channels and colour Jacobians.
@@ -248,7 +248,7 @@ inline void preprocess(ViewState& view, const Parameters& p) {
     const bool extras = view.settings.extra_channels();
     if (extras) view.extras.resize(static_cast<size_t>(chunks) * kChunk * kExtraStride);
     view.chunk_count.assign(chunks, 0);
-    view.chunk_in_time.assign(chunks, 0);
+    view.chunk_alive.assign(chunks, 0);
     view.chunk_first.assign(chunks + 1, 0);
 #pragma omp parallel num_threads(view.settings.threads)
     {
@@ -259,8 +259,8 @@ inline void preprocess(ViewState& view, const Parameters& p) {
             const uint32_t first = static_cast<uint32_t>(c) * kChunk,
                            last = std::min(p.count, first + kChunk);
             const int n = cull_in_time<motion>(p, first, last, view.camera, candidates);
-            view.chunk_in_time[c] = project_chunk<motion>(p, view.camera, view.camera_double, view.settings,
-                                                          candidates, n, projected);
+            view.chunk_alive[c] = project_chunk<motion>(p, view.camera, view.camera_double, view.settings,
+                                                        candidates, n, projected);
             color_and_write_splats<order, differentiable>(
                 p, view.settings, projected, view.splats.data() + first,
                 differentiable ? view.color_jacobian.data() + first : nullptr,
@@ -272,10 +272,10 @@ inline void preprocess(ViewState& view, const Parameters& p) {
         }
         end_of_streaming();
     }
-    view.in_time = 0;
+    view.alive = 0;
     for (int c = 0; c < chunks; ++c) {
         view.chunk_first[c + 1] = view.chunk_first[c] + view.chunk_count[c];
-        view.in_time += view.chunk_in_time[c];
+        view.alive += view.chunk_alive[c];
     }
     view.visible = view.chunk_first[chunks];
 }

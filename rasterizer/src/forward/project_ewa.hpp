@@ -97,8 +97,8 @@ SPLAT_INLINE EwaProjection<motion, Real> project_ewa(const Slice<motion, Real>& 
     return p;
 }
 
-// Optical flow: how far mean2d moves in δ, in pixels, seen by the camera at that time (CameraOf::later). 0
-// where the mean would reach the near plane.
+// Optical flow: how far mean2d moves in δ, in pixels, seen by the camera at that time
+// (CameraOf::flow_camera). 0 where the mean would reach the near plane.
 template <class Real>
 struct Flow {
     Real pixel[2];
@@ -116,20 +116,20 @@ SPLAT_INLINE Flow<Real> flow_of(const Slice<motion, Real>& g, const EwaProjectio
             later[i] += g.velocity[i] * Real(flow_dt);
             speed += abs(g.velocity[i]);
         }
-        later[i] += Real(c.later.shift[i]);
+        later[i] += Real(c.flow_camera.shift[i]);
     }
-    world_to_camera<Real>(c.later.rotation, later, f.later_cam);
+    world_to_camera<Real>(c.flow_camera.rotation, later, f.later_cam);
     f.valid = f.later_cam[2] > Real(near_plane);
     f.later_inverse_z = Real(1.f) / select(f.valid, f.later_cam[2], Real(1.f));
     // Where the camera stays, what stands still has no flow, not that of rounding.
-    const MaskOf<Real> moves = f.valid & (speed > Real(c.later.moved ? -1.f : 0.f));
+    const MaskOf<Real> moves = f.valid & (speed > Real(c.flow_camera.moved ? -1.f : 0.f));
     const ScalarOf<Real> focal[2] = {c.fx, c.fy};
     for (int a = 0; a < 2; ++a) {
         f.later_normalised[a] = f.later_cam[a] * f.later_inverse_z;
         Real moved_by = Real(focal[a]) * (f.later_normalised[a] - p.normalised[a]);
-        if (c.later.moved)
-            moved_by +=
-                Real(c.later.focal_change[a]) * f.later_normalised[a] + Real(c.later.centre_change[a]);
+        if (c.flow_camera.moved)
+            moved_by += Real(c.flow_camera.focal_change[a]) * f.later_normalised[a] +
+                        Real(c.flow_camera.centre_change[a]);
         f.pixel[a] = zero_unless(moves, moved_by);
     }
     return f;

@@ -33,22 +33,22 @@ SPLAT_INLINE void adam_vector(Float& p, const Float& g, Float& m, Float& v, cons
     p -= rate * m / (sqrt(v) * Float(a.inverse_sqrt_correction2) + Float(a.epsilon));
 }
 
-// keep[row] of each of the n floats from `at` on, followed by zeros.
-SPLAT_INLINE Float row_lanes(const uint8_t* keep, size_t at, int n, int columns) {
+// sparse_rows[row] of each of the n floats from `at` on, followed by zeros.
+SPLAT_INLINE Float row_lanes(const uint8_t* sparse_rows, size_t at, int n, int columns) {
     alignas(64) scalar lane[kLanes] = {};
     size_t row = at / columns;
     int column = static_cast<int>(at % columns);
     for (int l = 0; l < n; ++l) {
-        lane[l] = keep[row];
+        lane[l] = sparse_rows[row];
         if (++column == columns) column = 0, ++row;
     }
     return Float::load(lane);
 }
 
-// Updates rows of `columns` floats, with one learning rate per column. keep: one byte per row, 0 leaves the
-// row and its moments as they are; null updates all.
+// Updates rows of `columns` floats, with one learning rate per column. sparse_rows: one byte per row, 0
+// leaves the row and its moments as they are; null updates all.
 inline void adam_rows(scalar* p, const scalar* g, scalar* m, scalar* v, size_t rows, int columns,
-                      const scalar* lr, const uint8_t* keep, const AdamStep& a, int threads) {
+                      const scalar* lr, const uint8_t* sparse_rows, const AdamStep& a, int threads) {
     // The rows are read as one array. Lane l of its vector k has column (16 k + l) mod columns, so the
     // vectors of learning rates repeat with k mod columns.
     std::vector<Float> rate(columns);
@@ -75,8 +75,8 @@ inline void adam_rows(scalar* p, const scalar* g, scalar* m, scalar* v, size_t r
             const Float p0 = load(p), m0 = load(m), v0 = load(v);
             Float pk = p0, mk = m0, vk = v0;
             adam_vector(pk, load(g), mk, vk, rate[k % columns], a);
-            if (keep) {
-                const Mask moves = row_lanes(keep, at, n, columns) > Float(0.f);
+            if (sparse_rows) {
+                const Mask moves = row_lanes(sparse_rows, at, n, columns) > Float(0.f);
                 pk = select(moves, pk, p0), mk = select(moves, mk, m0), vk = select(moves, vk, v0);
             }
             store(pk, p), store(mk, m), store(vk, v);
@@ -105,10 +105,10 @@ inline ShRow sh_learning_rate_row(scalar degree0, scalar rest) {
 
 // Adam on SH coefficients [N, orders · coefficients, 3], whose gradient is expanded chunk by chunk and never
 // stored. Orders from `active_orders` on, and coefficients from `active_coefficients` on, stay as they are:
-// they have had no gradient yet, so their moments are zero. keep: as in adam_rows.
+// they have had no gradient yet, so their moments are zero. sparse_rows: as in adam_rows.
 inline void adam_sh(scalar* sh, scalar* m, scalar* v, uint32_t count, int coefficients, int orders,
                     int active_coefficients, int active_orders, const ShLearningRates& lr,
-                    const uint8_t* keep, const std::vector<ViewColors>& views, const AdamStep& a,
+                    const uint8_t* sparse_rows, const std::vector<ViewColors>& views, const AdamStep& a,
                     int threads) {
     const size_t order_stride = static_cast<size_t>(coefficients) * 3, row_stride = order_stride * orders;
     const scalar correction = a.inverse_correction1;
@@ -123,7 +123,7 @@ inline void adam_sh(scalar* sh, scalar* m, scalar* v, uint32_t count, int coeffi
             const uint32_t last = std::min(count, first + kShChunk);
             expand_sh_gradient(views, first, last, chunk);
             for (uint32_t i = first; i < last; ++i) {
-                if (i + kRowsAhead < last && (!keep || keep[i + kRowsAhead]))
+                if (i + kRowsAhead < last && (!sparse_rows || sparse_rows[i + kRowsAhead]))
                     for (int n = 0; n < active_orders; ++n)
                         for (int k = 0; k < 3 * active_coefficients; k += kLanes) {
                             const size_t at = row_stride * (i + kRowsAhead) + order_stride * n + k;
@@ -131,7 +131,7 @@ inline void adam_sh(scalar* sh, scalar* m, scalar* v, uint32_t count, int coeffi
                             __builtin_prefetch(sh + at), __builtin_prefetch(m + at),
                                 __builtin_prefetch(v + at);
                         }
-                if (keep && !keep[i]) continue;
+                if (sparse_rows && !sparse_rows[i]) continue;
                 for (int n = 0; n < active_orders; ++n) {
                     const size_t at = row_stride * i + order_stride * n;
                     const ShRow& g = chunk.rows[static_cast<size_t>(i - first) * active_orders + n];

@@ -18,12 +18,12 @@ struct DensificationStatistics {
 };
 
 // Adds one view of `count` Gaussians, each at most once, with mean2d [count, 2] in pixels.
-inline void add_view(const int32_t* id, const scalar* mean2d, const scalar* mean_t, const scalar* radius,
-                     int64_t count, scalar half_width, scalar half_height, scalar duration,
-                     const DensificationStatistics& to, int threads) {
+inline void accumulate(const int32_t* visible, const scalar* mean2d, const scalar* mean_t,
+                       const scalar* radius, int64_t count, scalar half_width, scalar half_height,
+                       scalar duration, const DensificationStatistics& to, int threads) {
 #pragma omp parallel for schedule(static) num_threads(threads)
     for (int64_t i = 0; i < count; ++i) {
-        const int32_t g = id[i];
+        const int32_t g = visible[i];
         const scalar x = mean2d[2 * i] * half_width, y = mean2d[2 * i + 1] * half_height;
         to.space[g] += std::sqrt(x * x + y * y);
         to.time[g] += std::abs(mean_t[i]) * duration;
@@ -32,10 +32,10 @@ inline void add_view(const int32_t* id, const scalar* mean2d, const scalar* mean
     }
 }
 
-// Sets seen[id] = 1 for each of `count` Gaussians.
-inline void mark_seen(const int32_t* id, int64_t count, uint8_t* seen, int threads) {
+// Sets mask[g] = 1 for each of the `count` visible Gaussians g.
+inline void mark_visible(const int32_t* visible, int64_t count, uint8_t* mask, int threads) {
 #pragma omp parallel for schedule(static) num_threads(threads)
-    for (int64_t i = 0; i < count; ++i) seen[id[i]] = 1;
+    for (int64_t i = 0; i < count; ++i) mask[visible[i]] = 1;
 }
 
 }  // namespace splat
