@@ -110,7 +110,7 @@ def test_reproduce_is_each_scene_and_each_ablation_on_its_own_scene() -> None:
         ),
     ]
     counter, street, wheel = (runs[f"results/runs/synthetic/{scene}/full/short/seed0"] for scene in scenes[:3])
-    assert counter.work / wheel.work == pytest.approx(320**2 / 200**2)
+    assert counter.work / wheel.work == pytest.approx(240**2 / 200**2)
     assert wheel.cfg.threads == 1, "runs side by side"
 
 
