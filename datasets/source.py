@@ -111,8 +111,8 @@ class Source(ABC):
         """The scene, in the units of the files; decodes. found: of `photographs`, required without given poses."""
 
     def photographs(self) -> list[Photograph]:
-        """What structure from motion takes."""
-        raise NotImplementedError
+        """What structure from motion takes; nothing where poses and points are given."""
+        return []
 
     def size(self) -> Size:
         """Without decoding all frames of videos; other scenes are read."""
