@@ -23,7 +23,6 @@ class Choice:
     indices: tuple[int, ...]  # of the clip, ascending
     times: tuple[float, ...]  # seconds since the clip's start
     notes: tuple[str, ...]  # a line each, for the user
-    part: tuple[float, float]  # seconds: first and last frame of the part in use
 
 
 def choose(found: Survey, most: int, still: bool = False) -> Choice:
@@ -37,17 +36,18 @@ def choose(found: Survey, most: int, still: bool = False) -> Choice:
     if damaged:
         notes.append(f"{damaged} of {len(found.good)} frames are damaged and left out")
     if not parts:
-        return Choice((), (), tuple(notes), (0.0, 0.0))
+        return Choice((), (), tuple(notes))
     rows = max(parts, key=len)
-    start, end = float(found.time[rows[0]]), float(found.time[rows[-1]])
     dark = int((found.good & found.dark).sum())
     if dark:
         notes.append(f"{dark} frames show nothing (a fade, or a covered lens) and are left out")
     if len(parts) > 1:
-        others = ", ".join(f"{found.time[p[0]]:.1f}–{found.time[p[-1]]:.1f} s" for p in parts if p is not rows)
+        used, *others = (
+            f"{found.time[p[0]]:.1f}–{found.time[p[-1]]:.1f} s" for p in sorted(parts, key=lambda p: p is not rows)
+        )
         notes.append(
-            f"the clip is cut: one scene is one take, so the longest part is used, {start:.1f}–{end:.1f} s of it; "
-            f"left out: {others}"
+            f"the clip is cut: one scene is one take, so the longest part is used, {used} of it; left out: "
+            f"{', '.join(others)}"
         )
     sharp = rows[~_blurred(found.sharpness[rows])]
     moved = sharp if still else sharp[~_repeated(found, sharp)]
@@ -60,10 +60,7 @@ def choose(found: Survey, most: int, still: bool = False) -> Choice:
             f"{len(chosen)} of {len(moved)} frames are used (scene.frames={most}): the sharpest, evenly spread"
         )
     return Choice(
-        tuple(int(found.index[row]) for row in chosen),
-        tuple(float(found.time[row]) for row in chosen),
-        tuple(notes),
-        (start, end),
+        tuple(int(found.index[row]) for row in chosen), tuple(float(found.time[row]) for row in chosen), tuple(notes)
     )
 
 

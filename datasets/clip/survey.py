@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from datasets.files.errors import SceneError
-from datasets.video_files.decode import IMAGE_RATE, Frame, video_frames
+from datasets.video_files.decode import Frame, video_frames
 from datasets.video_files.probe import probe
 
 WIDTH = 192  # pixels of the small images
@@ -140,8 +140,7 @@ def stands_still(path: Path) -> bool:
 @lru_cache(maxsize=64)  # a run asks several times
 def _still(path: Path, modified: int) -> bool:
     header = probe(path)
-    total = header.count or round((header.seconds or 0.0) * (header.rate or IMAGE_RATE))
-    wanted = set(np.linspace(0, max(total - 1, 0), SAMPLES).astype(int).tolist())
+    wanted = set(np.linspace(0, max(header.frames - 1, 0), SAMPLES).astype(int).tolist())
     frames = [frame.image for frame in video_frames(path, header, wanted) if frame.image is not None]
     images = [small_image(cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY)) for frame in frames]
     shifts = [_shift(images[0], image) for image in images[1:]]

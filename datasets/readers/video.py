@@ -1,7 +1,7 @@
 """Reader of videos without poses, which structure from motion finds: one clip, or several cameras.
 
 CLIP.mp4, or a folder with one video, or with images in order     one camera that moves (datasets/clip)
-DIR/left.mp4, right.mp4, …    several that stand still (datasets/plenoptic), or of which some move (clip/several.py)
+DIR/left.mp4, right.mp4, …    several that stand still (datasets/plenoptic), or of which some move (datasets/clip)
 """
 
 from __future__ import annotations
@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import Literal
 
 from datasets.cameras.lens import Undistortion
-from datasets.clip.footage import Clip, is_clip, open_clip
-from datasets.clip.several import ClipSet, cameras_move, open_clip_set
+from datasets.clip.clips import Clips, cameras_move, is_clip, open_clip, open_clips
 from datasets.composition import chosen_downscale
 from datasets.plenoptic.filmed import FilmedSource, content_of, footage_of, open_videos
 from datasets.plenoptic.footage import Footage
@@ -43,7 +42,7 @@ def open_source(cfg: SceneConfig, threads: int, log: Log) -> Source:
         return ClipSource(cfg, lambda: open_clip(path, cfg, log))
     if cfg.moving_cameras and cameras_move(path, cfg.drop_cameras, assumed=cfg.moving_cameras is True):
         cfg = without_validation(cfg, "clips (scene.test_every and scene.test_cameras hold out other views)")
-        return ClipSetSource(cfg, lambda: open_clip_set(path, cfg, log))
+        return ClipSource(cfg, lambda: open_clips(path, cfg, log), several_videos=True)
     cfg = without_validation(
         cfg, f"the multi-camera videos of {cfg.name} (scene.test_cameras holds out another camera)"
     )
@@ -60,62 +59,34 @@ class _WithoutPoses(Source):
 
 @dataclass(frozen=True)
 class ClipSource(_WithoutPoses):
-    """The video of one camera that moves."""
+    """The video of one camera that moves, or those of several of which some do, in one reconstruction."""
 
     cfg: SceneConfig
-    open: Callable[[], Clip]  # reads the frames in use
+    open: Callable[[], Clips]  # reads the frames in use
+    several_videos: bool = False
     poses = "of every frame"
 
     @cached_property
-    def clip(self) -> Clip:
+    def clips(self) -> Clips:
         return self.open()
 
     @property
     def path(self) -> Path:
-        return self.clip.source
-
-    def photographs(self) -> list[Photograph]:
-        return [Photograph(frame.name, self.clip.photograph(frame)) for frame in self.clip.frames]
-
-    def scene(self, found: Calibration | None = None) -> Scene:
-        assert found is not None
-        return self.clip.to_scene(found.cameras, next(iter(found.radial.values())), found.unit)
-
-    def size(self) -> Size:
-        width, height = (side // self.clip.downscale for side in self.clip.size)
-        held_out = len(self.clip.frames) // self.cfg.test_every
-        return Size(len(self.clip.frames) - held_out, held_out, width, height)
-
-
-@dataclass(frozen=True)
-class ClipSetSource(_WithoutPoses):
-    """The videos of several cameras of which some move: a clip each, in one reconstruction."""
-
-    cfg: SceneConfig
-    open: Callable[[], ClipSet]  # reads the frames in use
-    poses = "of every frame"
-    several_videos = True
-
-    @cached_property
-    def clips(self) -> ClipSet:
-        return self.open()
+        return self.clips.source
 
     @property
     def held_out(self) -> tuple[str, ...]:
-        return tuple(camera.name for camera in self.clips.cameras if camera.number in self.clips.test_cameras)
+        return tuple(clip.name for clip in self.clips.cameras if clip.number in self.clips.test_cameras)
 
     def photographs(self) -> list[Photograph]:
         return [
-            Photograph(name, camera.clip.photograph(frame), lens=camera.name, time=camera.time(frame))
-            for name, camera, frame in self.clips.photographs()
+            Photograph(name, clip.photograph(frame), lens=clip.name, time=clip.time(frame))
+            for name, clip, frame in self.clips.photographs()
         ]
 
     def scene(self, found: Calibration | None = None) -> Scene:
         assert found is not None
-        radial = {
-            camera.name: found.radial[name] for name, camera, _ in self.clips.photographs() if name in found.radial
-        }
-        return self.clips.to_scene(found.cameras, radial, found.unit, found.colors)
+        return self.clips.to_scene(found.cameras, found.radial, found.unit, found.colors)
 
     def size(self) -> Size:
         return Size(*self.clips.counts(), *self.clips.size)

@@ -16,10 +16,9 @@ from datasets.files.errors import SceneError
 from datasets.files.image_files import read_rgba
 from datasets.files.natural_order import about_even, last_number, natural_order
 from datasets.video_files.hdr import tone_mapped
-from datasets.video_files.probe import Header, open_container
+from datasets.video_files.probe import USUAL_RATE, Header, open_container
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
-IMAGE_RATE = 30.0  # frames a second that images without times are taken to have
 _TURNS = {90: cv2.ROTATE_90_CLOCKWISE, 180: cv2.ROTATE_180, 270: cv2.ROTATE_90_COUNTERCLOCKWISE}
 
 
@@ -41,7 +40,7 @@ def video_frames(path: Path, header: Header, keep: set[int] | None = None, every
     size: tuple[int, int] | None = None
     last = max(keep) if keep else None
     index, time = -1, 0.0
-    step = 1.0 / header.rate if header.rate else 1.0 / IMAGE_RATE
+    step = 1.0 / header.rate if header.rate else 1.0 / USUAL_RATE
     with open_container(path) as container:
         stream = container.streams.video[0]
         stream.thread_type = "AUTO"
@@ -89,13 +88,13 @@ def image_paths(folder: Path) -> list[Path]:
 def image_times(paths: list[Path]) -> np.ndarray:
     """(images,) seconds since the first: by the numbers in their names if these ascend, so that gaps remain.
 
-    The median step is a frame at IMAGE_RATE. Evenly spaced without such numbers.
+    The median step is a frame at USUAL_RATE. Evenly spaced without such numbers.
     """
     found = [last_number(path.stem) for path in paths]
     numbers = np.array(found, dtype=np.float64)  # None becomes NaN
     if not (about_even(found) and (np.diff(numbers) > 0).all()):
-        return np.arange(len(paths)) / IMAGE_RATE
-    return (numbers - numbers[0]) / np.median(np.diff(numbers)) / IMAGE_RATE
+        return np.arange(len(paths)) / USUAL_RATE
+    return (numbers - numbers[0]) / np.median(np.diff(numbers)) / USUAL_RATE
 
 
 def image_frames(

@@ -14,6 +14,7 @@ from datasets.files.errors import SceneError
 av.logging.set_level(None)  # errors are reported in one SceneError
 
 HDR_TRANSFERS = {16: "PQ (HDR10)", 18: "HLG"}  # of ISO 23091-2: the code points of high dynamic range
+USUAL_RATE = 30.0  # frames a second, where a file does not say
 SIZE_LIMIT = 16  # pixels a side
 
 
@@ -29,6 +30,11 @@ class Header:
     bits: int  # a channel
     transfer: int  # code point of the transfer function
     pixel_aspect: float  # width / height of a pixel as stored; frames are widened to square pixels
+
+    @property
+    def frames(self) -> int:
+        """Their number, an estimate where the header does not say."""
+        return self.count or round((self.seconds or 0.0) * (self.rate or USUAL_RATE))
 
     @property
     def hdr(self) -> str | None:

@@ -9,7 +9,8 @@ from pathlib import Path
 import av
 import numpy as np
 
-from datasets.clip.footage import Clip, open_clip
+from datasets.clip.clips import open_clip
+from datasets.clip.footage import Clip
 from datasets.settings import SceneConfig
 
 SIZE = (96, 64)  # of textured_plane, pixels
@@ -74,4 +75,4 @@ def opened(path: Path, **options: int) -> tuple[Clip, str]:
     """The clip, and everything that was said of it."""
     lines: list[str] = []
     cfg = SceneConfig("clip", "video", **{"downscale": 0, **options})
-    return open_clip(path, cfg, lines.append), "\n".join(lines)
+    return open_clip(path, cfg, lines.append).cameras[0], "\n".join(lines)

@@ -10,6 +10,7 @@ import pytest
 from clips import SIZE, frames, opened, textured_plane
 from PIL import ExifTags, Image
 
+from datasets.clip.clips import Clips
 from datasets.files.errors import SceneError
 from datasets.files.image_files import read_rgba
 from datasets.readers.video import open_source
@@ -84,11 +85,12 @@ def test_transparent_pixels_have_the_background(tmp_path: Path) -> None:
         cv2.imwrite(str(tmp_path / f"{i:02d}.png"), np.concatenate([image[..., ::-1], alpha], axis=2))
     for setting, color in (("auto", (0, 0, 0)), ("white", (1, 1, 1)), ([1, 0, 0.2], (1, 0, 0.2))):
         cfg = SceneConfig("clip", "video", str(tmp_path), background=setting, downscale=1)
-        clip = open_source(cfg, 1, lambda line: None).clip
+        clips = open_source(cfg, 1, lambda line: None).clips
+        clip = clips.cameras[0]
         assert (clip.frames[3].image[20:40, 30:60] == np.multiply(color, 255)).all()
         assert (clip.frames[3].image[:20] == images[3][:20]).all()
         cameras = {f.name: Camera(*SIZE, 90, 90, 48, 32, moved(i)) for i, f in enumerate(clip.frames)}
-        assert clip.to_scene(cameras).background == color
+        assert clips.to_scene(cameras, dict.fromkeys(cameras, 0.0), 1.0).background == color
 
 
 def moved(x: float) -> np.ndarray:
@@ -109,7 +111,8 @@ def test_wide_frames_are_never_enlarged(tmp_path: Path, downscale: int, width: i
     for i, frame in enumerate(clip.frames):
         assert clip.photograph(frame).shape == (199, 650, 3)
         cameras[frame.name] = Camera(650, 199, 100.0, 100.0, 325.0, 99.5, moved(i))
-    view = clip.to_scene(cameras).train[0]
+    found = Clips(tmp_path, (clip,), (), SceneConfig("clip", "video", test_every=8))
+    view = found.to_scene(cameras, dict.fromkeys(cameras, 0.0), 1.0).train[0]
     factor = downscale or 3
     whole = images[0][: 399 // factor * factor, : 1301 // factor * factor]
     if factor < 3:  # of 3, 650 pixels are scaled to 433

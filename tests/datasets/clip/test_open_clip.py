@@ -12,7 +12,7 @@ import pytest
 from clips import SIZE, frames, opened, write_clip
 from imageio_ffmpeg import get_ffmpeg_exe
 
-from datasets.clip.footage import is_clip
+from datasets.clip.clips import is_clip
 from datasets.files.errors import SceneError
 
 

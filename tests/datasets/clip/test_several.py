@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from clips import SOUND_RATE, textured_plane, write_clip
 
-from datasets.clip.several import ClipSet
+from datasets.clip.clips import Clips
 from datasets.clip.survey import stands_still
 from datasets.files.errors import SceneError
-from datasets.readers.video import ClipSetSource, FootageSource, open_source
+from datasets.readers.video import ClipSource, FootageSource, open_source
 from datasets.scene import Scene
 from datasets.settings import SceneConfig
 from rasterizer.camera import Camera
@@ -52,7 +52,7 @@ def videos(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def opened(videos: Path, **settings: object) -> tuple[ClipSet, str]:
+def opened(videos: Path, **settings: object) -> tuple[Clips, str]:
     """The set, and everything that was said of it."""
     lines: list[str] = []
     defaults: dict = {"sync": "auto", "moving_cameras": "auto", "downscale": 1}
@@ -60,21 +60,22 @@ def opened(videos: Path, **settings: object) -> tuple[ClipSet, str]:
     return open_source(cfg, 1, lines.append).clips, "\n".join(lines)
 
 
-def scene_of(found: ClipSet) -> Scene:
+def scene_of(found: Clips) -> Scene:
     """With poses made up, each photograph to the right of the one before."""
     poses = {}
     for place, (name, camera, frame) in enumerate(found.photographs()):
-        height, width = camera.clip.photograph(frame).shape[:2]
+        height, width = camera.photograph(frame).shape[:2]
         pose = np.eye(4)
         pose[0, 3] = -0.1 * place
         poses[name] = Camera(width, height, 90.0, 90.0, width / 2, height / 2, pose)
-    return found.to_scene(poses, dict.fromkeys(RATES, 0.0), 1.0)
+    return found.to_scene(poses, dict.fromkeys(poses, 0.0), 1.0)
 
 
 def test_who_moves(videos: Path) -> None:
     assert [stands_still(videos / f"{name}.mp4") for name in RATES] == [False, False, True]
     cfg = SceneConfig("set", "video", str(videos), moving_cameras="auto")
-    assert isinstance(open_source(cfg, 1, str), ClipSetSource)
+    source = open_source(cfg, 1, str)
+    assert isinstance(source, ClipSource) and source.several_videos
 
 
 def test_only_cameras_that_stand_still_are_read_as_before(videos: Path, tmp_path: Path) -> None:
@@ -125,8 +126,8 @@ def test_a_camera_that_stands_still_has_one_pose_and_images_one_size(videos: Pat
 def test_images_keep_their_size_where_sfm_sees_smaller_ones(videos: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("datasets.clip.footage.SFM_SIDE", 48)
     found, _ = opened(videos)
-    assert {camera.clip.photograph(frame).shape for _, camera, frame in found.photographs()} == {(32, 48, 3)}
-    frames = {f"{c.name}_{f.name[-5:]}": f.image for c in found.cameras for f in c.clip.frames}
+    assert {camera.photograph(frame).shape for _, camera, frame in found.photographs()} == {(32, 48, 3)}
+    frames = {f"{c.name}_{f.name[-5:]}": f.image for c in found.cameras for f in c.frames}
     for view in scene_of(found).train:
         assert (view.camera.width, view.camera.fx, view.camera.cx) == (96, 180, 48)
         assert (np.asarray(view.image) == frames[view.name.split("/")[1]]).all() and view.image.shape == (64, 96, 3)
