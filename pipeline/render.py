@@ -20,9 +20,8 @@ from datasets.cameras.pose_file import read_poses
 from datasets.canonical import Canonical
 from pipeline.evaluation.pictures.camera_path import FRAME_RATE, PathFrame
 from pipeline.evaluation.pictures.false_colour import depth_picture, depth_range, flow_picture
-from pipeline.evaluation.pictures.films import video
-from pipeline.evaluation.pictures.geometry_pictures import longest_flow, save_picture
-from pipeline.evaluation.pictures.view_pictures import path_of
+from pipeline.evaluation.pictures.films import path_of, video
+from pipeline.evaluation.pictures.view_pictures import longest_flow, save_picture
 from pipeline.evaluation.renderer import Renderer
 from pipeline.terminal.command_line import CommandParser, command, log
 from pipeline.trained.open_run import open_run

@@ -22,18 +22,11 @@ from pipeline.data.frame_order import film_order
 from pipeline.data.training_views import Target, camera_at, evenly_spaced, target_of
 from pipeline.evaluation.flicker import FlickerMeter
 from pipeline.evaluation.image_metrics import MS_SSIM_SMALLEST_SIDE, SSIM_SMALLEST_SIDE
-from pipeline.evaluation.metrics import MeasuredView, means, measure
+from pipeline.evaluation.metrics import MeasuredView, SeeView, means, measure
 from pipeline.evaluation.moving_pixels import MovingPixels
 from pipeline.evaluation.perceptual import Perceptual
-from pipeline.evaluation.pictures.films import HeldOutFilms
-from pipeline.evaluation.pictures.geometry_pictures import write_geometry, write_rendered_depth
-from pipeline.evaluation.pictures.view_pictures import (
-    SaveImages,
-    png_saver,
-    write_bullet_time,
-    write_clip_films,
-    write_moving,
-)
+from pipeline.evaluation.pictures.films import HeldOutFilms, write_bullet_time, write_clip_films
+from pipeline.evaluation.pictures.view_pictures import picture_saver
 from pipeline.evaluation.renderer import Renderer, frames_per_second
 from pipeline.model.model import Model
 from rasterizer import Camera, Rasterizer
@@ -69,12 +62,7 @@ def refuse_small_images(scene: Scene, scale: float) -> None:
 
 
 def evaluate(
-    model: Model,
-    scene: Scene,
-    cfg: Config,
-    threads: int,
-    save: SaveImages | None = None,
-    film: SaveImages | None = None,
+    model: Model, scene: Scene, cfg: Config, threads: int, save: SeeView | None = None, film: SeeView | None = None
 ) -> Evaluation:
     """Measure `model` on every test view of `scene`, at the final resolution of training.
 
@@ -125,9 +113,9 @@ def evaluate(
                 share = None if seen.dynamic is None else float(seen.dynamic.mean())
                 rows[index] = {"view": view.name, "time": view.time, **row, "moving_share": share, "n_alive": alive}
                 if save is not None and index in saved:
-                    save(view.name, seen.image, seen.truth)
+                    save(view.name, seen)
                 if film is not None:
-                    film(view.name, seen.image, seen.truth)
+                    film(view.name, seen)
 
     per_image = [rows[index] for index in range(len(scene.test))]
     metrics: dict[str, float | str | None] = {**means(per_image), "lpips_note": perceptual.note}
@@ -140,20 +128,16 @@ def evaluate(
 
 def evaluate_with_images(model: Model, scene: Scene, cfg: Config, threads: int, folder: Path) -> Evaluation:
     """`evaluate`, with images in `folder` and, for a filmed scene with `evaluate.videos`, videos: one per test camera
-    (films.HeldOutFilms) and bullet_time.mp4 (pictures.write_bullet_time); of one clip pictures.write_clip_films."""
-    save = png_saver(folder)
-    write_moving(folder, scene, cfg)
-    write_geometry(folder, Renderer(model, scene, cfg, Rasterizer(threads=threads)))
-    if scene.capture == "drive":
-        write_rendered_depth(folder, Renderer(model, scene, cfg, Rasterizer(threads=threads)))
+    (films.HeldOutFilms) and bullet_time.mp4 (films.write_bullet_time); of one clip films.write_clip_films."""
+    save, renderer = picture_saver(folder, scene), Renderer(model, scene, cfg, Rasterizer(threads=threads))
     if not cfg.evaluate.videos or scene.frame_rate is None:
         found = evaluate(model, scene, cfg, threads, save)
         if cfg.evaluate.videos and scene.playback_rate is not None:
-            write_clip_films(folder, Renderer(model, scene, cfg, Rasterizer(threads=threads)), scene.playback_rate)
+            write_clip_films(folder, renderer, scene.playback_rate)
         return found
     with HeldOutFilms(folder, scene.playback_rate or scene.frame_rate) as film:
         found = evaluate(model, scene, cfg, threads, save, film)
-    write_bullet_time(folder / "bullet_time.mp4", Renderer(model, scene, cfg, Rasterizer(threads=threads)))
+    write_bullet_time(folder / "bullet_time.mp4", renderer)
     return found
 
 
@@ -162,12 +146,13 @@ def _geometry_of(
 ) -> dict[str, Any]:
     """Dynamic region, ground truth, LiDAR depths and rendered geometry of one test view, as MeasuredView takes them.
 
-    sweep: of the view's frame. Geometry is rendered only where there is something to compare it with.
+    sweep: of the view's frame. Geometry is rendered where there is something to compare it with, or a picture of it.
     """
     known = moving.truth_of(index)
     lidar = None if sweep is None else depth_image(sweep.points, target.camera)
     geometry = None
-    if lidar is not None or (known is not None and (known.depth is not None or known.flow is not None)):
+    has_truth = known is not None and (known.depth is not None or known.flow is not None)
+    if has_truth or lidar is not None or renderer.scene.capture == "drive":
         geometry = renderer.geometry(target.camera, target.time, None if known is None else known.flow_dt)
     return {"dynamic": moving.of(index, known), "geometry": geometry, "known": known, "lidar": lidar}
 

@@ -87,6 +87,9 @@ class MeasuredView:
         return lidar_errors(self.geometry.depth, self.lidar, self.metre)
 
 
+SeeView = Callable[[str, MeasuredView], None]  # takes the name of a test view and the view
+
+
 @dataclass(frozen=True)
 class Metric:
     """One number of metrics.json, and how it is shown.

@@ -19,7 +19,7 @@ import numpy as np
 
 from datasets.files.atomic_write import atomic_file, write_json, write_text
 from pipeline.evaluation.pictures.camera_path import bullet_time
-from pipeline.evaluation.pictures.view_pictures import path_of, write_bullet_time
+from pipeline.evaluation.pictures.films import path_of, write_bullet_time
 from pipeline.evaluation.renderer import Renderer
 from pipeline.figures.figure import FILE, Figure, panels, png_of
 from pipeline.figures.motion import flow_figure, most_moving

@@ -12,7 +12,7 @@ from pipeline.data.training_views import Target, target_of
 from pipeline.evaluation.image_metrics import flow_errors
 from pipeline.evaluation.moving_pixels import MovingPixels
 from pipeline.evaluation.pictures.false_colour import flow_picture
-from pipeline.evaluation.pictures.geometry_pictures import flow_parts, longest_flow
+from pipeline.evaluation.pictures.view_pictures import flow_parts, longest_flow
 from pipeline.evaluation.renderer import Renderer
 from pipeline.figures.figure import Figure, panels, png_of
 

@@ -1,7 +1,8 @@
-"""Writes H.264 videos (4:2:0, .mp4) frame by frame, without keeping frames in memory."""
+"""Videos of an evaluation: H.264 (4:2:0, .mp4), written frame by frame, without keeping frames in memory."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -10,7 +11,13 @@ from types import TracebackType
 import numpy as np
 
 from datasets.files.atomic_write import atomic_file
+from datasets.scene import View
 from pipeline.data.frame_order import camera_name
+from pipeline.data.training_views import camera_at, target_of
+from pipeline.evaluation.metrics import MeasuredView
+from pipeline.evaluation.pictures.camera_path import FRAME_RATE, Ellipse, bullet_time, ellipse_among, median_depth
+from pipeline.evaluation.renderer import Renderer
+from rasterizer import Camera
 
 # x264's constant rate factor, 0 (lossless) to 51; 18 is visually lossless. No metric is computed from a video.
 QUALITY = 18
@@ -75,7 +82,7 @@ def video(path: Path, width: int, height: int, frame_rate: float) -> Iterator[Se
 class HeldOutFilms:
     """Writes <camera>_render_and_truth.mp4 for each test camera: render left, ground truth right. A context manager.
 
-    Call it with every test view's name and images in film order (frame_order.film_order).
+    Call it with every test view in film order (frame_order.film_order).
     """
 
     def __init__(self, folder: Path, frame_rate: float) -> None:
@@ -92,8 +99,8 @@ class HeldOutFilms:
     ) -> None:
         self._open.__exit__(kind, error, trace)
 
-    def __call__(self, view_name: str, image: np.ndarray, truth: np.ndarray) -> None:
-        pair = np.concatenate([image, truth], axis=1)
+    def __call__(self, view_name: str, seen: MeasuredView) -> None:
+        pair = np.concatenate([seen.image, seen.truth], axis=1)
         if camera_name(view_name) != self._camera:
             self._open.close()  # finishes the previous camera's video
             self._camera = camera_name(view_name)
@@ -101,3 +108,51 @@ class HeldOutFilms:
             self._send = self._open.enter_context(video(path, pair.shape[1], pair.shape[0], self._frame_rate))
         assert self._send is not None
         self._send(pair)
+
+
+def path_of(renderer: Renderer) -> tuple[Ellipse, Camera]:
+    """The ellipse among the training cameras, and a camera with the intrinsics of its images."""
+    scene, scale = renderer.scene, renderer.cfg.train.resolution_scale
+    cameras, intrinsics = [view.camera for view in scene.train], camera_at(scene.test[0].camera, scale)
+    points, sphere = renderer.model.parameters["mean"][:, :3], renderer.model.sphere
+    depth = median_depth((points if sphere is None else points[~sphere]).numpy(), intrinsics)
+    return ellipse_among(cameras, default_depth=depth or scene.extent), intrinsics
+
+
+def write_bullet_time(path: Path, renderer: Renderer) -> None:
+    """A video along camera_path's ellipse among the training cameras, with the intrinsics of the first test camera."""
+    scene = renderer.scene
+    ellipse, intrinsics = path_of(renderer)
+    with video(path, intrinsics.width, intrinsics.height, FRAME_RATE) as send:
+        for frame in bullet_time(ellipse, intrinsics, scene.time_start, scene.duration):
+            send(renderer.image(frame.camera, frame.time))
+
+
+def write_clip_films(folder: Path, renderer: Renderer, frame_rate: float) -> None:
+    """Three videos of cameras that move: path_render_and_truth.mp4, every frame beside its render (held-out ones
+    included, one camera after the other, in order of time); still_camera.mp4, all times of one camera seen by its
+    middle frame; and bullet_time.mp4."""
+    scene, scale = renderer.scene, renderer.cfg.train.resolution_scale
+
+    places = Counter(view.camera.world_to_cam.tobytes() for view in scene.train + scene.test)
+
+    def taker(view: View) -> str:
+        place = view.camera.world_to_cam.tobytes()
+        return view.filmed_by or (
+            place.hex() if places[place] > 1 else ""
+        )  # a held-out camera that stands still beside a clip
+
+    views = sorted(scene.train + scene.test, key=lambda view: (taker(view), view.time))
+    middle = views[len(views) // 2]
+    still = camera_at(middle.camera, scale)
+    width, height = still.width, still.height
+    with video(folder / "path_render_and_truth.mp4", 2 * width, height, frame_rate) as send:
+        for view in views:
+            target = target_of(view, scale)
+            image = renderer.image(target.camera, target.time)
+            send(np.concatenate([image, target.image.numpy().transpose(1, 2, 0)], axis=1))
+    with video(folder / "still_camera.mp4", width, height, frame_rate) as send:
+        for view in views:
+            if taker(view) == taker(middle):
+                send(renderer.image(still, view.time))
+    write_bullet_time(folder / "bullet_time.mp4", renderer)

@@ -29,7 +29,7 @@ def scene_of(model: Model) -> Scene:
     """A scene whose test images are the model's own renders, rounded to 8 bits."""
     scene = tiny_scene()
     rendered: dict[str, np.ndarray] = {}
-    evaluate(model, scene, evaluation_config(renders=-1), 1, lambda name, image, truth: rendered.update({name: image}))
+    evaluate(model, scene, evaluation_config(renders=-1), 1, lambda name, seen: rendered.update({name: seen.image}))
     test = tuple(replace(view, image=np.round(rendered[view.name] * 255).astype(np.uint8)) for view in scene.test)
     return replace(scene, test=test)
 
@@ -61,7 +61,7 @@ def test_a_new_metric_is_one_entry_of_the_list(model: Model, monkeypatch) -> Non
     )
     images: list[np.ndarray] = []
     cfg = evaluation_config(renders=-1)
-    found = evaluate(model, tiny_scene(), cfg, 1, lambda name, image, truth: images.append(image))
+    found = evaluate(model, tiny_scene(), cfg, 1, lambda name, seen: images.append(seen.image))
     assert [row["brightest"] for row in found.per_image] == [float(image.max()) for image in images]
     assert found.metrics["brightest"] == np.mean([image.max() for image in images], dtype=np.float64)
     table = quality_table(found.metrics, None)
@@ -137,7 +137,13 @@ def test_n_alive_counts_temporal_marginals_of_at_least_005() -> None:
 def test_flicker_is_measured_on_consecutive_frames_of_each_camera(model: Model) -> None:
     scene, images = tiny_film(frames=5), {}
     scene = replace(scene, test=tuple(view for view in scene.test if view.name != "test/cam05_0002"))
-    found = evaluate(model, scene, evaluation_config(renders=-1), 2, lambda name, *pair: images.update({name: pair}))
+    found = evaluate(
+        model,
+        scene,
+        evaluation_config(renders=-1),
+        2,
+        lambda name, seen: images.update({name: (seen.image, seen.truth)}),
+    )
     assert [row["view"] for row in found.per_image] == [view.name for view in scene.test]
     expected = {}
     for row in found.per_image:
@@ -158,7 +164,7 @@ def test_photographs_have_no_flicker(model: Model) -> None:
 
 def test_film_is_called_in_film_order(model: Model) -> None:
     names: list[str] = []
-    evaluate(model, tiny_film(frames=3), evaluation_config(), 2, film=lambda name, image, truth: names.append(name))
+    evaluate(model, tiny_film(frames=3), evaluation_config(), 2, film=lambda name, seen: names.append(name))
     assert names == [f"test/{camera}_{number:04d}" for camera in ("cam00", "cam05") for number in range(3)]
 
 
@@ -166,7 +172,7 @@ def test_the_near_plane_is_in_the_scenes_unit(model: Model) -> None:
     """The cameras are at distance 4: with a near plane at 0.2 × 100 only the background is visible."""
     scene = replace(tiny_scene(), unit=100.0, background=(0.0, 1.0, 0.0))
     images: list[np.ndarray] = []
-    evaluate(model, scene, evaluation_config(renders=-1), 1, lambda name, image, truth: images.append(image))
+    evaluate(model, scene, evaluation_config(renders=-1), 1, lambda name, seen: images.append(seen.image))
     assert all((image == (0.0, 1.0, 0.0)).all() for image in images)
 
 
@@ -174,14 +180,14 @@ def test_renders_have_the_final_resolution_of_training(model: Model) -> None:
     cfg = evaluation_config()
     cfg = replace(cfg, train=replace(cfg.train, resolution_scale=0.5))
     sizes = []
-    evaluate(model, tiny_scene(), cfg, 1, lambda name, image, truth: sizes.append((image.shape, truth.shape)))
+    evaluate(model, tiny_scene(), cfg, 1, lambda name, seen: sizes.append((seen.image.shape, seen.truth.shape)))
     assert set(sizes) == {((SIZE // 2, SIZE // 2, 3),) * 2}
 
 
 @pytest.mark.parametrize("renders, expected", [(0, []), (2, [0, 2]), (-1, [0, 1, 2]), (99, [0, 1, 2])])
 def test_evaluate_renders_selects_the_saved_views(model: Model, renders: int, expected: list[int]) -> None:
     scene, saved = tiny_scene(), []
-    evaluate(model, scene, evaluation_config(renders=renders), 1, lambda name, image, truth: saved.append(name))
+    evaluate(model, scene, evaluation_config(renders=renders), 1, lambda name, seen: saved.append(name))
     assert saved == [scene.test[i].name for i in expected]
 
 
@@ -207,7 +213,7 @@ def test_psnr_is_of_the_clamped_render() -> None:
     model.parameters["opacity_logit"][:] = 8.0
     model.parameters["log_scale"][:] = 1.0
     images: list[np.ndarray] = []
-    found = evaluate(model, scene, evaluation_config(renders=-1), 1, lambda name, image, truth: images.append(image))
+    found = evaluate(model, scene, evaluation_config(renders=-1), 1, lambda name, seen: images.append(seen.image))
     assert images[0].max() <= 1.0
     assert found.metrics["psnr"] == pytest.approx(psnr(images[0], np.ones_like(images[0])))
 

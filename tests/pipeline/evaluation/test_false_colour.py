@@ -11,6 +11,7 @@ from moving_gaussian import VELOCITY, moving_gaussian, scene_with_truth
 from PIL import Image
 from tiny import evaluation_config
 
+from pipeline.evaluation.evaluate import evaluate_with_images
 from pipeline.evaluation.pictures.false_colour import (
     depth_picture,
     depth_range,
@@ -18,9 +19,7 @@ from pipeline.evaluation.pictures.false_colour import (
     flow_picture,
     value_picture,
 )
-from pipeline.evaluation.pictures.geometry_pictures import GAP, depth_parts, write_geometry
-from pipeline.evaluation.renderer import Renderer
-from rasterizer import Rasterizer
+from pipeline.evaluation.pictures.view_pictures import GAP, depth_parts
 
 
 @pytest.mark.parametrize("angle", [0.0, 60.0, 135.0, 300.0])
@@ -53,10 +52,9 @@ def test_depth_error_is_relative_and_only_where_the_truth_is_known() -> None:
 
 
 def test_an_evaluation_writes_pictures_where_the_truth_is_known(tmp_path: Path) -> None:
-    renderer = Renderer(
-        moving_gaussian(VELOCITY), scene_with_truth(tmp_path), evaluation_config(), Rasterizer(threads=1)
-    )
-    write_geometry(tmp_path, renderer)
+    cfg = evaluation_config(videos=False)
+    evaluate_with_images(moving_gaussian(VELOCITY), scene_with_truth(tmp_path), cfg, 1, tmp_path)
+    assert (np.asarray(Image.open(tmp_path / "test_r_0_moving.png")) > 0).any()
     for name in ("test_r_0_depth.png", "test_r_0_flow.png"):
         picture = np.asarray(Image.open(tmp_path / name))
         assert picture.shape == (32, 3 * 32 + 2 * GAP, 3)

@@ -152,7 +152,7 @@ def test_foreground_is_where_alpha_is() -> None:
         replace(scene, test=test),
         evaluation_config(renders=-1),
         1,
-        lambda name, *pair: images.update({name: pair}),
+        lambda name, seen: images.update({name: (seen.image, seen.truth)}),
     )
     image, truth = images[test[0].name]
     assert found.per_image[0]["psnr_foreground"] == pytest.approx(masked_psnr(image, truth, alpha > 0))
