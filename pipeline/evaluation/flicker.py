@@ -13,18 +13,8 @@ from datasets.scene import View
 from pipeline.data.frame_order import is_next_frame
 
 
-def residual(image: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """image - truth, (H, W, 3) float32 in [-1, 1]; both images in [0, 1]."""
-    return np.subtract(image, truth, dtype=np.float32)
-
-
-def flicker(residuals: np.ndarray) -> float:
-    """Flicker of the residuals (F, H, W, 3) of consecutive frames, F >= 2, in the unit of the residuals."""
-    return float(np.mean(np.abs(np.diff(residuals, axis=0)), dtype=np.float64))
-
-
 class FlickerMeter:
-    """`flicker` computed frame by frame; it keeps only the previous residual."""
+    """Computed frame by frame; it keeps only the previous residual."""
 
     def __init__(self, frame_rate: float | None) -> None:
         """frame_rate: frames per unit of the scene's time; None for photographs, which have no flicker."""
@@ -35,7 +25,7 @@ class FlickerMeter:
         """Mean |r_t - r_{t-1}| of this frame; None unless the previous call was for the previous frame."""
         if self._frame_rate is None:
             return None
-        now, before = residual(image, truth), self._before
+        now, before = np.subtract(image, truth, dtype=np.float32), self._before
         self._before = (view, now)
         if before is None or not is_next_frame(before[0], view, self._frame_rate):
             return None

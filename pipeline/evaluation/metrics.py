@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -52,9 +53,6 @@ class MeasuredView:
         if not np.isfinite(image).all():
             raise ValueError("metrics: expected finite pixels, found NaN or Inf in the render")
 
-    def psnr(self, mask: np.ndarray | None) -> float | None:
-        return masked_psnr(self.image, self.truth, mask)
-
     @cached_property
     def ssim(self) -> float:
         return ssim(self.image, self.truth)
@@ -64,27 +62,21 @@ class MeasuredView:
         return ms_ssim(self.image, self.truth)
 
     @cached_property
-    def flow(self) -> Row:
-        """image_metrics.flow_errors over the dynamic region."""
+    def errors(self) -> Row:
+        """Of depth and flow (image_metrics.depth_errors, flow_errors over the dynamic region, lidar_errors); only those
+        whose truth is known."""
         found, known = self.geometry, self.known
-        if found is None or known is None or found.flow is None or known.flow is None or self.dynamic is None:
+        errors: dict[str, float | None] = {}
+        if found is None:
             return {}
-        assert known.flow_valid is not None
-        return flow_errors(found.flow, known.flow, known.flow_valid & self.dynamic)
-
-    @cached_property
-    def depth(self) -> Row:
-        """image_metrics.depth_errors."""
-        if self.geometry is None or self.known is None or self.known.depth is None:
-            return {}
-        return depth_errors(self.geometry.depth, self.known.depth)
-
-    @cached_property
-    def lidar_errors(self) -> Row:
-        """image_metrics.lidar_errors."""
-        if self.geometry is None or self.lidar is None:
-            return {}
-        return lidar_errors(self.geometry.depth, self.lidar, self.metre)
+        if known is not None and known.depth is not None:
+            errors |= depth_errors(found.depth, known.depth)
+        if known is not None and known.flow is not None and found.flow is not None and self.dynamic is not None:
+            assert known.flow_valid is not None
+            errors |= flow_errors(found.flow, known.flow, known.flow_valid & self.dynamic)
+        if self.lidar is not None:
+            errors |= lidar_errors(found.depth, self.lidar, self.metre)
+        return errors
 
 
 SeeView = Callable[[str, MeasuredView], None]  # takes the name of a test view and the view
@@ -138,6 +130,22 @@ _DSSIM = (
 )
 _FPS = "FPS: the whole renderer, from 4D Gaussians to the image. FPS, blending: that stage alone."
 
+
+def _region(key: str, title: str, region: Callable[[MeasuredView], np.ndarray | None]) -> Metric:
+    """PSNR over some pixels, (H, W) bool."""
+
+    def measure(view: MeasuredView) -> float | None:
+        return masked_psnr(view.image, view.truth, region(view))
+
+    return Metric(key, title, "dB", group="region", measure=measure, partial=True, note=_REGION)
+
+
+def _error(key: str, title: str, unit: str, decimals: int, group: str, note: str, **others: Any) -> Metric:
+    """One of MeasuredView.errors."""
+    shown = {"better": "lower", "measure": lambda view: view.errors.get(key), "partial": True, **others}
+    return Metric(key, title, unit, decimals, group=group, note=note, **shown)
+
+
 METRICS: dict[str, Metric] = {
     metric.key: metric
     for metric in (
@@ -155,54 +163,18 @@ METRICS: dict[str, Metric] = {
             "dssim2", "DSSIM2", "", 4, "lower", "similarity", note=_DSSIM,
             measure=lambda view: (1.0 - ssim(view.image, view.truth, data_range=2.0)) / 2.0,
         ),
-        Metric(
-            "psnr_moving", "PSNR, dynamic region", "dB", 2, "higher", "region",
-            lambda view: view.psnr(view.dynamic), partial=True, note=_REGION,
-        ),
-        Metric(
-            "psnr_still", "PSNR, static region", "dB", 2, "higher", "region",
-            lambda view: None if view.dynamic is None else view.psnr(~view.dynamic), partial=True, note=_REGION,
-        ),
-        Metric(
-            "psnr_foreground", "PSNR, foreground", "dB", 2, "higher", "region",
-            lambda view: view.psnr(view.foreground), partial=True, note=_REGION,
-        ),
-        Metric(
-            "psnr_masked", "PSNR, valid pixels", "dB", 2, "higher", "region",
-            lambda view: view.psnr(view.valid), partial=True, note=_REGION,
-        ),
-        Metric(
-            "flow_error", "Flow error", "", 3, "lower", "flow", lambda view: view.flow.get("flow_error"),
-            partial=True, ratio_of=("flow_error_px", "flow_true_px"), note=_FLOW,
-        ),
-        Metric(
-            "flow_error_px", "End-point error", "px", 2, "lower", "flow", lambda view: view.flow.get("flow_error_px"),
-            partial=True, note=_FLOW,
-        ),
-        Metric(
-            "flow_true_px", "True flow", "px", 2, "", "flow", lambda view: view.flow.get("flow_true_px"),
-            partial=True, note=_FLOW,
-        ),
-        Metric(
-            "depth_error_median", "Depth error, median", "", 4, "lower", "depth",
-            lambda view: view.depth.get("depth_error_median"), partial=True, note=_DEPTH,
-        ),
-        Metric(
-            "depth_error_mean", "Depth error, mean", "", 4, "lower", "depth",
-            lambda view: view.depth.get("depth_error_mean"), partial=True, note=_DEPTH,
-        ),
-        Metric(
-            "lidar_error_median", "LiDAR depth error, median", "", 4, "lower", "lidar",
-            lambda view: view.lidar_errors.get("lidar_error_median"), partial=True, note=_LIDAR,
-        ),
-        Metric(
-            "lidar_error_mean", "LiDAR AbsRel", "", 4, "lower", "lidar",
-            lambda view: view.lidar_errors.get("lidar_error_mean"), partial=True, note=_LIDAR,
-        ),
-        Metric(
-            "lidar_rmse", "LiDAR RMSE", "m", 2, "lower", "lidar",
-            lambda view: view.lidar_errors.get("lidar_rmse"), partial=True, note=_LIDAR,
-        ),
+        _region("psnr_moving", "PSNR, dynamic region", lambda view: view.dynamic),
+        _region("psnr_still", "PSNR, static region", lambda view: None if view.dynamic is None else ~view.dynamic),
+        _region("psnr_foreground", "PSNR, foreground", lambda view: view.foreground),
+        _region("psnr_masked", "PSNR, valid pixels", lambda view: view.valid),
+        _error("flow_error", "Flow error", "", 3, "flow", _FLOW, ratio_of=("flow_error_px", "flow_true_px")),
+        _error("flow_error_px", "End-point error", "px", 2, "flow", _FLOW),
+        _error("flow_true_px", "True flow", "px", 2, "flow", _FLOW, better=""),
+        _error("depth_error_median", "Depth error, median", "", 4, "depth", _DEPTH),
+        _error("depth_error_mean", "Depth error, mean", "", 4, "depth", _DEPTH),
+        _error("lidar_error_median", "LiDAR depth error, median", "", 4, "lidar", _LIDAR),
+        _error("lidar_error_mean", "LiDAR AbsRel", "", 4, "lidar", _LIDAR),
+        _error("lidar_rmse", "LiDAR RMSE", "m", 2, "lidar", _LIDAR),
         Metric(
             "flicker", "Flicker", "levels of 255", 2, "lower", "flicker", lambda view: view.flicker,
             partial=True, scale=255.0,

@@ -8,7 +8,7 @@ from tiny import tiny_scene
 
 from datasets.scene import View
 from pipeline.data.frame_order import camera_name, film_order, is_next_frame
-from pipeline.evaluation.flicker import FlickerMeter, flicker, residual
+from pipeline.evaluation.flicker import FlickerMeter
 from pipeline.evaluation.metrics import METRICS, mean
 
 CAMERA = tiny_scene().test[0].camera
@@ -49,7 +49,6 @@ def test_against_loops() -> None:
     found = metered(images, truths, [frame(i) for i in range(4)])
     assert found[0] is None and found[1:] == pytest.approx(changes, abs=FLOAT32)
     assert mean_flicker(found) == pytest.approx(sum(changes) / 3, abs=FLOAT32)
-    assert flicker(residual(images, truths)) == pytest.approx(sum(changes) / 3, abs=FLOAT32)
 
 
 def test_a_constant_error_does_not_flicker() -> None:
@@ -64,7 +63,6 @@ def test_an_alternating_error_flickers_by_twice_its_size() -> None:
     signs = np.float32([1, -1, 1, -1, 1]).reshape(-1, 1, 1, 1)
     found = metered(truths + np.float32(0.125) * signs, truths, [frame(i) for i in range(5)])
     assert found == [None, 0.25, 0.25, 0.25, 0.25] and mean_flicker(found) == 0.25
-    assert flicker(residual(truths + np.float32(0.125) * signs, truths)) == 0.25
 
 
 def test_flicker_depends_on_the_order_of_the_errors() -> None:
