@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.export.formats import FORMATS, CheckpointFormat, write_files
+from pipeline.export.formats import FORMATS, MODEL, write_files
 from pipeline.export.source import Source, open_source
 from pipeline.terminal.command_line import CommandParser, command, log
 
@@ -37,7 +37,7 @@ def main(arguments: list[str]) -> int:
         size = sum(path.stat().st_size for path in paths)
         files = f"{paths[0].name} … {paths[-1].name}" if len(paths) > 1 else paths[0].name
         lost = FORMATS[name].loses
-        if source.model.environment_map is not None and not isinstance(FORMATS[name], CheckpointFormat):
+        if source.model.environment_map is not None and FORMATS[name].holds != MODEL:
             lost += "; the environment map"
         log(f"{folder}/{files}: {size / 1e6:.1f} MB; lost: {lost}")
     return 0

@@ -8,77 +8,61 @@ from pathlib import Path
 
 from datasets.files.atomic_write import atomic_file
 from pipeline.export.frame import frame_at
-from pipeline.export.moving import MovingGaussians, moving_gaussians
-from pipeline.export.source import Source, Timeline
+from pipeline.export.moving import moving_gaussians
+from pipeline.export.source import Source
 from pipeline.export.static_formats import glb_bytes, splat_bytes, spz_bytes
 from pipeline.export.temporal_formats import fourdgs_bytes, ftgs_bytes, splatv_bytes
-from pipeline.model.model import Model
 from pipeline.model.ply import ply_bytes
 from pipeline.model.released_checkpoint import released_bytes
+
+FRAME, FILM, MODEL = "a frame a file", "all of time", "the 4D Gaussians"  # what a file holds
 
 
 @dataclass(frozen=True)
 class Format:
+    """content takes what a file holds. FRAME: a static model. FILM: MovingGaussians, which move on lines and fade, and
+    the Timeline. MODEL: the model, in the coordinates of the data's files."""
+
+    holds: str
     read_by: str
     loses: str
-
-
-@dataclass(frozen=True)
-class FrameFormat(Format):
-    """A file holds one frame, a static model."""
-
-    holds = "a frame a file"
-    content: Callable[[Model], bytes]
-
-
-@dataclass(frozen=True)
-class FilmFormat(Format):
-    """A file holds all of time, as Gaussians that move on lines and fade."""
-
-    holds = "all of time"
-    content: Callable[[MovingGaussians, Timeline], bytes]
-
-
-@dataclass(frozen=True)
-class CheckpointFormat(Format):
-    """A file holds the 4D Gaussians themselves, in the coordinates of the data's files."""
-
-    holds = "the 4D Gaussians"
-    content: Callable[[Model], bytes]
+    content: Callable[..., bytes]
 
 
 _NO_4DSH = "colours that change with time (their mean is kept)"
 
-FORMATS: dict[str, FrameFormat | FilmFormat | CheckpointFormat] = {
-    "ply": FrameFormat("viewers of 3DGS, SuperSplat (which plays a sequence)", "nothing of the frame", ply_bytes),
-    "splat": FrameFormat(
-        "most web viewers", "SH of degree 1 and more; colours, opacities and rotations have 8 bits", splat_bytes
+FORMATS = {
+    "ply": Format(FRAME, "viewers of 3DGS, SuperSplat (which plays a sequence)", "nothing of the frame", ply_bytes),
+    "splat": Format(
+        FRAME, "most web viewers", "SH of degree 1 and more; colours, opacities and rotations have 8 bits", splat_bytes
     ),
-    "spz": FrameFormat(
+    "spz": Format(
+        FRAME,
         "Niantic's viewers, SuperSplat, Babylon.js",
         "nothing but bits: colours, opacities and scales have 8, rotations 10; SH are multiples of 1/128, "
         "positions of 1/4096",
         spz_bytes,
     ),
-    "glb": FrameFormat("Babylon.js, Cesium, PlayCanvas (KHR_gaussian_splatting)", "nothing of the frame", glb_bytes),
-    "ftgs.ply": FilmFormat(
-        "ftgs-player",
-        f"{_NO_4DSH}; the threshold of p(t)",
-        lambda moving, line: ftgs_bytes(moving, line.start, line.duration, line.frames),
-    ),
-    "splatv": FilmFormat(
+    "glb": Format(FRAME, "Babylon.js, Cesium, PlayCanvas (KHR_gaussian_splatting)", "nothing of the frame", glb_bytes),
+    "ftgs.ply": Format(FILM, "ftgs-player", f"{_NO_4DSH}; the threshold of p(t)", ftgs_bytes),
+    "splatv": Format(
+        FILM,
         "gsplat.js, splaTV",
         f"SH of degree 1 and more; {_NO_4DSH}; colours and opacities have 8 bits, all but positions half precision; "
         "p(t) ends at 0.02 instead of 0.05",
-        lambda moving, line: splatv_bytes(moving, line.start, line.duration, line.camera),
+        splatv_bytes,
     ),
-    "4dgs": FilmFormat(
+    "4dgs": Format(
+        FILM,
         "fourdgs and its players",
         f"{_NO_4DSH}; SH have 8 bits, all else an error bound that the file states",
-        lambda moving, line: fourdgs_bytes(moving, line.start, line.duration, line.seconds),
+        fourdgs_bytes,
     ),
-    "pth": CheckpointFormat(
-        "the released program (--start_checkpoint)", "the optimizer's moments, the label of a sphere", released_bytes
+    "pth": Format(
+        MODEL,
+        "the released program (--start_checkpoint)",
+        "the optimizer's moments, the label of a sphere",
+        released_bytes,
     ),
 }
 
@@ -91,12 +75,12 @@ def write_files(name: str, source: Source, times: Sequence[float], folder: Path,
     and format do not fit, or the file of the model would be replaced.
     """
     form = FORMATS[name]
-    model, line = source.in_world() if world or isinstance(form, CheckpointFormat) else (source.model, source.timeline)
+    model, line = source.in_world() if world or form.holds == MODEL else (source.model, source.timeline)
     _spare(source, folder, name)
     folder.mkdir(parents=True, exist_ok=True)
-    if isinstance(form, CheckpointFormat):
+    if form.holds == MODEL:
         yield _written(folder / f"{source.name}.{name}", form.content(model))
-    elif isinstance(form, FilmFormat):
+    elif form.holds == FILM:
         moving = moving_gaussians(model, line.start, line.duration)
         yield _written(folder / f"{source.name}.{name}", form.content(moving, line))
     else:

@@ -25,7 +25,7 @@ class Timeline:
     duration: float
     seconds: float = PLAYED_SECONDS  # of playback
     frames: int = FRAMES  # Scene.frame_count; for a player's slider
-    camera: Camera | None = None  # that a player begins with; None: unknown
+    camera: Camera | None = None  # that a player begins with; None: one that has the Gaussians before it
 
     @property
     def end(self) -> float:

@@ -22,6 +22,7 @@ from torch import Tensor
 
 from pipeline.export.frame import colours, logit
 from pipeline.export.moving import MovingGaussians
+from pipeline.export.source import Timeline
 from rasterizer import Camera
 
 
@@ -38,9 +39,9 @@ def _degree(rest: Tensor) -> int:
 # ---- .ftgs.ply ----
 
 
-def ftgs_bytes(moving: MovingGaussians, time_start: float, duration: float, frames: int) -> bytes:
-    """The file of moving Gaussians. frames: of the sequence, for the player's slider."""
-    sigma = moving.sigma / duration
+def ftgs_bytes(moving: MovingGaussians, line: Timeline) -> bytes:
+    """The file of moving Gaussians."""
+    sigma = moving.sigma / line.duration
     rest = _channel_major(moving.sh)
     groups = {
         ("x", "y", "z"): moving.mean,
@@ -50,9 +51,9 @@ def ftgs_bytes(moving: MovingGaussians, time_start: float, duration: float, fram
         ("opacity",): logit(moving.opacity)[:, None],
         tuple(f"scale_{i}" for i in range(3)): moving.log_scale,
         tuple(f"rot_{i}" for i in range(4)): moving.quat,
-        ("time",): ((moving.time - time_start) / duration)[:, None],
+        ("time",): ((moving.time - line.start) / line.duration)[:, None],
         ("log_duration",): sigma.log()[:, None],
-        tuple(f"velocity_{i}" for i in range(3)): moving.velocity * duration,
+        tuple(f"velocity_{i}" for i in range(3)): moving.velocity * line.duration,
     }
     names = [name for group in groups for name in group]
     rows = np.zeros(len(moving), [(name, "<f4") for name in names])
@@ -66,7 +67,7 @@ def ftgs_bytes(moving: MovingGaussians, time_start: float, duration: float, fram
         "use_velocity 1",
         f"min_duration {min(0.02, float(sigma.min())) if len(moving) else 0.02:.6g}",  # 0.02 is the format's own
         "opacity_floor 0",
-        f"n_frames {frames}",
+        f"n_frames {line.frames}",
     ]
     file = io.BytesIO()
     PlyData([PlyElement.describe(rows, "vertex")], byte_order="<", comments=comments).write(file)
@@ -91,10 +92,8 @@ SPLATV_ROW = np.dtype(
 )
 
 
-def splatv_bytes(moving: MovingGaussians, time_start: float, duration: float, camera: Camera | None = None) -> bytes:
+def splatv_bytes(moving: MovingGaussians, line: Timeline) -> bytes:
     """The file of moving Gaussians; its time runs from 0 to 1. Largest first, as .splat.
-
-    camera: that a player begins with; None: one that has the Gaussians before it.
 
     Half precision: beyond ± 65,504 values become the largest, and times near 1 are multiples of 1/2048.
     """
@@ -107,10 +106,10 @@ def splatv_bytes(moving: MovingGaussians, time_start: float, duration: float, ca
     used["quat"] = moving.quat[order]
     used["scale"][:, :3] = moving.log_scale[order].exp()
     used["rgba"] = np.round(255 * rgba[order].numpy())
-    used["motion"][:, :3] = _half((moving.velocity * duration)[order])
-    used["centre"] = _half(((moving.time - time_start) / duration)[order])
-    used["width"] = _half((2**0.5 * moving.sigma / duration)[order])
-    cameras = [_entry(camera or _before(moving))]
+    used["motion"][:, :3] = _half((moving.velocity * line.duration)[order])
+    used["centre"] = _half(((moving.time - line.start) / line.duration)[order])
+    used["width"] = _half((2**0.5 * moving.sigma / line.duration)[order])
+    cameras = [_entry(line.camera or _before(moving))]
     chunk = {"type": "splat", "size": rows.nbytes, "texwidth": TEXTURE_WIDTH, "texheight": height, "cameras": cameras}
     text = json.dumps([chunk]).encode()
     return struct.pack("<II", SPLATV_MAGIC, len(text)) + text + rows.tobytes()
@@ -150,13 +149,13 @@ def _half(values: Tensor) -> np.ndarray:
 SH_LOW, SH_HIGH = -4.0, 4.0  # the format's range of a coefficient's byte
 
 
-def fourdgs_bytes(moving: MovingGaussians, time_start: float, duration: float, seconds: float) -> bytes:
-    """The file of moving Gaussians, played in `seconds`. ValueError where the library is not installed."""
+def fourdgs_bytes(moving: MovingGaussians, line: Timeline) -> bytes:
+    """The file of moving Gaussians. ValueError where the library is not installed."""
     try:
         import fourdgs
     except ImportError:
         raise ValueError("4dgs: expected the library fourdgs, found none; pip install fourdgs") from None
-    rate = seconds / duration
+    rate = line.seconds / line.duration
     rest = _channel_major(moving.sh)
     code = np.clip(np.round((rest.numpy() - SH_LOW) * 255 / (SH_HIGH - SH_LOW)), 0, 255).astype(np.uint8)
     colour = np.concatenate([colours(moving.sh).numpy(), moving.opacity[:, None].numpy()], axis=1)
@@ -166,13 +165,13 @@ def fourdgs_bytes(moving: MovingGaussians, time_start: float, duration: float, s
         rotations=moving.quat.roll(-1, dims=1).numpy().astype(np.float32),  # xyzw
         colors=colour.astype(np.float32),
         motions=(moving.velocity / rate).numpy().astype(np.float32),
-        mu_t=((moving.time - time_start) * rate).numpy().astype(np.float32),
+        mu_t=((moving.time - line.start) * rate).numpy().astype(np.float32),
         sigma_t=(moving.sigma * rate).numpy().astype(np.float32),
         win_lo=np.zeros(len(moving)),
-        win_hi=np.full(len(moving), np.nextafter(seconds, np.inf)),  # the end itself is seen
+        win_hi=np.full(len(moving), np.nextafter(line.seconds, np.inf)),  # the end itself is seen
         sh=code if code.shape[1] else None,
         sh_degree=_degree(rest),
     )
     file = io.BytesIO()
-    fourdgs.write(file, gaussians, seconds, options=fourdgs.WriteOptions(profile="fine"))
+    fourdgs.write(file, gaussians, line.seconds, options=fourdgs.WriteOptions(profile="fine"))
     return file.getvalue()

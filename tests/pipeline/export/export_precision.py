@@ -18,7 +18,7 @@ from export_readers import read_fourdgs, read_ftgs, read_glb, read_ply, read_spl
 from pipeline.data.training_views import evenly_spaced
 from pipeline.evaluation.image_metrics import psnr
 from pipeline.evaluation.renderer import Renderer
-from pipeline.export.formats import FORMATS, FilmFormat, FrameFormat
+from pipeline.export.formats import FILM, FORMATS, FRAME
 from pipeline.export.frame import frame_at
 from pipeline.export.moving import MovingGaussians, moving_gaussians
 from pipeline.export.source import PLAYED_SECONDS, Timeline
@@ -55,11 +55,11 @@ def rows(run: TrainedRun) -> dict[str, tuple[float, float]]:
     moving = moving_gaussians(plain, line.start, line.duration)
     found = {}
     for name, form in FORMATS.items():
-        if isinstance(form, FrameFormat):
+        if form.holds == FRAME:
             files = {time: form.content(frame) for time, frame in frames.items()}
             read = FRAME_READERS[name]
             found[name] = score(lambda time, read=read, files=files: read(files[time])), size_of(files.values())
-        elif isinstance(form, FilmFormat):
+        elif form.holds == FILM:
             content = form.content(moving, line)
             found[name] = score(in_time(FILM_READERS[name](content), line).at), size_of([content])
     return found
