@@ -1,6 +1,6 @@
 """Full evaluation of a model on the test views (docs/method.md 4): image metrics, flicker, speed, images and videos.
 
-Every metric is measured on every test view, except LPIPS-VGG in large scenes (perceptual.py). Flicker is measured on
+Every metric is measured on every test view, except LPIPS-VGG in large scenes (lpips.py). Flicker is measured on
 every pair of consecutive frames, speed on evenly spread views (speed.py). At 1352 × 1014 pixels a view takes 3 s of one
 core, LPIPS-Alex included. quick_evaluate.py is the cheap version for use during training.
 """
@@ -22,9 +22,9 @@ from pipeline.data.frame_order import film_order
 from pipeline.data.training_views import Target, camera_at, evenly_spaced, target_of
 from pipeline.evaluation.flicker import FlickerMeter
 from pipeline.evaluation.image_metrics import MS_SSIM_SMALLEST_SIDE, SSIM_SMALLEST_SIDE
+from pipeline.evaluation.lpips import Perceptual
 from pipeline.evaluation.metrics import MeasuredView, SeeView, means, measure
 from pipeline.evaluation.moving_pixels import MovingPixels
-from pipeline.evaluation.perceptual import Perceptual
 from pipeline.evaluation.pictures.films import HeldOutFilms, write_bullet_time, write_clip_films
 from pipeline.evaluation.pictures.view_pictures import picture_saver
 from pipeline.evaluation.renderer import Renderer, frames_per_second

@@ -40,26 +40,11 @@ def write_csv(path: Path, rows: list[dict]) -> None:
     write_text(path, text.getvalue())
 
 
-def _file(name: str) -> Any:
-    return property(lambda folder: folder.path / name)
-
-
 class RunFolder:
-    """An open run folder; a context manager that keeps other processes out until it is closed."""
+    """An open run folder; a context manager that keeps other processes out until it is closed.
 
-    config = _file("config.yaml")
-    provenance = _file("environment.json")
-    sfm = _file("sfm.json")
-    sfm_picture = _file("sfm.png")
-    canonical = _file("canonical.json")
-    init_ply = _file("init.ply")
-    checkpoint = _file("checkpoint.safetensors")
-    curve = _file("error_vs_time.csv")
-    log_file = _file("log.jsonl")
-    metrics = _file("metrics.json")
-    per_image = _file("per_image.csv")
-    renders = _file("renders")
-    viewer = _file("viewer.html")
+    Its attributes are the paths of FILES: `folder.init_ply`.
+    """
 
     def __init__(self, path: Path, resume: bool = True) -> None:
         """Open `path`, making the folder if need be. resume=False first deletes what an earlier run left there.
@@ -71,8 +56,13 @@ class RunFolder:
             path.mkdir(parents=True, exist_ok=True)
         self.path = path
         self._lock = _locked(path)
-        for name in UNFINISHED if resume else FILES + UNFINISHED:
+        for name in UNFINISHED if resume else (*FILES.values(), *UNFINISHED):
             _remove(path / name)
+
+    def __getattr__(self, name: str) -> Path:
+        if name not in FILES:
+            raise AttributeError(f"run folder: expected one of {', '.join(FILES)}, found {name}")
+        return self.path / FILES[name]
 
     def __enter__(self) -> RunFolder:
         return self
@@ -157,14 +147,14 @@ class RunFolder:
             for name in outputs:
                 _remove(self.path / name)
             stages = {name: stages[name] for name in list(stages)[: list(stages).index(stage)]}
-        write_json(self.path / "stages.json", {**stages, stage: {"inputs": inputs, "date": now()}})
+        write_json(self.stages, {**stages, stage: {"inputs": inputs, "date": now()}})
         return before is not None and "values" not in before
 
     def finish(self, stage: str, inputs: dict[str, str], commit: str, outputs: Sequence[str], values: dict) -> None:
         """Record that `stage` ended well, with the outputs that it has made."""
         there = [name for name in outputs if (self.path / name).exists()]
         record = {"inputs": inputs, "commit": commit, "date": now(), "outputs": there, "values": values}
-        write_json(self.path / "stages.json", {**read_stages(self.path), stage: record})
+        write_json(self.stages, {**read_stages(self.path), stage: record})
 
 
 def _remove(path: Path) -> None:

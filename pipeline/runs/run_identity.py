@@ -13,26 +13,26 @@ from datasets.files.errors import DataError, clear, read_json
 
 # Keys that do not change what a run computes: a finished run may be repeated with others.
 FREE_KEYS = ("out", "threads", "resume", "until", "only", "scene.cache", "evaluate", "estimate", "view", "view_at")
-FILES = (
-    "config.yaml",
-    "environment.json",
-    "stages.json",
-    "log.jsonl",
-    "sfm.json",
-    "sfm.png",
-    "canonical.json",
-    "init.ply",
-    "checkpoint.safetensors",
-    "error_vs_time.csv",
-    "metrics.json",
-    "per_image.csv",
-    "renders",
-    "exports",
-    "figures",
-    "films",
-    "viewer.html",
-)
-UNFINISHED = tuple(f"{TEMPORARY}{name}" for name in FILES)  # left behind by a killed run
+FILES = {  # by their names in the program
+    "config": "config.yaml",
+    "provenance": "environment.json",
+    "stages": "stages.json",
+    "log_file": "log.jsonl",
+    "sfm": "sfm.json",
+    "sfm_picture": "sfm.png",
+    "canonical": "canonical.json",
+    "init_ply": "init.ply",
+    "checkpoint": "checkpoint.safetensors",
+    "curve": "error_vs_time.csv",
+    "metrics": "metrics.json",
+    "per_image": "per_image.csv",
+    "renders": "renders",
+    "exports": "exports",
+    "figures": "figures",
+    "films": "films",
+    "viewer": "viewer.html",
+}
+UNFINISHED = tuple(f"{TEMPORARY}{name}" for name in FILES.values())  # left behind by a killed run
 _GROUPS = ("scene", "train", "seed")  # of every run's config.yaml
 
 
@@ -43,7 +43,7 @@ def refuse_foreign(path: Path) -> None:
     if not path.is_dir():
         raise ValueError(f"{path}: expected a run folder or nothing, found a file; give another out=DIR")
     entries = sorted(entry.name for entry in path.iterdir() if entry.name not in (".lock", *UNFINISHED))
-    strange = [name for name in entries if name not in FILES]
+    strange = [name for name in entries if name not in FILES.values()]
     if entries and not _is_run(path):
         found = (strange or entries)[0]
         raise ValueError(

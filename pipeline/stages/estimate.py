@@ -25,8 +25,7 @@ from pipeline.data.optical_flow import measured_size
 from pipeline.data.training_views import CACHE_LIMIT_BYTES
 from pipeline.evaluation.metrics import MeasuredView, measure
 from pipeline.runs.provenance import memory_gb
-from rasterizer.bench.frame_time import time_frame
-from rasterizer.bench.iteration_time import time_iteration
+from rasterizer.bench.frame_time import time_frame, time_iteration
 from rasterizer.bench.workloads import Workload, make_workload
 from rasterizer.cores import thread_count
 from rasterizer.gaussians import Gaussians

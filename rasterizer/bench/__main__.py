@@ -20,8 +20,7 @@ from pathlib import Path
 import torch
 
 from rasterizer.bench.baselines import time_loss, time_parts, time_reference
-from rasterizer.bench.frame_time import FrameTime, Time, WorkCounts, clock_for, count_work, time_frame
-from rasterizer.bench.iteration_time import time_iteration
+from rasterizer.bench.frame_time import FrameTime, Time, WorkCounts, clock_for, count_work, time_frame, time_iteration
 from rasterizer.bench.roofline import Rates, Work, bound_ms, measure_rates, work_of, write_roofline
 from rasterizer.bench.workloads import WORKLOADS, Workload, make_workload
 from rasterizer.cores import keep_freed_memory, usable_cores

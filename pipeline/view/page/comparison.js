@@ -1,11 +1,13 @@
 // The ground truth: instead of the render, beside it, behind a line that can be dragged, or as a difference.
 
 import { add, dot, length, poseOf } from "./camera.js";
+import { figureOn } from "./pane.js";
+import { $ } from "./state.js";
 
 export class Comparison {
-    constructor(scene, state, truths, stage, buttons) {
-        Object.assign(this, { scene, state, truths, stage, buttons });
-        for (const button of buttons) button.onclick = () => this.choose(button.dataset.compare);
+    constructor(scene, state, truths, stage) {
+        Object.assign(this, { scene, state, truths, stage, buttons: [...$("compare").children] });
+        for (const button of this.buttons) button.onclick = () => this.choose(button.dataset.compare);
         this.line = document.createElement("div");
         this.line.id = "wipe";
         this.line.dataset.noDrag = "";
@@ -13,11 +15,8 @@ export class Comparison {
         stage.panes[0].element.append(this.line);
         this.line.addEventListener("pointerdown", (event) => this.line.setPointerCapture(event.pointerId));
         this.line.addEventListener("pointermove", (event) => this.drag(event));
-        this.beside = document.createElement("figure");
-        this.beside.className = "pane truth";
-        this.beside.hidden = true;
-        this.beside.innerHTML = "<canvas></canvas><figcaption>ground truth</figcaption>";
-        stage.element.append(this.beside);
+        this.beside = figureOn(stage.element, "ground truth");
+        this.beside.classList.add("truth");
         state.listen(() => this.show());
         this.show();
     }

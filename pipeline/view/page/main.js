@@ -7,7 +7,7 @@ import { linkOf, stateOf } from "./link.js";
 import { followTraining } from "./live.js";
 import { bytesOfBase64, readModel } from "./model.js";
 import { Navigation } from "./navigation.js";
-import { Pane } from "./pane.js";
+import { figureOn, Pane } from "./pane.js";
 import { Panel } from "./panel.js";
 import { Stage } from "./stage.js";
 import { $, initialState } from "./state.js";
@@ -33,16 +33,8 @@ async function start() {
     if (header.live) await followTraining(panes[0], stage);
 
     const navigation = new Navigation(scene, state, $("stage"));
-    const transport = new Transport(scene, state, {
-        footer: $("transport"),
-        play: $("play"),
-        time: $("time"),
-        clock: $("clock"),
-        speed: $("speed"),
-        stepBack: $("step-back"),
-        stepOn: $("step-on"),
-    });
-    const comparison = new Comparison(scene, state, truths, stage, [...$("compare").children]);
+    const transport = new Transport(scene, state);
+    const comparison = new Comparison(scene, state, truths, stage);
     const actions = {
         reset: () => navigation.reset(),
         leave: () => navigation.leaveFor(navigation.pose()),
@@ -97,17 +89,11 @@ function makePanes(header) {
         shaders[name] = text(`shader-${name}`).trim();
     const workerUrl = URL.createObjectURL(new Blob([text("sorter")], { type: "text/javascript" }));
     return header.labels.map((label) => {
-        const element = document.createElement("figure");
-        element.className = "pane";
-        element.innerHTML = "<canvas></canvas><figcaption></figcaption>";
-        element.lastChild.textContent = header.labels.length > 1 ? label : "";
-        $("stage").append(element);
+        const element = figureOn($("stage"), header.labels.length > 1 ? label : "");
         element.firstChild.addEventListener("webglcontextlost", () =>
             say("The graphics driver dropped the scene: reload the page.", true),
         );
-        const pane = new Pane(element.firstChild, label, shaders, workerUrl);
-        pane.element = element;
-        return pane;
+        return new Pane(element, label, shaders, workerUrl);
     });
 }
 

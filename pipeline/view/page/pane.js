@@ -1,11 +1,22 @@
 // One model on the page: a canvas, its renderer, and the worker that sorts for it.
 
-import { Renderer } from "./renderer.js";
+import { dot } from "./camera.js";
+import { Renderer, slotsFor } from "./renderer.js";
+
+// A figure with a canvas and a caption, at the end of `parent`.
+export function figureOn(parent, caption) {
+    const element = document.createElement("figure");
+    element.className = "pane";
+    element.innerHTML = "<canvas></canvas><figcaption></figcaption>";
+    element.lastChild.textContent = caption;
+    parent.append(element);
+    return element;
+}
 
 export class Pane {
-    constructor(canvas, label, shaders, workerUrl) {
-        this.label = label;
-        this.renderer = new Renderer(canvas, shaders);
+    constructor(element, label, shaders, workerUrl) {
+        Object.assign(this, { element, label });
+        this.renderer = new Renderer(element.firstChild, shaders);
         this.worker = new Worker(workerUrl);
         this.worker.onmessage = ({ data }) => this.received(data);
         this.waiting = null;
@@ -15,7 +26,7 @@ export class Pane {
     setModel(model) {
         const { mean, velocity, meanT, lifetime } = model.motion;
         this.renderer.setModel(model);
-        this.order = new Uint32Array(Renderer.slots(model.header.count));
+        this.order = new Uint32Array(slotsFor(model.header.count));
         this.worker.postMessage({ gaussians: { mean, velocity, meanT, lifetime } });
     }
 
@@ -26,11 +37,7 @@ export class Pane {
     // The Gaussians in view, nearest first; a promise. One at a time.
     sort({ camera, time }, scene) {
         const forward = camera.rotation.slice(6, 9);
-        const offset = -(
-            forward[0] * camera.position[0] +
-            forward[1] * camera.position[1] +
-            forward[2] * camera.position[2]
-        );
+        const offset = -dot(forward, camera.position);
         const order = this.order;
         this.worker.postMessage({ time, forward, offset, near: scene.near, order }, [order.buffer]);
         return new Promise((resolve) => {
@@ -41,9 +48,5 @@ export class Pane {
     received(sorted) {
         this.order = sorted.order;
         this.waiting(sorted);
-    }
-
-    draw(view, sorted, scene) {
-        this.renderer.draw(view, sorted, scene);
     }
 }

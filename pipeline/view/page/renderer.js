@@ -33,7 +33,7 @@ export class Renderer {
             return texture;
         };
         const { count } = model.header;
-        const rows = Math.max(1, Math.ceil(count / SLOTS));
+        const rows = rowsFor(count);
         const float = [gl.RGBA32F, gl.RGBA, gl.FLOAT];
         this.model = model;
         this.geometry = own(dataTexture(gl, float, WIDE, 4, model.geometry));
@@ -63,9 +63,11 @@ export class Renderer {
         const range = view.colourBy === "depth" ? sorted.depths : (model.ranges[view.colourBy] ?? [0, 1]);
         const colourBy = COLOUR_BY.indexOf(view.colourBy);
 
-        this.uploadOrder(sorted);
+        const rows = rowsFor(sorted.count);
+        gl.bindTexture(gl.TEXTURE_2D, this.order);
+        gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, SLOTS, rows, gl.RED_INTEGER, gl.UNSIGNED_INT, sorted.order);
         gl.bindFramebuffer(gl.FRAMEBUFFER, this.splatTarget);
-        gl.viewport(0, 0, SLOTS, Math.max(1, Math.ceil(sorted.count / SLOTS)));
+        gl.viewport(0, 0, SLOTS, rows);
         gl.disable(gl.BLEND);
         this.preprocess.use({
             ...pinhole,
@@ -116,13 +118,6 @@ export class Renderer {
         gl.drawArrays(gl.TRIANGLES, 0, 3);
     }
 
-    uploadOrder({ order, count }) {
-        const gl = this.gl;
-        const rows = Math.max(1, Math.ceil(count / SLOTS));
-        gl.bindTexture(gl.TEXTURE_2D, this.order);
-        gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, SLOTS, rows, gl.RED_INTEGER, gl.UNSIGNED_INT, order);
-    }
-
     uploadTruth(image) {
         const gl = this.gl;
         if (this.truthShown === image) return;
@@ -143,12 +138,12 @@ export class Renderer {
         this.blended = dataTexture(gl, [gl.RGBA16F, gl.RGBA, gl.HALF_FLOAT], width, 4, null, height);
         this.blendTarget = targetOf(gl, [this.blended]);
     }
-
-    // Rows of slots, which an order must be long enough to fill.
-    static slots(count) {
-        return SLOTS * Math.max(1, Math.ceil(count / SLOTS));
-    }
 }
+
+const rowsFor = (count) => Math.max(1, Math.ceil(count / SLOTS));
+
+// Of whole rows, which an order must be long enough to fill.
+export const slotsFor = (count) => SLOTS * rowsFor(count);
 
 function transposed(m) {
     return [m[0], m[3], m[6], m[1], m[4], m[7], m[2], m[5], m[8]];

@@ -61,7 +61,7 @@ export class Stage {
         view.truth = view.frame ? await this.truths.image(view.frame) : null;
         const sorted = await Promise.all(this.panes.map((pane) => pane.sort(view, this.scene)));
         this.panes.forEach((pane, i) => {
-            pane.draw(view, sorted[i], this.scene);
+            pane.renderer.draw(view, sorted[i], this.scene);
         });
         this.shown = { view, sorted, detail: view.detail };
         ++this.frames;
@@ -103,19 +103,11 @@ export class Stage {
     async picture(camera, time, index = 0) {
         while (this.drawing) await this.drawing;
         const pane = this.panes[index];
-        const view = {
-            camera: cameraOf(poseOf(camera.world_to_cam), camera),
-            time,
-            dilation: this.scene.dilation,
-            colourBy: "colour",
-            compare: "render",
-            wipe: 1,
-            background: this.scene.background,
-            ownBackground: false,
-            truth: null,
-        };
+        const { dilation, background } = this.scene;
+        const plain = { colourBy: "colour", compare: "render", background, ownBackground: false, truth: null };
+        const view = { ...plain, camera: cameraOf(poseOf(camera.world_to_cam), camera), time, dilation, wipe: 1 };
         this.drawing = pane.sort(view, this.scene).then((sorted) => {
-            pane.draw(view, sorted, this.scene);
+            pane.renderer.draw(view, sorted, this.scene);
             const { gl } = pane.renderer;
             const pixels = new Uint8Array(4 * camera.width * camera.height);
             gl.readPixels(0, 0, camera.width, camera.height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);

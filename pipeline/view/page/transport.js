@@ -1,6 +1,7 @@
 // Play, slider, step, speed. In a static scene playing turns the view instead.
 
 import { orbited } from "./camera.js";
+import { $ } from "./state.js";
 
 const TURN = 0.4; // radians a second, of a static scene
 
@@ -8,32 +9,31 @@ const PLAY = '<svg viewBox="0 0 24 24"><path d="M7 4v16l13-8z"/></svg>';
 const PAUSE = '<svg viewBox="0 0 24 24"><path d="M6 4h4v16H6zm8 0h4v16h-4z"/></svg>';
 
 export class Transport {
-    constructor(scene, state, elements) {
-        Object.assign(this, { scene, state, elements });
-        const { play, time, speed, stepBack, stepOn, footer } = elements;
-        footer.classList.toggle("static", scene.static);
-        time.min = scene.start;
-        time.max = scene.end;
-        play.onclick = () => this.toggle();
-        stepBack.onclick = () => this.step(-1);
-        stepOn.onclick = () => this.step(1);
-        time.oninput = () => state.set({ time: Number(time.value), playing: false });
-        speed.onchange = () => state.set({ speed: Number(speed.value) });
+    constructor(scene, state) {
+        Object.assign(this, { scene, state });
+        $("transport").classList.toggle("static", scene.static);
+        $("time").min = scene.start;
+        $("time").max = scene.end;
+        $("play").onclick = () => this.toggle();
+        $("step-back").onclick = () => this.step(-1);
+        $("step-on").onclick = () => this.step(1);
+        $("time").oninput = () => state.set({ time: Number($("time").value), playing: false });
+        $("speed").onchange = () => state.set({ speed: Number($("speed").value) });
         state.listen(() => this.show());
         this.show();
     }
 
     show() {
-        const { scene, state, elements } = this;
+        const { scene, state } = this;
         const icon = state.playing ? "pause" : "play";
         if (this.icon !== icon) {
-            elements.play.innerHTML = state.playing ? PAUSE : PLAY;
+            $("play").innerHTML = state.playing ? PAUSE : PLAY;
             this.icon = icon;
         }
-        elements.time.value = state.time;
-        elements.time.style.setProperty("--done", `${(100 * (state.time - scene.start)) / (scene.end - scene.start)}%`);
-        elements.clock.value = `${state.time.toFixed(3)} / ${scene.end.toFixed(2)}`;
-        elements.speed.value = String(state.speed);
+        $("time").value = state.time;
+        $("time").style.setProperty("--done", `${(100 * (state.time - scene.start)) / (scene.end - scene.start)}%`);
+        $("clock").value = `${state.time.toFixed(3)} / ${scene.end.toFixed(2)}`;
+        $("speed").value = String(state.speed);
     }
 
     toggle() {

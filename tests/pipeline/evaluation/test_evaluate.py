@@ -12,7 +12,7 @@ from tiny_film import tiny_film
 
 from datasets.scene import Scene, View
 from pipeline.evaluation import evaluate as evaluation
-from pipeline.evaluation import lpips, perceptual
+from pipeline.evaluation import lpips
 from pipeline.evaluation.evaluate import evaluate, refuse_small_images
 from pipeline.evaluation.image_metrics import psnr
 from pipeline.evaluation.metrics import METRICS, MeasuredView, Metric, quality_table
@@ -101,7 +101,7 @@ def test_lpips_vgg_of_large_scenes_is_measured_on_evenly_spread_views(model: Mod
     """Networks that return known numbers; the pixel limit allows three of five views."""
     distances = {"alex": iter(range(5)), "vgg": iter((10.0, 20.0, 60.0))}
     monkeypatch.setattr(lpips, "load", lambda net: lambda image, truth: float(next(distances[net])))
-    monkeypatch.setattr(perceptual, "VGG_PIXELS", 3 * SIZE**2)
+    monkeypatch.setattr(lpips, "VGG_PIXELS", 3 * SIZE**2)
     found = evaluate(model, tiny_film(frames=5, held_out=("cam00",)), evaluation_config(lpips=True), 1)
     assert [row["lpips_vgg"] for row in found.per_image] == [10.0, None, 20.0, None, 60.0]
     assert (found.metrics["lpips_alex"], found.metrics["lpips_vgg"]) == (2.0, 30.0)
