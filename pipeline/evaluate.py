@@ -23,8 +23,7 @@ from datasets.files.atomic_write import write_json
 from datasets.files.errors import read_json
 from pipeline.config.compose import Command, one_line, quote_paths
 from pipeline.config.schema import Config
-from pipeline.data.prepare import prepare
-from pipeline.data.prepared import Prepared
+from pipeline.data.prepare import Prepared, prepare
 from pipeline.evaluation.evaluate import Evaluation, evaluate_with_images
 from pipeline.model.model import Model
 from pipeline.model.transformed import in_canonical

@@ -7,17 +7,31 @@ everything computed from it.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
-from datasets.canonical import canonical_of, canonicalise
+from datasets.canonical import Canonical, canonical_of, canonicalise
 from datasets.scene import Scene, ScenePoints
+from datasets.settings import SceneConfig
 from datasets.source import Source, open_source
 from pipeline.config.schema import Config
 from pipeline.data.from_motion import structure_from_motion, transformed
-from pipeline.data.prepared import Prepared
 from pipeline.data.sfm.reconstruction import Reconstruction
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A scene and its initial points, in canonical coordinates."""
+
+    scene: Scene
+    cloud: Reconstruction | None  # None: random points, or those of LiDAR
+    sfm_folder: Path | None  # cache folder of the cloud, with its summary and plot
+    canonical: Canonical = Canonical()  # transform from the files' units
+    poses_estimated: bool = False  # of every frame: the user's own videos by cameras that move
+    settings: SceneConfig | None = None  # as the data were read: the layout and the split found out; None: as given
+    points: str = "random"  # where the initial points come from: given (with the files), sfm, lidar or random
 
 
 def prepare(cfg: Config, log: Callable[[str], None]) -> Prepared:

@@ -13,7 +13,7 @@ import numpy as np
 
 from datasets.scene import Scene
 from pipeline.config.schema import Config
-from pipeline.data.prepared import Prepared
+from pipeline.data.prepare import Prepared
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = (".py", ".cpp", ".hpp", ".js", ".html", ".css", ".frag", ".vert", ".glsl")

@@ -16,7 +16,7 @@ from typing import Any
 from datasets.scene import Scene
 from pipeline.config.compose import Command
 from pipeline.config.schema import Config
-from pipeline.data.prepared import Prepared
+from pipeline.data.prepare import Prepared
 from pipeline.model.model import kind_of
 from pipeline.runs.run_identity import FREE_KEYS, flat
 from pipeline.stages.decide import colour_is_open, compare_colour, compare_time, time_is_open

@@ -11,7 +11,7 @@ from datasets.files.atomic_write import atomic_file, write_json
 from pipeline.config.compose import Command
 from pipeline.config.random_streams import Stream, stream
 from pipeline.config.schema import Config
-from pipeline.data.prepared import Prepared
+from pipeline.data.prepare import Prepared
 from pipeline.evaluation.evaluate import Evaluation, evaluate, evaluate_with_images
 from pipeline.evaluation.moving_pixels import MovingPixels
 from pipeline.evaluation.outlook import outlook, path_angles

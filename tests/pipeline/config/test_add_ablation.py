@@ -10,7 +10,7 @@ from tiny import tiny_scene
 
 import pipeline.config.compose as composition
 from pipeline.config.random_streams import Stream, stream
-from pipeline.data.prepared import Prepared
+from pipeline.data.prepare import Prepared
 from pipeline.model.initialise import initialise
 from pipeline.stages.settle import changes, for_scene
 

@@ -16,8 +16,7 @@ from datasets.synthetic.rig import rig
 from datasets.synthetic.scenes import counter
 from datasets.synthetic.trace import trace
 from pipeline.config.schema import Config, InitConfig
-from pipeline.data.prepare import prepare
-from pipeline.data.prepared import Prepared
+from pipeline.data.prepare import Prepared, prepare
 from pipeline.data.sfm.clip import by_lens, pairs_of, reconstruct_clip
 from pipeline.evaluation.pictures.camera_path import look_at
 from rasterizer.camera import Camera

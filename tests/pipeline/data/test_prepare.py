@@ -17,8 +17,7 @@ from datasets.source import open_source
 from datasets.synthetic import build_scene
 from pipeline.config.schema import Config, InitConfig
 from pipeline.data.from_motion import near_depth
-from pipeline.data.prepare import points_from, prepare
-from pipeline.data.prepared import Prepared
+from pipeline.data.prepare import Prepared, points_from, prepare
 from rasterizer import Camera
 
 

@@ -12,7 +12,7 @@ from tiny import tiny_scene
 import pipeline.stages.run as run_module
 from pipeline.config.compose import Command
 from pipeline.config.schema import Config
-from pipeline.data.prepared import Prepared
+from pipeline.data.prepare import Prepared
 from pipeline.runs.run_folder import RunFolder
 from pipeline.stages.run import chosen_stages, run
 from pipeline.stages.stages import Job, few_left, prepare_points

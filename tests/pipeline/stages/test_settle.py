@@ -10,7 +10,7 @@ from tiny_film import unsynchronised_film
 
 from datasets.scene import Scene
 from pipeline.config.compose import Command
-from pipeline.data.prepared import Prepared
+from pipeline.data.prepare import Prepared
 from pipeline.runs.run_identity import flat
 from pipeline.stages.settle import changes, for_scene, schedule_kind
 
