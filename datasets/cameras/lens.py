@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Protocol
 
 import cv2
 import numpy as np
@@ -13,61 +13,47 @@ from rasterizer.camera import Camera
 
 
 @dataclass(frozen=True)
-class Undistortion:
+class Lens(ABC):
     """A distorted lens. The undistorted image has the same size, focal lengths and principal point."""
 
     fx: float  # pixels; pixel centres lie at integer + 0.5, as in Camera
     fy: float
     cx: float
     cy: float
-    coefficients: tuple[float, ...]  # OpenCV's: k1, k2, p1, p2, k3[, k4, k5, k6]
+    coefficients: tuple[float, ...]
+
+    def maps(self, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+        """Source position of each pixel of the undistorted image (width, height), in the format of cv2.remap."""
+        # OpenCV's pixel centres lie at integers.
+        matrix = np.array([[self.fx, 0, self.cx - 0.5], [0, self.fy, self.cy - 0.5], [0, 0, 1]])
+        return self._maps(matrix, np.array(self.coefficients), size)
+
+    @abstractmethod
+    def _maps(self, matrix: np.ndarray, bent: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]: ...
+
+    def scaled_to(self, camera: Camera) -> Lens:
+        """The lens in front of an image of another resolution."""
+        return replace(self, fx=camera.fx, fy=camera.fy, cx=camera.cx, cy=camera.cy)
+
+
+class Undistortion(Lens):
+    """A lens with OpenCV's coefficients k1, k2, p1, p2, k3[, k4, k5, k6]."""
 
     @classmethod
     def of(cls, camera: Camera, *coefficients: float) -> Undistortion:
         """The lens of a camera; missing coefficients are 0."""
         return cls(camera.fx, camera.fy, camera.cx, camera.cy, coefficients + (0.0,) * (5 - len(coefficients)))
 
-    def maps(self, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-        """Source position of each pixel of the undistorted image (width, height), in the format of cv2.remap."""
-        # OpenCV's pixel centres lie at integers.
-        matrix = np.array([[self.fx, 0, self.cx - 0.5], [0, self.fy, self.cy - 0.5], [0, 0, 1]])
-        return cv2.initUndistortRectifyMap(matrix, np.array(self.coefficients), None, matrix, size, cv2.CV_16SC2)
-
-    def scaled_to(self, camera: Camera) -> Undistortion:
-        """The lens in front of an image of another resolution."""
-        return replace(self, fx=camera.fx, fy=camera.fy, cx=camera.cx, cy=camera.cy)
+    def _maps(self, matrix: np.ndarray, bent: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+        return cv2.initUndistortRectifyMap(matrix, bent, None, matrix, size, cv2.CV_16SC2)
 
 
-@dataclass(frozen=True)
-class FisheyeLens:
-    """A fisheye lens, OpenCV's and COLMAP's: the angle θ to the axis is imaged at θ (1 + k1 θ² + k2 θ⁴ + k3 θ⁶ + k4 θ⁸)
-    focal lengths. The undistorted image has the same size, focal lengths and principal point."""
+class FisheyeLens(Lens):
+    """A fisheye lens, OpenCV's and COLMAP's, with the coefficients k1, k2, k3, k4: the angle θ to the axis is imaged at
+    θ (1 + k1 θ² + k2 θ⁴ + k3 θ⁶ + k4 θ⁸) focal lengths."""
 
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    coefficients: tuple[float, ...]  # k1, k2, k3, k4
-
-    def maps(self, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-        """As Undistortion.maps."""
-        matrix = np.array([[self.fx, 0, self.cx - 0.5], [0, self.fy, self.cy - 0.5], [0, 0, 1]])
-        coefficients = np.array(self.coefficients)
-        return cv2.fisheye.initUndistortRectifyMap(matrix, coefficients, np.eye(3), matrix, size, cv2.CV_16SC2)
-
-    def scaled_to(self, camera: Camera) -> FisheyeLens:
-        """As Undistortion.scaled_to."""
-        return replace(self, fx=camera.fx, fy=camera.fy, cx=camera.cx, cy=camera.cy)
-
-
-class Lens(Protocol):
-    """Undistortion or FisheyeLens."""
-
-    def maps(self, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]: ...
-
-    def scaled_to(self, camera: Camera) -> Lens: ...
-
-    def __hash__(self) -> int: ...
+    def _maps(self, matrix: np.ndarray, bent: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+        return cv2.fisheye.initUndistortRectifyMap(matrix, bent, np.eye(3), matrix, size, cv2.CV_16SC2)
 
 
 def undistort(image: np.ndarray, maps: tuple[np.ndarray, np.ndarray]) -> np.ndarray:

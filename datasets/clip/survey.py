@@ -151,7 +151,12 @@ def _shift(first: np.ndarray, image: np.ndarray) -> float:
     """Median displacement of the textured pixels, pixels; 0 without texture."""
     search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
     flow = np.asarray(search.calc(first, image, None))  # type: ignore[call-overload]
-    values = first.astype(np.float32)
+    known = textured(first)
+    return float(np.median(np.linalg.norm(flow, axis=2)[known])) if known.any() else 0.0
+
+
+def textured(grey: np.ndarray) -> np.ndarray:
+    """(H, W) bool: where flow can be measured."""
+    values = grey.astype(np.float32)
     mean, square = (cv2.blur(x, (7, 7)) for x in (values, values**2))
-    textured = square - mean**2 > LEAST_TEXTURE**2
-    return float(np.median(np.linalg.norm(flow, axis=2)[textured])) if textured.any() else 0.0
+    return square - mean**2 > LEAST_TEXTURE**2

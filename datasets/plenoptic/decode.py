@@ -21,7 +21,6 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -55,12 +54,23 @@ class Stream(ABC):
 
 
 @dataclass(frozen=True)
-class DecodeOptions:
-    """The settings that are the same for all cameras; part of the hash."""
+class Decoding:
+    """What is decoded, and how."""
 
     first_frame: int
     frames: int
     downscale: int
+    undistortion: Mapping[str, Undistortion]  # by the name of the camera; of distorted images
+    colors: Mapping[str, ColorCorrection]  # the same, of the cameras whose colours are corrected
+
+    def folder(self, cache: Path, scene: str, content: str) -> Path:
+        """Of a scene's frames. content: hash of all videos or images of the scene, dropped ones included."""
+        counts = {"first_frame": self.first_frame, "frames": self.frames, "downscale": self.downscale}
+        parts = [STORE_VERSION, content, counts, {name: vars(lens) for name, lens in self.undistortion.items()}]
+        if self.colors:
+            parts.append({name: vars(color) for name, color in self.colors.items()})
+        digest = hashlib.blake2b(json.dumps(parts, sort_keys=True).encode(), digest_size=6).hexdigest()
+        return cache / f"{scene.replace('/', '_')}-{digest}"
 
 
 def reduce_image(image: np.ndarray, downscale: int) -> np.ndarray:
@@ -70,22 +80,6 @@ def reduce_image(image: np.ndarray, downscale: int) -> np.ndarray:
     height, width = image.shape[0] // downscale, image.shape[1] // downscale
     whole = image[: height * downscale, : width * downscale]
     return cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)
-
-
-def store_folder(
-    cache: Path,
-    scene: str,
-    content: str,
-    options: DecodeOptions,
-    undistortion: Mapping[str, Undistortion],
-    colors: Mapping[str, ColorCorrection],
-) -> Path:
-    """The folder of a scene's frames. content: hash of all videos or images of the scene, dropped ones included."""
-    parts = [STORE_VERSION, content, vars(options), {name: vars(lens) for name, lens in undistortion.items()}]
-    if colors:
-        parts.append({name: vars(color) for name, color in colors.items()})
-    digest = hashlib.blake2b(json.dumps(parts, sort_keys=True).encode(), digest_size=6).hexdigest()
-    return cache / f"{scene.replace('/', '_')}-{digest}"
 
 
 def fingerprint(paths: Sequence[Path], part: int) -> str:
@@ -106,13 +100,7 @@ def fingerprint(paths: Sequence[Path], part: int) -> str:
 
 
 def decode(
-    streams: Sequence[Stream],
-    folder: Path,
-    options: DecodeOptions,
-    undistortion: Mapping[str, Undistortion],
-    colors: Mapping[str, ColorCorrection],
-    threads: int,
-    log: Log,
+    streams: Sequence[Stream], folder: Path, decoding: Decoding, threads: int, log: Log
 ) -> dict[str, tuple[StoredFrame, ...]]:
     """Camera -> its frames in `folder`, decoded if they are not there. All streams have one size.
 
@@ -120,7 +108,7 @@ def decode(
     SceneError if a video cannot be decoded or the disk is full.
     """
     width, height = streams[0].size
-    shape = (options.frames, height // options.downscale, width // options.downscale, 3)
+    shape = (decoding.frames, height // decoding.downscale, width // decoding.downscale, 3)
 
     def stored() -> dict[str, tuple[StoredFrame, ...]]:
         """The cameras that are complete."""
@@ -134,9 +122,11 @@ def decode(
             for leftover in folder.glob(f"{TEMPORARY}*"):
                 leftover.unlink()
             missing = [stream for stream in streams if read_frames(folder, stream.name, shape) is None]
-            _check_space(folder, len(missing) * math.prod(shape))
-            with DecodingDisplay(len(missing), options.frames, log) as display:
-                _decode_missing(missing, folder, shape, options, undistortion, colors, threads, display)
+            needed, free = len(missing) * math.prod(shape), shutil.disk_usage(folder).free
+            if free < needed:
+                raise _no_space(folder, needed, free)
+            with DecodingDisplay(len(missing), decoding.frames, log) as display:
+                _decode_missing(missing, folder, shape, decoding, threads, display)
         found = stored()
     return found
 
@@ -145,9 +135,7 @@ def _decode_missing(
     streams: Sequence[Stream],
     folder: Path,
     shape: tuple[int, int, int, int],
-    options: DecodeOptions,
-    undistortion: Mapping[str, Undistortion],
-    colors: Mapping[str, ColorCorrection],
+    decoding: Decoding,
     threads: int,
     display: DecodingDisplay,
 ) -> None:
@@ -155,13 +143,12 @@ def _decode_missing(
     threads_each = max(1, threads // max(1, len(streams)))
 
     def decode_one(stream: Stream) -> None:
-        lens, color = undistortion.get(stream.name), colors.get(stream.name)
-        images = _reduced_frames(stream, options, lens, color, threads_each, stop, display)
+        images = _reduced_frames(stream, decoding, threads_each, stop, display)
         facts = {
             "source": stream.path.name,
             "rate": stream.rate,
-            "first_frame": options.first_frame,
-            "downscale": options.downscale,
+            "first_frame": decoding.first_frame,
+            "downscale": decoding.downscale,
             "store_version": STORE_VERSION,
         }
         try:
@@ -182,31 +169,20 @@ def _decode_missing(
 
 
 def _reduced_frames(
-    stream: Stream,
-    options: DecodeOptions,
-    lens: Undistortion | None,
-    color: ColorCorrection | None,
-    threads: int,
-    stop: threading.Event,
-    display: DecodingDisplay,
+    stream: Stream, decoding: Decoding, threads: int, stop: threading.Event, display: DecodingDisplay
 ) -> Iterator[np.ndarray]:
     """A camera's frames as they are stored: corrected in colour, undistorted and reduced."""
+    lens, color = decoding.undistortion.get(stream.name), decoding.colors.get(stream.name)
     maps = lens.maps(stream.size) if lens else None
-    for image in stream.read(options.first_frame, options.frames, threads):
+    for image in stream.read(decoding.first_frame, decoding.frames, threads):
         if stop.is_set():
             raise RuntimeError("decoding was stopped")  # not shown: the error that set `stop` is raised instead
         if color is not None:
             image = color.apply(image)
         if maps is not None:
             image = undistort(image, maps)
-        yield reduce_image(image, options.downscale)
+        yield reduce_image(image, decoding.downscale)
         display.frame()
-
-
-def _check_space(folder: Path, needed: int) -> None:
-    free = shutil.disk_usage(folder).free
-    if free < needed:
-        raise _no_space(folder, needed, free)
 
 
 def _no_space(folder: Path, needed: int, free: int) -> SceneError:
@@ -218,11 +194,11 @@ def _no_space(folder: Path, needed: int, free: int) -> SceneError:
 
 
 @contextmanager
-def _locked(folder: Path, log: Log) -> Iterator[Any]:
+def _locked(folder: Path, log: Log) -> Iterator[None]:
     with open(folder / ".lock", "w") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             log(f"waiting for another process that decodes into {folder}")
             fcntl.flock(lock, fcntl.LOCK_EX)
-        yield lock
+        yield

@@ -16,7 +16,7 @@ from datasets.canonical import FRAMES_PER_UNIT
 from datasets.composition import BLACK, background_color, reduced_camera
 from datasets.files.errors import SceneError
 from datasets.ground_truth import StoredTruth, film_truth_file
-from datasets.plenoptic.decode import DecodeOptions, Stream, decode, store_folder
+from datasets.plenoptic.decode import Decoding, Stream, decode
 from datasets.plenoptic.images import ImageSequence
 from datasets.plenoptic.sync import drop_advice
 from datasets.plenoptic.unsynchronised import AlignedStream
@@ -56,11 +56,6 @@ class Footage:
     @property
     def names(self) -> tuple[str, ...]:
         return tuple(stream.name for stream in self.streams)
-
-    @property
-    def numbers(self) -> tuple[int, ...]:
-        """As in scene.test_cameras and scene.drop_cameras."""
-        return tuple(stream.number for stream in self.streams)
 
     @property
     def held_out(self) -> tuple[str, ...]:
@@ -134,11 +129,9 @@ class Footage:
         blanks = {name: [blank] * self.count for name in self.names}
         validate_scene(self._scene(small, blanks, unit, init_box, truth, masks))
 
-        decoding = DecodeOptions(cfg.first_frame, self.count, cfg.downscale)
-        folder = store_folder(Path(cfg.cache), cfg.name, self.content, decoding, undistortion, colors or {})
-        images = decode(
-            self.streams, folder, decoding, undistortion, colors or {}, thread_count(self.threads), self.log
-        )
+        decoding = Decoding(cfg.first_frame, self.count, cfg.downscale, undistortion, colors or {})
+        folder = decoding.folder(Path(cfg.cache), cfg.name, self.content)
+        images = decode(self.streams, folder, decoding, thread_count(self.threads), self.log)
         return validate_scene(self._scene(small, images, unit, init_box, truth, masks))
 
     def _truth(self, stream: Stream, estimated: bool) -> list[StoredTruth] | None:

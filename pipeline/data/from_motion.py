@@ -26,14 +26,14 @@ def structure_from_motion(
 
     ValueError of one line if the photographs do not suffice.
     """
-    from pipeline.data.sfm.cache import clip_reconstruct_cached  # not needed by scenes with random points
+    from pipeline.data.sfm.cache import reconstruct_cached  # not needed by scenes with random points
 
     photographs, cache = source.photographs(), Path(cfg.scene.cache)
     log(f"sfm: {len(photographs)} images of {source.path}")
     corrected = source.several_videos and bool(cfg.scene.color_correction)
     init = cfg.init if source.one_lens else replace(cfg.init, shared_intrinsics=False)
     if source.poses == "of every frame":
-        cloud, folder = clip_reconstruct_cached(photographs, init, source.path, cache, log, corrected)
+        cloud, folder = reconstruct_cached(photographs, init, 1.0, source.path, cache, corrected, clip_log=log)
     else:
         cloud, folder = _canonical(init, photographs, source, cache, corrected)
     found = cloud.summary()

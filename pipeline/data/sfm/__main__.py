@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -28,14 +27,8 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--out", type=Path, help="folder to make")
     parser.add_argument("--downscale", type=int, default=1, help="read at 1/DOWNSCALE of the size (default: 1)")
-    for setting in fields(InitConfig):
-        if setting.name in ("max_features", "min_points"):
-            parser.add_argument(
-                f"--{setting.name.replace('_', '-')}",
-                type=type(setting.default),
-                default=setting.default,
-                help="default: %(default)s",
-            )
+    for flag, default in (("--max-features", InitConfig.max_features), ("--min-points", InitConfig.min_points)):
+        parser.add_argument(flag, type=int, default=default, help="default: %(default)s")
     options = vars(parser.parse_args(arguments))
     folder, out, downscale = (options.pop(name) for name in ("folder", "out", "downscale"))
     if out is not None and out.exists():

@@ -41,31 +41,20 @@ def reconstruct_cached(
     source: Path,
     cache: Path,
     observations: bool = False,
+    clip_log: Callable[[str], None] | None = None,
 ) -> tuple[Reconstruction, Path]:
-    """The result of `run.reconstruct`, from the cache if it is there, and its folder."""
-    key = fingerprint(photographs, cfg, unit, observations=observations)
-    return _cached(cache, key, cfg, lambda: reconstruct(photographs, cfg, unit, source, observations))
+    """The result of `run.reconstruct` and its folder, made if it is not in the cache.
 
-
-def clip_reconstruct_cached(
-    photographs: Sequence[Photograph],
-    cfg: InitConfig,
-    source: Path,
-    cache: Path,
-    log: Callable[[str], None],
-    observations: bool = False,
-) -> tuple[Reconstruction, Path]:
-    """The result of `clip.reconstruct_clip`, from the cache if it is there, and its folder."""
-    key = fingerprint(photographs, cfg, 1.0, CLIP_VERSION, observations)
-    return _cached(cache, key, cfg, lambda: reconstruct_clip(photographs, cfg, source, log, observations))
-
-
-def _cached(cache: Path, key: str, cfg: InitConfig, make: Callable[[], Reconstruction]) -> tuple[Reconstruction, Path]:
-    """The result, made if it is not there, and its folder. ValueError for fewer points than init.min_points, which may
-    have been smaller when they were written."""
-    folder = cache / f"sfm-{key}"
+    clip_log: for frames of clips, whose result is that of `clip.reconstruct_clip` with this log. ValueError for fewer
+    points than init.min_points, which may have been smaller when they were written.
+    """
+    clip = None if clip_log is None else CLIP_VERSION
+    folder = cache / f"sfm-{fingerprint(photographs, cfg, unit, clip, observations)}"
     if not (folder / "result.json").is_file():
-        save(make(), folder)
+        if clip_log is not None:
+            save(reconstruct_clip(photographs, cfg, source, clip_log, observations), folder)
+        else:
+            save(reconstruct(photographs, cfg, unit, source, observations), folder)
     result = load(folder)
     if len(result.points) < cfg.min_points:
         raise ValueError(

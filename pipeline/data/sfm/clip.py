@@ -6,7 +6,6 @@ drops the matches on it, verifies the others again, and starts from the lens of 
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -14,14 +13,13 @@ from itertools import combinations, groupby
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from datasets.source import Photograph
 from pipeline.config.schema import InitConfig
-from pipeline.data.sfm.job import ColmapResult, SfmError, image_file, write_request
+from pipeline.data.sfm.job import ColmapResult, SfmError, write_request
 from pipeline.data.sfm.moving_masks import moving_masks
-from pipeline.data.sfm.reconstruction import CalibratedCamera, Reconstruction
-from pipeline.data.sfm.run import calibrated, request_for, run_colmap
+from pipeline.data.sfm.reconstruction import Reconstruction
+from pipeline.data.sfm.run import cameras_of, job_folder, request_for, run_colmap
 
 LEAST_REGISTERED = 0.8  # of the frames
 FIRST_PASS = 0.3  # of the frames: enough to mark what moves
@@ -52,14 +50,9 @@ def reconstruct_clip(
     started = time.perf_counter()
     names = [photograph.name for photograph in photographs]
     lenses = by_lens(photographs)
-    sizes = {p.name: p.image.shape for p in photographs}
     refused: ValueError | None = None
-    with tempfile.TemporaryDirectory(prefix="sfm-") as temporary:
-        folder = Path(temporary)
-        (folder / "images").mkdir()
+    with job_folder(photographs) as folder:
         (folder / "masks").mkdir()
-        for photograph in photographs:
-            Image.fromarray(photograph.image).save(folder / "images" / image_file(photograph.name), compress_level=1)
         request = replace(request_for(photographs, cfg, 1.0), pairs=pairs_of(lenses), least_registered=FIRST_PASS)
         request = replace(request, observations=observations)
         if len(lenses) > 1 and cfg.shared_intrinsics:
@@ -69,7 +62,7 @@ def reconstruct_clip(
         log(f"sfm: first pass, {len(first.cameras)} of {len(names)} frames registered")
         masks: dict[str, np.ndarray] = {}
         for lens in lenses:  # flow is measured between frames of one camera
-            masks |= moving_masks(lens, _cameras(first, sizes), first.points)
+            masks |= moving_masks(lens, cameras_of(first, photographs), first.points)
         if any(mask.any() for mask in masks.values()):
             for name, mask in masks.items():
                 np.save(folder / "masks" / f"{name}.npy", mask)
@@ -106,17 +99,8 @@ def reconstruct_clip(
             f"{source}: expected at least {cfg.min_points} points from structure from motion (init.min_points), found "
             f"{len(found.points)}: too little texture, or a camera that hardly moves; walk sideways while filming"
         )
-    return Reconstruction(
-        found.points,
-        found.colors,
-        found.errors,
-        found.track_lengths,
-        _cameras(found, sizes),
-        "estimated",
-        len(names),
-        time.perf_counter() - started,
-        found.observations,
-    )
+    facts = {"poses": "estimated", "photographs": len(names), "seconds": time.perf_counter() - started}
+    return Reconstruction(**{**vars(found), **facts, "cameras": cameras_of(found, photographs)})
 
 
 def _intrinsics(first: ColmapResult, lenses: Sequence[Sequence[Photograph]]) -> dict[str, list[float]]:
@@ -140,10 +124,6 @@ def _refuse_missing(found: ColmapResult, lenses: Sequence[Sequence[Photograph]],
                 "its frames; let all cameras film the same things, from places that are not far apart, or leave it "
                 "out (scene.drop_cameras)"
             )
-
-
-def _cameras(found: ColmapResult, sizes: dict[str, tuple[int, ...]]) -> dict[str, CalibratedCamera]:
-    return {name: calibrated(record, sizes[name]) for name, record in found.cameras.items()}
 
 
 def by_lens(photographs: Sequence[Photograph]) -> list[list[Photograph]]:

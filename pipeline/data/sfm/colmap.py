@@ -17,7 +17,13 @@ import numpy as np
 import pycolmap
 
 from pipeline.data.sfm.clip_matches import TURNS, camera_turns, keep_unmasked_matches, refuse_still_camera
-from pipeline.data.sfm.features import camera_record, extract_features, match_pairs, verification_options
+from pipeline.data.sfm.features import (
+    camera_record,
+    extract_features,
+    match_pairs,
+    matching_options,
+    verification_options,
+)
 from pipeline.data.sfm.job import (
     SEED,
     ColmapResult,
@@ -102,13 +108,14 @@ def _seen(model: pycolmap.Reconstruction, cameras: list[str]) -> list[tuple[int,
 
 def match_features(database: Path, folder: Path, request: Request) -> None:
     """Matching with geometric verification: of request.pairs, or of all photographs with all."""
-    options = pycolmap.FeatureMatchingOptions()
-    options.use_gpu, options.num_threads = False, 1
     if request.pairs is not None:
-        match_pairs(database, folder / "pairs.txt", request.pairs, options)
+        match_pairs(database, folder / "pairs.txt", request.pairs)
         return
     pycolmap.match_exhaustive(
-        database, matching_options=options, verification_options=verification_options(), device=pycolmap.Device.cpu
+        database,
+        matching_options=matching_options(),
+        verification_options=verification_options(),
+        device=pycolmap.Device.cpu,
     )
 
 

@@ -48,18 +48,24 @@ def set_intrinsics(database: Path, intrinsics: dict[str, list[float]]) -> None:
             db.update_camera(camera)
 
 
-def match_pairs(database: Path, file: Path, pairs: list[list[str]], options: pycolmap.FeatureMatchingOptions) -> None:
+def match_pairs(database: Path, file: Path, pairs: list[list[str]]) -> None:
     """Matches and verifies pairs of photographs; writes them to `file`, where COLMAP reads them."""
     file.write_text("".join(f"{image_file(a)} {image_file(b)}\n" for a, b in pairs))
     pairing = pycolmap.ImportedPairingOptions()
     pairing.match_list_path = file
     pycolmap.match_image_pairs(
         database,
-        matching_options=options,
+        matching_options=matching_options(),
         pairing_options=pairing,
         verification_options=verification_options(),
         device=pycolmap.Device.cpu,
     )
+
+
+def matching_options() -> pycolmap.FeatureMatchingOptions:
+    options = pycolmap.FeatureMatchingOptions()
+    options.use_gpu, options.num_threads = False, 1
+    return options
 
 
 def verification_options() -> pycolmap.TwoViewGeometryOptions:

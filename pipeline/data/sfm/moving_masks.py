@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 import cv2
 import numpy as np
 
+from datasets.clip.survey import textured
 from datasets.source import Photograph
 from pipeline.data.sfm.reconstruction import CalibratedCamera
 from rasterizer.camera import Camera
@@ -22,7 +23,6 @@ STEPS = (1, 2, 3, 5, 8)  # frames: the first in which the camera has moved enoug
 PARALLAX = 2.0  # pixels, of a point at the median depth: with less, the direction of the epipolar lines is uncertain
 LEAST_RESIDUAL, RESIDUAL_DEVIATIONS = 1.0, 4.0  # pixels; × the residuals' scaled median absolute deviation
 LARGEST_SHARE = 0.7  # of a picture; a mask that covers more is wrong
-LEAST_TEXTURE = 3.0  # of 255: standard deviation around a pixel, below which its flow is a guess
 GROWN = 5  # pixels: a mask is grown by this, as the features at its edge see what moves too
 
 
@@ -48,7 +48,7 @@ def moving_masks(
         if not residuals:
             continue
         mask = np.logical_and.reduce([residual > _limit(residual) for residual in residuals]).astype(np.uint8)
-        mask[~_textured(greys[index])] = 0
+        mask[~textured(greys[index])] = 0
         mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
         mask = cv2.dilate(mask, np.ones((2 * GROWN + 1,) * 2, np.uint8))
         if mask.mean() <= LARGEST_SHARE:
@@ -97,13 +97,6 @@ def fundamental_matrix(camera: Camera, other: Camera) -> np.ndarray:
 
 def _intrinsics(camera: Camera) -> np.ndarray:
     return np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
-
-
-def _textured(grey: np.ndarray) -> np.ndarray:
-    """(H, W) bool: where flow can be measured."""
-    values = grey.astype(np.float32)
-    mean, square = (cv2.blur(x, (7, 7)) for x in (values, values**2))
-    return square - mean**2 > LEAST_TEXTURE**2
 
 
 def _limit(residual: np.ndarray) -> float:

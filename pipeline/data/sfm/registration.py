@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
-from pipeline.data.sfm.features import camera_record, extract_features, verification_options
-from pipeline.data.sfm.job import SEED, Request, image_file
+from pipeline.data.sfm.features import camera_record, extract_features, match_pairs
+from pipeline.data.sfm.job import SEED, Request, image_file, photograph_name
 
 MIN_PAIRS = 12  # inliers; fewer may be consistent by coincidence
 
@@ -30,19 +30,8 @@ def register_held_out(
     with pycolmap.Database.open(folder / "database.db"):
         database.write_bytes((folder / "database.db").read_bytes())
     extract_features(database, folder / "images", [image_file(name)], request)
-    pairs = folder / f"with_{name}.txt"
     others = sorted(image.name for image in model.images.values() if image.has_pose)
-    pairs.write_text("".join(f"{image_file(name)} {other}\n" for other in others))
-    matching, pairing = pycolmap.FeatureMatchingOptions(), pycolmap.ImportedPairingOptions()
-    matching.use_gpu, matching.num_threads = False, 1
-    pairing.match_list_path = pairs
-    pycolmap.match_image_pairs(
-        database,
-        matching_options=matching,
-        pairing_options=pairing,
-        verification_options=verification_options(),
-        device=pycolmap.Device.cpu,
-    )
+    match_pairs(database, folder / f"with_{name}.txt", [[name, photograph_name(other)] for other in others])
 
     pixels, points, ids = [], [], []
     with pycolmap.Database.open(database) as db:

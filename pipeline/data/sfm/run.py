@@ -6,7 +6,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -42,13 +43,9 @@ def reconstruct(
     if len(used) < 2:
         raise ValueError(f"{source}: expected at least 2 training cameras for structure from motion, found {len(used)}")
     started = time.perf_counter()
-    with tempfile.TemporaryDirectory(prefix="sfm-") as temporary:
-        folder = Path(temporary)
-        (folder / "images").mkdir()
-        known = all(p.camera is not None for p in photographs)
-        needed = used if known else photographs  # a held-out photograph with known pose is not used
-        for photograph in needed:
-            Image.fromarray(photograph.image).save(folder / "images" / image_file(photograph.name), compress_level=1)
+    known = all(p.camera is not None for p in photographs)
+    needed = used if known else photographs  # a held-out photograph with known pose is not used
+    with job_folder(needed) as folder:
         write_request(folder, replace(request_for(needed, cfg, unit), observations=observations))
         found = run_colmap(folder, source)
     if len(found.points) < cfg.min_points:
@@ -58,21 +55,22 @@ def reconstruct(
             "init.source=random needs none"
         )
     poses = "estimated" if not known else "refined" if cfg.refine_poses else "known"
-    sizes = {p.name: p.image.shape for p in needed}
-    cameras = {name: calibrated(record, sizes[name]) for name, record in found.cameras.items()}
+    cameras = cameras_of(found, needed)
     if poses == "known":  # exactly as given, without rounding by COLMAP
         cameras = {p.name: CalibratedCamera(p.camera) for p in used if p.camera is not None}
-    return Reconstruction(
-        found.points,
-        found.colors,
-        found.errors,
-        found.track_lengths,
-        cameras,
-        poses,
-        len(used),
-        time.perf_counter() - started,
-        found.observations,
-    )
+    facts = {"poses": poses, "photographs": len(used), "seconds": time.perf_counter() - started}
+    return Reconstruction(**{**vars(found), **facts, "cameras": cameras})
+
+
+@contextmanager
+def job_folder(photographs: Sequence[Photograph]) -> Iterator[Path]:
+    """A temporary folder with the images of a job."""
+    with tempfile.TemporaryDirectory(prefix="sfm-") as temporary:
+        images = Path(temporary) / "images"
+        images.mkdir()
+        for photograph in photographs:
+            Image.fromarray(photograph.image).save(images / image_file(photograph.name), compress_level=1)
+        yield images.parent
 
 
 def request_for(photographs: Sequence[Photograph], cfg: InitConfig, unit: float) -> Request:
@@ -116,8 +114,11 @@ def _record(photograph: Photograph) -> PhotographRecord:
     return PhotographRecord(photograph.name, described, photograph.held_out)
 
 
-def calibrated(record: dict, shape: tuple[int, ...]) -> CalibratedCamera:
-    """A camera of COLMAP's result. shape: (H, W, 3) of its photograph."""
-    height, width = shape[:2]
-    fx, fy, cx, cy = record["intrinsics"]
-    return CalibratedCamera(Camera(width, height, fx, fy, cx, cy, record["world_to_cam"]), record["radial"])
+def cameras_of(found: ColmapResult, photographs: Sequence[Photograph]) -> dict[str, CalibratedCamera]:
+    """The cameras of COLMAP's result, at the size of their photographs."""
+    shapes, cameras = {p.name: p.image.shape for p in photographs}, {}
+    for name, record in found.cameras.items():
+        (height, width, _), (fx, fy, cx, cy) = shapes[name], record["intrinsics"]
+        camera = Camera(width, height, fx, fy, cx, cy, record["world_to_cam"])
+        cameras[name] = CalibratedCamera(camera, record["radial"])
+    return cameras

@@ -64,10 +64,10 @@ def opened(folder: Path, **options: object) -> tuple[Footage, list[str]]:
 
 def scene_of(footage: Footage) -> Scene:
     cameras = {}
-    for number, name in zip(footage.numbers, footage.names):
+    for stream in footage.streams:
         pose = np.eye(4)
-        pose[0, 3] = -number
-        cameras[name] = Camera(*footage.size, 50, 50, footage.size[0] / 2, footage.size[1] / 2, pose)
+        pose[0, 3] = -stream.number
+        cameras[stream.name] = Camera(*footage.size, 50, 50, footage.size[0] / 2, footage.size[1] / 2, pose)
     return footage.to_scene(cameras)
 
 

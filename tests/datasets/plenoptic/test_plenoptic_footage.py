@@ -35,6 +35,10 @@ def filmed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def numbers(footage: Footage) -> tuple[int, ...]:
+    return tuple(stream.number for stream in footage.streams)
+
+
 def read(folder: Path, log: Callable[[str], None] = str, **options: object) -> Footage:
     given = {"name": "video/toy", "cache": folder.parent / "cache", "downscale": 2, **options}
     return read_footage(folder, SceneConfig(reader="video", **given), 2, log)
@@ -42,7 +46,7 @@ def read(folder: Path, log: Callable[[str], None] = str, **options: object) -> F
 
 def cameras(footage: Footage) -> dict[str, Camera]:
     made = {}
-    for number, name in zip(footage.numbers, footage.names):
+    for number, name in zip(numbers(footage), footage.names):
         pose = np.eye(4)
         pose[:3, 3] = -number, 0, 4
         made[name] = Camera(WIDTH, HEIGHT, 50.0, 51.0, 31.0, 25.0, pose)
@@ -51,7 +55,7 @@ def cameras(footage: Footage) -> dict[str, Camera]:
 
 def test_videos_are_sorted_by_name(filmed: Path) -> None:
     footage = read(filmed, test_cameras=[2])
-    assert footage.names == ("b.cam", "GX 03", "left", "right") and footage.numbers == (0, 1, 2, 3)
+    assert footage.names == ("b.cam", "GX 03", "left", "right") and numbers(footage) == (0, 1, 2, 3)
     assert (footage.size, footage.rate, footage.count, footage.source) == ((WIDTH, HEIGHT), RATE, FRAMES, filmed)
     assert footage.held_out == ("left",)
 
@@ -62,7 +66,7 @@ def test_cameras_have_the_numbers_of_their_names_as_with_poses(tmp_path: Path) -
         (folder / f"cam{number:02d}.mp4").rename(folder / f"cam{number}.mp4")
     lines: list[str] = []
     footage = read(folder, log=lines.append)
-    assert (footage.names, footage.numbers) == (("cam1", "cam2", "cam10"), (1, 2, 10))
+    assert (footage.names, numbers(footage)) == (("cam1", "cam2", "cam10"), (1, 2, 10))
     # The default of scene.test_cameras, [0], is none of them.
     assert footage.held_out == ("cam1",) and lines == [
         "no camera has the number 0: camera 1 is held out (scene.test_cameras)"
@@ -85,13 +89,13 @@ def test_cameras_without_numbers_of_their_own_have_their_place(
         write_camera(tmp_path / f"{name}.mp4", number, 2)
     lines: list[str] = []
     footage = read(tmp_path, log=lines.append)
-    assert (footage.names, footage.numbers, footage.held_out) == (names, (0, 1, 2), names[:1])
+    assert (footage.names, numbers(footage), footage.held_out) == (names, (0, 1, 2), names[:1])
     assert lines == [f"cameras are numbered by their place in the order of names: {said}"]
 
 
 def test_first_images_are_full_size_first_frames_in_use(filmed: Path, tmp_path: Path) -> None:
     footage = read(filmed, first_frame=2, drop_cameras=[1], cache=tmp_path / "cache")
-    for number, image in zip(footage.numbers, footage.first_images().values(), strict=True):
+    for number, image in zip(numbers(footage), footage.first_images().values(), strict=True):
         assert image.shape == (HEIGHT, WIDTH, 3) and image.dtype == np.uint8
         assert np.abs(inside(image).astype(int) - inside(picture(number, 2))).max() <= CODEC
     assert not (tmp_path / "cache").exists()  # nothing else was decoded

@@ -17,7 +17,7 @@ from datasets.synthetic.world import World
 from datasets.synthetic.write_film import FilmSettings
 from pipeline.config.schema import InitConfig
 from pipeline.data.sfm.__main__ import main, read_photographs
-from pipeline.data.sfm.cache import CLIP_VERSION, clip_reconstruct_cached, fingerprint, load, reconstruct_cached, save
+from pipeline.data.sfm.cache import CLIP_VERSION, fingerprint, load, reconstruct_cached, save
 from pipeline.data.sfm.job import image_file, photograph_name
 from pipeline.data.sfm.reconstruction import CalibratedCamera, Reconstruction
 from pipeline.data.sfm.run import reconstruct
@@ -264,10 +264,10 @@ def test_a_cached_clip_with_too_few_points_is_refused(tmp_path: Path) -> None:
     points, colors, numbers = np.random.default_rng(0).random((7, 3)), np.zeros((7, 3), np.uint8), np.ones(7)
     lens = CalibratedCamera(Camera(6, 4, 5.0, 5.0, 3.0, 2.0, np.eye(4)), 0.0)
     save(Reconstruction(points, colors, numbers, numbers.astype(int), {"p0": lens}, "estimated", 2, 0.0), cached)
-    found, folder = clip_reconstruct_cached(photographs, replace(CFG, min_points=7), SOURCE, tmp_path, print)
+    found, folder = reconstruct_cached(photographs, replace(CFG, min_points=7), 1.0, SOURCE, tmp_path, clip_log=print)
     assert folder == cached and len(found.points) == 7
     with pytest.raises(ValueError, match=r"at least 8 points \(init.min_points\), found 7"):
-        clip_reconstruct_cached(photographs, replace(CFG, min_points=8), SOURCE, tmp_path, print)
+        reconstruct_cached(photographs, replace(CFG, min_points=8), 1.0, SOURCE, tmp_path, clip_log=print)
 
 
 def test_command_line(posed: list[Photograph], tmp_path: Path, capsys) -> None:
