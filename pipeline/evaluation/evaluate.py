@@ -18,7 +18,6 @@ import numpy as np
 from datasets.scene import Scene, Sweep
 from datasets.urban.projection import depth_image
 from pipeline.config.schema import Config
-from pipeline.data.frame_order import film_order
 from pipeline.data.training_views import Target, camera_at, evenly_spaced, target_of
 from pipeline.evaluation.flicker import FlickerMeter
 from pipeline.evaluation.image_metrics import MS_SSIM_SMALLEST_SIDE, SSIM_SMALLEST_SIDE
@@ -67,8 +66,8 @@ def evaluate(
     """Measure `model` on every test view of `scene`, at the final resolution of training.
 
     Renders are clamped to [0, 1] and not rounded to 8 bits. save: called with the views that `cfg.evaluate.renders`
-    selects. film: called with all of them. Both are called in film order (frame_order.film_order). Raises ValueError
-    for a model that is not finite.
+    selects. film: called with the camera of all of them. Both are called camera by camera in the order of time, if
+    views are frames of videos. Raises ValueError for a model that is not finite.
     """
     if found := model.first_non_finite():  # a render would not show it: max(0, NaN) is 0
         raise ValueError(
@@ -83,7 +82,9 @@ def evaluate(
     rows: dict[int, dict] = {}  # by index of the view
 
     # Rendering takes milliseconds on all threads, measuring a quarter of a second on one: several views in parallel.
-    order = film_order(scene.test, scene.frame_rate)
+    order = list(range(len(scene.test)))
+    if scene.frame_rate is not None:
+        order.sort(key=lambda i: (scene.test[i].filmed_by, scene.test[i].time))
     parallel = _parallel_views(scene.test[0].camera, threads, perceptual.bytes_per_pixel)
     with ThreadPoolExecutor(parallel) as pool:
         for first in range(0, len(order), parallel):
@@ -115,7 +116,7 @@ def evaluate(
                 if save is not None and index in saved:
                     save(view.name, seen)
                 if film is not None:
-                    film(view.name, seen)
+                    film(view.filmed_by, seen)
 
     per_image = [rows[index] for index in range(len(scene.test))]
     metrics: dict[str, float | str | None] = {**means(per_image), "lpips_note": perceptual.note}

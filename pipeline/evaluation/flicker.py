@@ -10,7 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from datasets.scene import View
-from pipeline.data.frame_order import is_next_frame
+
+SPACING_TOLERANCE = 0.1  # frames; covers the rounding of times
 
 
 class FlickerMeter:
@@ -27,7 +28,9 @@ class FlickerMeter:
             return None
         now, before = np.subtract(image, truth, dtype=np.float32), self._before
         self._before = (view, now)
-        if before is None or not is_next_frame(before[0], view, self._frame_rate):
+        if before is None or before[0].filmed_by != view.filmed_by:
+            return None
+        if abs((view.time - before[0].time) * self._frame_rate - 1.0) >= SPACING_TOLERANCE:
             return None
         change = np.subtract(now, before[1], out=before[1])  # reuses its memory
         return float(np.mean(np.abs(change, out=change), dtype=np.float64))

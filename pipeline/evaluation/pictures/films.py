@@ -12,7 +12,6 @@ import numpy as np
 
 from datasets.files.atomic_write import atomic_file
 from datasets.scene import View
-from pipeline.data.frame_order import camera_name
 from pipeline.data.training_views import camera_at, target_of
 from pipeline.evaluation.metrics import MeasuredView
 from pipeline.evaluation.pictures.camera_path import FRAME_RATE, Ellipse, bullet_time, ellipse_among, median_depth
@@ -82,7 +81,7 @@ def video(path: Path, width: int, height: int, frame_rate: float) -> Iterator[Se
 class HeldOutFilms:
     """Writes <camera>_render_and_truth.mp4 for each test camera: render left, ground truth right. A context manager.
 
-    Call it with every test view in film order (frame_order.film_order).
+    Call it with the camera of every test view, camera by camera in the order of time.
     """
 
     def __init__(self, folder: Path, frame_rate: float) -> None:
@@ -99,12 +98,12 @@ class HeldOutFilms:
     ) -> None:
         self._open.__exit__(kind, error, trace)
 
-    def __call__(self, view_name: str, seen: MeasuredView) -> None:
+    def __call__(self, camera: str, seen: MeasuredView) -> None:
         pair = np.concatenate([seen.image, seen.truth], axis=1)
-        if camera_name(view_name) != self._camera:
+        if camera != self._camera:
             self._open.close()  # finishes the previous camera's video
-            self._camera = camera_name(view_name)
-            path = self._folder / f"{self._camera}_render_and_truth.mp4"
+            self._camera = camera
+            path = self._folder / f"{camera}_render_and_truth.mp4"
             self._send = self._open.enter_context(video(path, pair.shape[1], pair.shape[0], self._frame_rate))
         assert self._send is not None
         self._send(pair)

@@ -163,9 +163,11 @@ def test_photographs_have_no_flicker(model: Model) -> None:
 
 
 def test_film_is_called_in_film_order(model: Model) -> None:
-    names: list[str] = []
-    evaluate(model, tiny_film(frames=3), evaluation_config(), 2, film=lambda name, seen: names.append(name))
-    assert names == [f"test/{camera}_{number:04d}" for camera in ("cam00", "cam05") for number in range(3)]
+    scene, found = tiny_film(frames=3), []
+    evaluate(model, scene, evaluation_config(), 2, film=lambda camera, seen: found.append((camera, seen.truth)))
+    expected = {view.name: np.asarray(view.image) / np.float32(255) for view in scene.test}
+    assert [camera for camera, _ in found] == ["cam00"] * 3 + ["cam05"] * 3
+    assert all((truth == expected[f"test/{camera}_{i % 3:04d}"]).all() for i, (camera, truth) in enumerate(found))
 
 
 def test_the_near_plane_is_in_the_scenes_unit(model: Model) -> None:

@@ -92,7 +92,7 @@ def test_one_video_per_camera(tmp_path: Path) -> None:
     with HeldOutFilms(tmp_path, 24.0) as film:
         for camera, frames in (("cam00", 5), ("cam07", 3)):
             for number in range(frames):
-                film(f"test/{camera}_{number:04d}", MeasuredView(*(smooth(48, 64, n) for n in (number, 100 + number))))
+                film(camera, MeasuredView(*(smooth(48, 64, n) for n in (number, 100 + number))))
     assert {path.name for path in tmp_path.iterdir()} == {f"{name}_render_and_truth.mp4" for name in ("cam00", "cam07")}
     assert [len(read(tmp_path / f"{name}_render_and_truth.mp4")[0]) for name in ("cam00", "cam07")] == [5, 3]
     for number, frame in enumerate(read(tmp_path / "cam07_render_and_truth.mp4")[0]):
