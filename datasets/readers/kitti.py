@@ -27,17 +27,8 @@ from datasets.scene import make_camera
 from datasets.settings import SceneConfig
 from datasets.source import Log, Source, data_folder
 from datasets.urban.assemble import DriveSource
-from datasets.urban.log import DrivingLog, LogImage, LogSweep, SweepPoints, check_times, numbered_files
-from datasets.urban.number_files import (
-    check_reach,
-    entry,
-    read_calibration,
-    read_lines,
-    read_points,
-    read_rows,
-    rigid,
-    transformed,
-)
+from datasets.urban.log import DrivingLog, LogImage, check_times, log_sweeps, numbered_files
+from datasets.urban.number_files import entry, read_calibration, read_lines, read_rows, read_sweep, rigid
 from rasterizer.camera import Camera
 
 IMAGES = (".png", ".jpg", ".jpeg")
@@ -56,17 +47,6 @@ class Calibration:
     projection: dict[int, np.ndarray]  # camera -> P (3, 4): rectified coordinates of camera 0 -> pixels
     velo_to_rectified: np.ndarray  # (4, 4) Velodyne -> rectified coordinates of camera 0
     sizes: dict[int, tuple[int, int]] = field(default_factory=dict)  # camera -> (width, height) of its rectified images
-
-
-@dataclass(frozen=True)
-class Pinhole:
-    """One camera of a drive."""
-
-    fx: float  # pixels, as are the others
-    fy: float
-    cx: float
-    cy: float
-    rectified_to_camera: np.ndarray  # (4, 4) from rectified coordinates of camera 0
 
 
 def open_source(cfg: SceneConfig, threads: int, log: Log) -> Source:
@@ -175,65 +155,39 @@ def _log(
     sweeps: dict[int, Path],
 ) -> DrivingLog:
     found = []
-    for camera_number, listed in images.items():
-        if not listed:
-            continue
-        pinhole = _pinhole(calibration.projection[camera_number], source, camera_number)
-        size = calibration.sizes.get(camera_number)
+    for camera, listed in images.items():
         for frame, number in enumerate(numbers):
-            path = listed.get(number)
-            if path is None:
-                continue  # cameras may miss a frame
-            camera = _camera(path, pinhole, rectified_to_world[frame], size)
-            mask = sky[camera_number].get(number)
-            found.append(LogImage(frame, camera_number, times[camera_number][frame], camera, path, sky=mask))
+            if number in listed:  # cameras may miss a frame
+                path, mask = listed[number], sky[camera].get(number)
+                posed = _camera(path, calibration, camera, rectified_to_world[frame], source)
+                found.append(LogImage(frame, camera, times[camera][frame], posed, path, sky=mask))
     time_of = next(iter(times.values()))  # cameras and Velodyne are triggered together
-    return DrivingLog(
-        layout,
-        source,
-        tuple(found),
-        tuple(
-            LogSweep(
-                frame,
-                time_of[frame],
-                sweeps[number],
-                partial(_read_sweep, sweeps[number], rectified_to_world[frame] @ calibration.velo_to_rectified),
-            )
-            for frame, number in enumerate(numbers)
-            if number in sweeps
-        ),
-        USUAL,
-    )
+    poses = [pose @ calibration.velo_to_rectified for pose in rectified_to_world]
+    read = partial(read_sweep, columns=COLUMNS)
+    return DrivingLog(layout, source, tuple(found), log_sweeps(sweeps, numbers, time_of, poses, read), USUAL)
 
 
-def _camera(path: Path, pinhole: Pinhole, rectified_to_world: np.ndarray, size: tuple[int, int] | None) -> Camera:
-    """size: (width, height) of a rectified image, pixels; None: not known. SceneError for an image of another size."""
-    width, height = image_size(path)
-    if size is not None and size != (width, height):
+def _camera(path: Path, calibration: Calibration, number: int, rectified_to_world: np.ndarray, source: Path) -> Camera:
+    """Of an image whose projection is P = K [R | t], with R the identity because images are rectified: t = K⁻¹ P[:, 3].
+
+    SceneError for an image that is not of the calibration's size.
+    """
+    (width, height), projection = image_size(path), calibration.projection[number]
+    size = calibration.sizes.get(number, (width, height))
+    if size != (width, height):
         raise SceneError(
             path,
             "{} x {} pixels, the calibration's S_rect, as the rectified images of …_sync have".format(*size),
             f"{width} x {height}",
         )
-    pose = pinhole.rectified_to_camera @ np.linalg.inv(rectified_to_world)
-    return make_camera(path, lambda: Camera(width, height, pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy, pose))
-
-
-def _read_sweep(path: Path, velo_to_world: np.ndarray) -> SweepPoints:
-    points = read_points(path, COLUMNS)[:, :3]
-    check_reach(points, path)
-    return SweepPoints(transformed(points, velo_to_world), velo_to_world[:3, 3])
-
-
-def _pinhole(projection: np.ndarray, source: Path, number: int) -> Pinhole:
-    """Of a projection P = K [R | t] with R the identity, because the images are rectified: t = K⁻¹ P[:, 3]."""
     matrix = projection[:, :3]
     if not (matrix[0, 0] > 0 and matrix[1, 1] > 0 and abs(matrix[2, 2] - 1) < 1e-6):
         raise SceneError(f"{source}: calibration of camera {number}", "focal lengths above 0", f"{matrix.tolist()}")
     offset = np.eye(4)
     offset[:3, 3] = np.linalg.solve(matrix, projection[:, 3])
-    fx, fy, cx, cy = matrix[0, 0], matrix[1, 1], matrix[0, 2] + 0.5, matrix[1, 2] + 0.5
-    return Pinhole(float(fx), float(fy), float(cx), float(cy), offset)
+    fx, fy, cx, cy = (float(x) for x in (matrix[0, 0], matrix[1, 1], matrix[0, 2] + 0.5, matrix[1, 2] + 0.5))
+    pose = offset @ np.linalg.inv(rectified_to_world)
+    return make_camera(path, lambda: Camera(width, height, fx, fy, cx, cy, pose))
 
 
 def _projections(values: dict[str, np.ndarray], name: str, file: Path) -> dict[int, np.ndarray]:

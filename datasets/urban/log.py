@@ -6,8 +6,9 @@ number their files have.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -56,8 +57,22 @@ class LogSweep:
 
     frame: int
     time: float  # seconds
-    path: Path
     read: Callable[[], SweepPoints]
+
+
+def log_sweeps(
+    files: Mapping[int, Path],
+    numbers: Sequence[int],
+    times: Sequence[float],
+    poses: Sequence[np.ndarray],
+    read: Callable[[Path, np.ndarray], SweepPoints],
+) -> tuple[LogSweep, ...]:
+    """The sweeps of a log. files: by number; numbers, times, poses: of each frame. read: of a file and its pose."""
+    return tuple(
+        LogSweep(frame, times[frame], partial(read, files[number], poses[frame]))
+        for frame, number in enumerate(numbers)
+        if number in files
+    )
 
 
 @dataclass(frozen=True)

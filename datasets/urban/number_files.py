@@ -9,6 +9,7 @@ import numpy as np
 
 from datasets.cameras.transforms import read_pose
 from datasets.files.errors import SceneError
+from datasets.urban.log import SweepPoints
 
 LONGEST_FILE = 64 * 2**20  # bytes: the poses of a log of a million frames
 FARTHEST = 1e4  # metres: no LiDAR reaches as far
@@ -106,12 +107,19 @@ def read_floats(path: Path) -> np.ndarray:
     return np.frombuffer(content, dtype="<f4")
 
 
-def read_points(path: Path, columns: int) -> np.ndarray:
-    """(N, columns) float32; SceneError for another number of columns, for no points, and for points beyond reach."""
+def read_sweep(
+    path: Path, to_world: np.ndarray, *, columns: int, start: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> SweepPoints:
+    """The sweep of a file with rows of x, y, z and more. start: of the beams, in the same frame.
+
+    SceneError for another number of columns, for no points, and for points beyond reach.
+    """
     values = read_floats(path)
     if values.size == 0 or values.size % columns:
         raise SceneError(path, f"rows of {columns} float32 values", f"{values.size} values: the file is cut short")
-    return values.reshape(-1, columns)
+    points = values.reshape(-1, columns)[:, :3]
+    check_reach(points, path)
+    return SweepPoints(transformed(points, to_world), transformed(np.array([start]), to_world)[0])
 
 
 def check_reach(points: np.ndarray, path: Path) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from datasets.urban.number_files import transformed
 from datasets.urban.waymo.processed import OPENCV_TO_WAYMO
 from rasterizer.camera import Camera
 
@@ -41,14 +42,14 @@ class Frame:
 def write_processed(folder: Path, index: int, frame: Frame, columns: int = 14) -> None:
     """Frame `index` in the processed layout. columns: of the sweep, 14 or 10."""
     stem = f"{index:03d}"
-    _save_matrix(folder / "ego_pose" / f"{stem}.txt", frame.vehicle_to_world)
+    _save(folder / "ego_pose" / f"{stem}.txt", frame.vehicle_to_world)
     _append_time(folder, frame.time, index)
     world_to_vehicle = np.linalg.inv(frame.vehicle_to_world)
     for one in frame.cameras:
         c = one.camera
         if index == 0 or not (folder / "intrinsics" / f"{one.number}.txt").is_file():
             camera_to_vehicle = world_to_vehicle @ np.linalg.inv(c.world_to_cam) @ np.linalg.inv(OPENCV_TO_WAYMO)
-            _save_matrix(folder / "extrinsics" / f"{one.number}.txt", camera_to_vehicle)
+            _save(folder / "extrinsics" / f"{one.number}.txt", camera_to_vehicle)
             _save(folder / "intrinsics" / f"{one.number}.txt", np.array([c.fx, c.fy, c.cx, c.cy, *one.distortion]))
         name = f"{stem}_{one.number}"
         _save_image(folder / "images", name, one.image)
@@ -57,17 +58,12 @@ def write_processed(folder: Path, index: int, frame: Frame, columns: int = 14) -
         _save_truth(folder / "truth" / f"{name}.npz", one.truth)
     if frame.points is not None:
         rows = np.zeros((len(frame.points), columns), "<f4")
-        rows[:, :3] = _moved(
-            frame.vehicle_to_world[:3, 3] if frame.origins is None else frame.origins, world_to_vehicle
-        )
-        rows[:, 3:6] = _moved(frame.points, world_to_vehicle)
+        origins = frame.vehicle_to_world[:3, 3] if frame.origins is None else frame.origins
+        rows[:, :3] = transformed(origins, world_to_vehicle)
+        rows[:, 3:6] = transformed(frame.points, world_to_vehicle)
         rows[:, -3] = frame.intensity
         rows[:, -1] = 0 if frame.lasers is None else frame.lasers
-        _save_rows(folder / "lidar" / f"{stem}.bin", rows)
-
-
-def _moved(points: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    return points @ matrix[:3, :3].T + matrix[:3, 3]
+        _made(folder / "lidar" / f"{stem}.bin").write_bytes(rows.tobytes())
 
 
 def _made(path: Path) -> Path:
@@ -77,10 +73,6 @@ def _made(path: Path) -> Path:
 
 def _save(path: Path, values: np.ndarray) -> None:
     np.savetxt(_made(path), values, fmt="%.17g")
-
-
-def _save_matrix(path: Path, matrix: np.ndarray) -> None:
-    _save(path, matrix)
 
 
 def _append_time(folder: Path, time: float, index: int) -> None:
@@ -103,7 +95,3 @@ def _save_mask(path: Path, mask: np.ndarray | None) -> None:
 def _save_truth(path: Path, arrays: dict[str, np.ndarray] | None) -> None:
     if arrays is not None:
         np.savez_compressed(_made(path), **arrays)  # type: ignore[arg-type]
-
-
-def _save_rows(path: Path, rows: np.ndarray) -> None:
-    _made(path).write_bytes(rows.tobytes())

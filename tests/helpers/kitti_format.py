@@ -6,23 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets.urban.write import (
-    Frame,
-    _append_time,
-    _made,
-    _moved,
-    _save_image,
-    _save_mask,
-    _save_matrix,
-    _save_rows,
-    _save_truth,
-)
+from datasets.urban.number_files import transformed
+from datasets.urban.write import Frame, _append_time, _made, _save, _save_image, _save_mask, _save_truth
 
 
 def write_kitti_format(folder: Path, index: int, frame: Frame) -> None:
     """Frame `index` in KITTI's format; the sequence is 0, so that an ID is the frame's number."""
     stem = f"{index:07d}"
-    _save_matrix(folder / "pose" / f"{stem}.txt", frame.vehicle_to_world)
+    _save(folder / "pose" / f"{stem}.txt", frame.vehicle_to_world)
     _append_time(folder, frame.time, index)
     world_to_vehicle = np.linalg.inv(frame.vehicle_to_world)
     lines = {f"P{n}": np.zeros(12) for n in range(5)} | {"R0_rect": np.eye(3).ravel()}
@@ -38,6 +29,6 @@ def write_kitti_format(folder: Path, index: int, frame: Frame) -> None:
     _made(folder / "calib" / f"{stem}.txt").write_text(text)
     if frame.points is not None:
         rows = np.zeros((len(frame.points), 6), "<f4")
-        rows[:, :3] = _moved(frame.points, world_to_vehicle)
+        rows[:, :3] = transformed(frame.points, world_to_vehicle)
         rows[:, 3] = frame.intensity
-        _save_rows(folder / "velodyne" / f"{stem}.bin", rows)
+        _made(folder / "velodyne" / f"{stem}.bin").write_bytes(rows.tobytes())

@@ -102,19 +102,15 @@ def camera_images(files: Components) -> Iterator[Row]:
         yield {"time": row[TIME], "camera": _number(row["key.camera_name"], CAMERAS), "jpeg": row[column]}
 
 
-def range_images(files: Components) -> Iterator[Row]:
-    """{time, laser, image (H, W, 4)} of each sweep, its first returns."""
-    values, shape = (f"[LiDARComponent].range_image_return1.{name}" for name in ("values", "shape"))
-    for row in files.rows("lidar", [TIME, "key.laser_name", values, shape]):
-        image = _image(row[values], row[shape], 4, files.folder / "lidar")
-        yield {"time": row[TIME], "laser": _number(row["key.laser_name"], LASERS), "image": image}
+def range_images(files: Components, poses: bool = False) -> Iterator[Row]:
+    """{time, laser, image (H, W, 4)} of each sweep, its first returns.
 
-
-def pixel_poses(files: Components) -> Iterator[Row]:
-    """{time, laser, image (H, W, 6)}: the vehicle's pose while each pixel of a sweep was measured; may be absent."""
-    values, shape = (f"[LiDARPoseComponent].range_image_return1.{name}" for name in ("values", "shape"))
-    for row in files.rows("lidar_pose", [TIME, "key.laser_name", values, shape], optional=True):
-        image = _image(row[values], row[shape], 6, files.folder / "lidar_pose")
+    poses: (H, W, 6) instead, the vehicle's pose while each pixel of a sweep was measured; may be absent.
+    """
+    folder, kind, channels = ("lidar_pose", "LiDARPose", 6) if poses else ("lidar", "LiDAR", 4)
+    values, shape = (f"[{kind}Component].range_image_return1.{name}" for name in ("values", "shape"))
+    for row in files.rows(folder, [TIME, "key.laser_name", values, shape], optional=poses):
+        image = _image(row[values], row[shape], channels, files.folder / folder)
         yield {"time": row[TIME], "laser": _number(row["key.laser_name"], LASERS), "image": image}
 
 

@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from datasets.files.atomic_write import atomic_folder, write_json
 from datasets.files.errors import SceneError
+from datasets.urban.number_files import transformed
 from datasets.urban.waymo.components import (
     Calibration,
     Components,
@@ -26,7 +27,6 @@ from datasets.urban.waymo.components import (
     camera_images,
     labelled_boxes,
     laser_calibrations,
-    pixel_poses,
     range_images,
     the_segment,
     vehicle_poses,
@@ -49,7 +49,7 @@ def convert(folder: Path, segment: str, out: Path, cameras: list[int], frames: i
     first_to_world = poses[times[0]]
     images = _by_time(camera_images(files), times)
     sweeps = _by_time(range_images(files), times)
-    poses_of_pixels = _by_time(pixel_poses(files), times)
+    poses_of_pixels = _by_time(range_images(files, poses=True), times)
     boxes = _by_time(labelled_boxes(files), times)
     with atomic_folder(out, marker="meta.json") as temporary:
         for index, time in enumerate(times):
@@ -66,8 +66,8 @@ def convert(folder: Path, segment: str, out: Path, cameras: list[int], frames: i
                 (time - times[0]) / 1e6,
                 vehicle_to_first,
                 written,
-                points @ vehicle_to_first[:3, :3].T + vehicle_to_first[:3, 3],
-                origins @ vehicle_to_first[:3, :3].T + vehicle_to_first[:3, 3],
+                transformed(points, vehicle_to_first),
+                transformed(origins, vehicle_to_first),
                 numbers,
                 intensity,
             )
@@ -156,7 +156,7 @@ def moving_boxes(
             continue
         c, s = np.cos(box[6]), np.sin(box[6])
         vehicle = (corners * box[3:6]) @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]).T + box[:3]
-        world = vehicle @ vehicle_to_world[:3, :3].T + vehicle_to_world[:3, 3]
+        world = transformed(vehicle, vehicle_to_world)
         x, y, z = camera.world_to_cam[:3, :3] @ world.T + camera.world_to_cam[:3, 3:]
         if (z > 0.1).all():
             hull = cv2.convexHull(np.stack([x / z, y / z], axis=1).astype(np.float32))
@@ -197,7 +197,7 @@ def points_of(
     row, column = np.divmod(index, width)
     up, around, distance = beams[row], azimuth[column], ranges.reshape(-1)[index].astype(np.float64)
     local = distance[:, None] * np.stack([np.cos(around) * np.cos(up), np.sin(around) * np.cos(up), np.sin(up)], axis=1)
-    points = local @ laser_to_vehicle[:3, :3].T + laser_to_vehicle[:3, 3]
+    points = transformed(local, laser_to_vehicle)
     origins = np.tile(laser_to_vehicle[:3, 3], (len(points), 1))
     if pixel_poses is None or vehicle_to_world is None:
         return points, origins, index
@@ -206,8 +206,7 @@ def points_of(
     world_to_vehicle = np.linalg.inv(vehicle_to_world)
 
     def in_frame(of_pixel: np.ndarray) -> np.ndarray:
-        world = turns.apply(of_pixel) + poses[:, 3:]
-        return world @ world_to_vehicle[:3, :3].T + world_to_vehicle[:3, 3]
+        return transformed(turns.apply(of_pixel) + poses[:, 3:], world_to_vehicle)
 
     return in_frame(points), in_frame(origins), index
 

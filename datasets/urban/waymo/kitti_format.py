@@ -22,17 +22,8 @@ import numpy as np
 from datasets.files.errors import SceneError
 from datasets.files.image_files import image_size
 from datasets.scene import make_camera
-from datasets.urban.log import DrivingLog, LogImage, LogSweep, SweepPoints, check_times, numbered_files
-from datasets.urban.number_files import (
-    check_reach,
-    entry,
-    read_calibration,
-    read_matrix,
-    read_points,
-    read_rows,
-    rigid,
-    transformed,
-)
+from datasets.urban.log import DrivingLog, LogImage, check_times, log_sweeps, numbered_files
+from datasets.urban.number_files import entry, read_calibration, read_matrix, read_rows, read_sweep, rigid
 from rasterizer.camera import Camera
 
 CAMERAS = range(5)
@@ -62,31 +53,22 @@ def open_kitti_format(path: Path) -> DrivingLog:
         if len(times) != len(numbers):
             raise SceneError(file, f"a line a frame, {len(numbers)}", f"{len(times)}")
         check_times(times, file)
-    found, found_sweeps = [], []
+    found = []
+    vehicle_to_world = [read_matrix(poses[number]) for number in numbers]
     for frame, number in enumerate(numbers):
-        vehicle_to_world = read_matrix(poses[number])
         values = read_calibration(calibrations[number])
         for camera_number, listed in images.items():
             if number not in listed:
                 continue
             file = listed[number]
-            camera = _camera(file, camera_number, values, vehicle_to_world, calibrations[number])
+            camera = _camera(file, camera_number, values, vehicle_to_world[frame], calibrations[number])
             truth = path / "truth" / f"{file.stem}_{camera_number}.npz"
-            found.append(
-                LogImage(
-                    frame,
-                    camera_number,
-                    times[frame],
-                    camera,
-                    file,
-                    sky=sky[camera_number].get(number),
-                    truth=truth if truth.is_file() else None,
-                )
-            )
-        if number in sweeps:
-            read = partial(_read_sweep, sweeps[number], vehicle_to_world)
-            found_sweeps.append(LogSweep(frame, times[frame], sweeps[number], read))
-    return DrivingLog("Waymo in KITTI's format", path, tuple(found), tuple(found_sweeps), USUAL)
+            mask = sky[camera_number].get(number)
+            known = truth if truth.is_file() else None
+            found.append(LogImage(frame, camera_number, times[frame], camera, file, sky=mask, truth=known))
+    read = partial(read_sweep, columns=COLUMNS, start=ROOF)
+    found_sweeps = log_sweeps(sweeps, numbers, times, vehicle_to_world, read)
+    return DrivingLog("Waymo in KITTI's format", path, tuple(found), found_sweeps, USUAL)
 
 
 def _camera(
@@ -106,9 +88,3 @@ def _numbered(path: Path, names: tuple[str, ...], number: int) -> dict[int, Path
         if found := numbered_files(path / name.format(number), SUFFIXES):
             return found
     return {}
-
-
-def _read_sweep(path: Path, vehicle_to_world: np.ndarray) -> SweepPoints:
-    points = read_points(path, COLUMNS)[:, :3]
-    check_reach(points, path)
-    return SweepPoints(transformed(points, vehicle_to_world), transformed(np.array([ROOF]), vehicle_to_world)[0])

@@ -24,7 +24,7 @@ import numpy as np
 from datasets.files.errors import SceneError
 from datasets.files.image_files import image_size
 from datasets.scene import make_camera
-from datasets.urban.log import DrivingLog, LogImage, LogSweep, SweepPoints, check_times, numbered_files
+from datasets.urban.log import DrivingLog, LogImage, SweepPoints, check_times, log_sweeps, numbered_files
 from datasets.urban.number_files import (
     check_reach,
     numbers,
@@ -84,22 +84,8 @@ def open_processed(path: Path) -> DrivingLog:
             )
         )
     sweeps = numbered_files(path / "lidar", (".bin",))
-    return DrivingLog(
-        "Waymo, processed",
-        path,
-        tuple(images),
-        tuple(
-            LogSweep(
-                frames.index(frame),
-                times[frames.index(frame)],
-                sweeps[frame],
-                partial(_read_sweep, sweeps[frame], vehicle_to_world[frame]),
-            )
-            for frame in frames
-            if frame in sweeps
-        ),
-        USUAL,
-    )
+    found = log_sweeps(sweeps, frames, times, list(vehicle_to_world.values()), _read_sweep)
+    return DrivingLog("Waymo, processed", path, tuple(images), found, USUAL)
 
 
 def columns_of(values: np.ndarray, path: Path) -> np.ndarray:
