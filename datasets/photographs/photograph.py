@@ -6,9 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from datasets.cameras.lens import Lens
+import numpy as np
+
+from datasets.cameras.lens import Lens, undistort_rgba
 from datasets.files.errors import SceneError
-from datasets.files.image_files import image_size
+from datasets.files.image_files import image_size, read_rgba
 from datasets.scene import make_camera
 from rasterizer.camera import Camera
 
@@ -31,6 +33,20 @@ class PosedFile:
     folder: str = ""  # what names the physical camera: a folder, or a part of the file names
     size: tuple[int, int] | None = None  # (width, height) of the file, which is cut to the camera's; None: the camera's
     moment: str | None = None  # the part of the name that says when; None: the file name
+
+    @property
+    def file_size(self) -> tuple[int, int]:
+        """(width, height) of the file, pixels."""
+        return self.size or (self.camera.width, self.camera.height)
+
+    def read(self) -> np.ndarray:
+        """(H, W, 4) uint8 of the file, undistorted and cut to the size of its camera, with straight alpha."""
+        rgba, (width, height) = read_rgba(self.path), self.file_size
+        if rgba.shape[:2] != (height, width):
+            expected = f"{width} x {height} pixels, as its header says"
+            raise SceneError(self.path, expected, "{1} x {0}".format(*rgba.shape))
+        whole = undistort_rgba(rgba, self.lens.maps((width, height))) if self.lens else rgba
+        return whole[: self.camera.height, : self.camera.width]
 
 
 def of_one_size(photographs: Sequence[PosedFile]) -> tuple[list[PosedFile], tuple[int, int]]:

@@ -14,7 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from datasets.cameras.lens import both, imaged, undistort, undistort_rgba
+from datasets.cameras.lens import both, imaged, undistort
 from datasets.canonical import canonical_space
 from datasets.composition import (
     BLACK,
@@ -69,7 +69,7 @@ class FileImage:
         return image if dtype is None else image.astype(dtype, copy=False)
 
     def _read(self) -> np.ndarray:
-        return compose(_undistorted(self._photograph), self._background, self._downscale)
+        return compose(self._photograph.read(), self._background, self._downscale)
 
 
 def to_scene(
@@ -107,7 +107,7 @@ def to_scene(
         image = FileImage(photograph, (small.height, small.width, 3), downscale, composed_over)
         image.keep = len(photographs) * 3 * small.width * small.height <= KEPT_BYTES
         assert photograph.time is not None
-        alpha = coverage(_undistorted(photograph), downscale) if has_alpha(photograph.path) else None
+        alpha = coverage(photograph.read(), downscale) if has_alpha(photograph.path) else None
         name, full = f"{split}/{photograph.name}", photograph.camera
         seen = imaged(photograph.lens, (full.width, full.height), (small.width, small.height))
         mask = both(_mask(photograph, downscale), seen)
@@ -154,18 +154,6 @@ def scene_points(positions: np.ndarray, colors: np.ndarray | None = None) -> Sce
     return ScenePoints(positions[good].astype(np.float64), colors) if good.any() else None
 
 
-def _undistorted(photograph: PosedFile) -> np.ndarray:
-    """(H, W, 4) uint8 of the file, cut to the size of its camera, with straight alpha."""
-    rgba, camera = read_rgba(photograph.path), photograph.camera
-    width, height = photograph.size or (camera.width, camera.height)
-    if rgba.shape[:2] != (height, width):
-        raise SceneError(
-            photograph.path, f"{width} x {height} pixels, as its header says", "{1} x {0}".format(*rgba.shape)
-        )
-    whole = undistort_rgba(rgba, photograph.lens.maps((width, height))) if photograph.lens else rgba
-    return whole[: camera.height, : camera.width]
-
-
 def _background(views: Sequence[View], requested: Color | None, log: Log) -> Color:
     """By scene.background; auto: of opaque images, the border colour of BORDER_IMAGES of them."""
     if any(view.coverage is not None for view in views):
@@ -183,7 +171,7 @@ def _mask(photograph: PosedFile, downscale: int) -> np.ndarray | None:
         raise SceneError(photograph.mask, f"the mask of {photograph.name}", "no such file")
     rgba = read_rgba(photograph.mask)
     camera = photograph.camera
-    width, height = photograph.size or (camera.width, camera.height)
+    width, height = photograph.file_size
     if abs(rgba.shape[1] * height - rgba.shape[0] * width) > max(width, height, *rgba.shape):  # a side is rounded
         raise SceneError(
             photograph.mask,

@@ -21,6 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from datasets.cameras.intrinsics import read_distortion, read_pinhole
+from datasets.cameras.lens import Undistortion, imaged
 from datasets.cameras.transforms import TransformsEntry, read_transforms
 from datasets.canonical import canonical_space
 from datasets.composition import (
@@ -34,12 +35,12 @@ from datasets.composition import (
     reduced_camera,
 )
 from datasets.files.errors import SceneError, read_json
-from datasets.files.image_files import common_size, read_rgba
+from datasets.files.image_files import common_size
 from datasets.ground_truth import truth_beside
+from datasets.photographs.photograph import PosedFile
 from datasets.scene import Scene, View, camera_extent, capture_of, make_camera, validate_scene
 from datasets.settings import SceneConfig
 from datasets.source import Log, PosedImages, Source, data_folder, data_path
-from rasterizer.camera import Camera
 
 # Times within [0, 1] that span more than this are in D-NeRF's unit, whose range is [0, 1].
 UNIT_INTERVAL_SPAN = 0.5
@@ -94,12 +95,13 @@ def read_dnerf(root: Path, cfg: SceneConfig, log: Log) -> Scene:
             entries[0].image_path, f"at least {downscale} pixels a side (downscale)", "{} x {}".format(*size)
         )
 
-    cameras = {id(entry): _read_camera(entry, size) for entry in entries}  # checked before any image is decoded
+    # Checked before any image is decoded.
+    photographs = {split: [_photograph(entry, size) for entry in listed] for split, listed in splits.items()}
     background = background_color(cfg.background)
     composed_over = background or BLACK
     views = {
-        split: tuple(_read_view(entry, size, downscale, composed_over, *cameras[id(entry)]) for entry in listed)
-        for split, listed in splits.items()
+        split: tuple(_read_view(photograph, downscale, composed_over) for photograph in listed)
+        for split, listed in photographs.items()
     }
     train_cameras = [view.camera for view in views["train"]]
     train_images = [np.asarray(view.image) for view in views["train"]]
@@ -212,33 +214,17 @@ def _refuse_outlier(root: Path, time: float, entry: TransformsEntry, others: lis
         raise SceneError(root / view_name(entry), expected, f"{time:.13g}")
 
 
-def _read_camera(entry: TransformsEntry, size: tuple[int, int]) -> tuple[Camera, tuple[float, ...]]:
-    """The camera of the full-size image, and its lens distortion (empty: none)."""
+def _photograph(entry: TransformsEntry, size: tuple[int, int]) -> PosedFile:
     camera = read_pinhole(entry.intrinsics, size, entry.cam_to_world, entry.where, entry.file)
-    distortion = read_distortion(entry.intrinsics, entry.where)
-    return camera, distortion if any(distortion) else ()
+    bent = read_distortion(entry.intrinsics, entry.where)
+    lens = Undistortion.of(camera, *bent) if any(bent) else None
+    return PosedFile(view_name(entry), entry.image_path, camera, lens, entry.time or 0.0)
 
 
-def _read_view(
-    entry: TransformsEntry,
-    size: tuple[int, int],
-    downscale: int,
-    background: Color,
-    full_size: Camera,
-    distortion: tuple[float, ...],
-) -> View:
-    rgba = read_rgba(entry.image_path)
-    width, height = size
-    if rgba.shape[:2] != (height, width):
-        raise SceneError(
-            entry.image_path, f"{width} x {height} pixels as its header says", "{1} x {0}".format(*rgba.shape)
-        )
-    camera, mask = make_camera(entry.image_path, lambda: reduced_camera(full_size, downscale)), None
-    if distortion:
-        from datasets.cameras.lens import Undistortion, imaged, undistort_rgba  # imports OpenCV, which few scenes need
-
-        lens = Undistortion.of(full_size, *distortion)
-        rgba, mask = undistort_rgba(rgba, lens.maps(size)), imaged(lens, size, (camera.width, camera.height))
-    image = compose(rgba, background, downscale)
-    truth = None if distortion else truth_beside(entry.image_path, downscale)  # of undistorted images only
-    return View(camera, entry.time or 0.0, image, view_name(entry), coverage(rgba, downscale), truth, mask=mask)
+def _read_view(photograph: PosedFile, downscale: int, background: Color) -> View:
+    path, full, lens = photograph.path, photograph.camera, photograph.lens
+    camera, rgba = make_camera(path, lambda: reduced_camera(full, downscale)), photograph.read()
+    mask = imaged(lens, (full.width, full.height), (camera.width, camera.height))
+    truth = None if lens else truth_beside(path, downscale)  # of undistorted images only
+    alpha, image = coverage(rgba, downscale), compose(rgba, background, downscale)
+    return View(camera, photograph.time or 0.0, image, photograph.name, alpha, truth, mask=mask)

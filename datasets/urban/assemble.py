@@ -8,13 +8,15 @@ from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
+import cv2
 import numpy as np
 from PIL import Image
 
+from datasets.cameras.lens import Undistortion, imaged
 from datasets.composition import BLACK, compose, reduced_camera
 from datasets.files.errors import SceneError
-from datasets.files.image_files import read_rgba
 from datasets.ground_truth import StoredTruth, any_moving
+from datasets.photographs.photograph import PosedFile
 from datasets.scene import Scene, Sweep, View, bounding_cube, camera_extent, make_camera, validate_scene
 from datasets.settings import SceneConfig
 from datasets.source import Calibration, Log, Photograph, Source
@@ -171,23 +173,14 @@ def _selected(log: DrivingLog, cfg: SceneConfig) -> list[LogImage]:
 
 def _view(image: LogImage, split: str, cfg: SceneConfig) -> View:
     """The image at 1/downscale of its size, undistorted, with its masks."""
-    rgba = read_rgba(image.path)
-    full = image.camera
-    if rgba.shape[:2] != (full.height, full.width):
-        raise SceneError(
-            image.path, f"{full.width} x {full.height} pixels as its header says", "{1} x {0}".format(*rgba.shape)
-        )
+    full, size = image.camera, (image.camera.width, image.camera.height)
+    lens = Undistortion.of(full, *image.distortion) if any(image.distortion) else None
+    rgba = PosedFile(image.name, image.path, full, lens).read()
     if min(full.width, full.height) < cfg.downscale:
         raise SceneError(image.path, f"at least {cfg.downscale} pixels a side (downscale)", f"{full.width}")
     camera = make_camera(image.path, lambda: reduced_camera(full, cfg.downscale))
     shape = camera.height, camera.width
-    maps = counts = None
-    if any(image.distortion):
-        from datasets.cameras.lens import Undistortion, imaged, undistort_rgba  # imports OpenCV, which few scenes need
-
-        lens, size = Undistortion.of(full, *image.distortion), (full.width, full.height)
-        maps, counts = lens.maps(size), imaged(lens, size, shape[::-1])
-        rgba = undistort_rgba(rgba, maps)
+    maps = lens.maps(size) if lens else None
     sky = moving = None
     if image.sky is not None and cfg.sky_masks in ("auto", "files"):
         sky = majority(_mask(image.sky, full, maps), *shape, cfg.downscale)
@@ -205,7 +198,7 @@ def _view(image: LogImage, split: str, cfg: SceneConfig) -> View:
         frame=image.frame,
         sky=sky,
         moving=moving,
-        mask=counts,
+        mask=imaged(lens, size, (camera.width, camera.height)),
         filmed_by=f"{image.number}",
     )
 
@@ -229,8 +222,6 @@ def _mask(path: object, camera: Camera, maps: tuple[np.ndarray, np.ndarray] | No
         )
     if maps is None:
         return mask
-    import cv2
-
     return cv2.remap(mask.astype(np.uint8), *maps, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE) > 0
 
 
