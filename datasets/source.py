@@ -3,7 +3,8 @@
 Each module of datasets/readers reads one layout, and its name is the value of scene.reader. It is imported when it is
 needed: most scenes need no video decoder. A reader has
 
-    open_source(cfg, threads, log) -> Source
+    read(folder, cfg, log)          of images with poses: the Scene, without validation split
+    open_source(cfg, threads, log)  of other data, instead: the Source
     matches(path) -> str | None     for scene=auto: what is missing in a folder of this layout; None: nothing
     TITLE, PRECEDENCE               for scene=auto: what messages call it, and its place: the lowest is asked first
     as_found(cfg, log)              for scene=auto, optional: the settings where the folder decides more of them
@@ -147,13 +148,15 @@ def open_source(cfg: SceneConfig, *, threads: int = 0, log: Log = print) -> Sour
     Synthetic videos and logs are made first, unless they are in the cache. threads: for decoding; 0: all cores. Raises
     SceneError for invalid data and settings that do not fit them.
     """
-    if cfg.reader != "auto":
-        return _reader(cfg.reader).open_source(cfg, threads, log)
-    name, line = detect(data_path(cfg))
-    log(line)
-    reader = _reader(name)
-    cfg = reader.as_found(cfg, log) if hasattr(reader, "as_found") else replace(cfg, reader=name)
-    return reader.open_source(cfg, threads, log)
+    reader = None if cfg.reader == "auto" else _reader(cfg.reader)
+    if reader is None:
+        name, line = detect(data_path(cfg))
+        log(line)
+        reader = _reader(name)
+        cfg = reader.as_found(cfg, log) if hasattr(reader, "as_found") else replace(cfg, reader=name)
+    if hasattr(reader, "open_source"):
+        return reader.open_source(cfg, threads, log)
+    return PosedImages(cfg, lambda: reader.read(data_folder(cfg), cfg, log))
 
 
 def detect(path: Path) -> tuple[str, str]:

@@ -26,7 +26,7 @@ from datasets.photographs.photograph import PosedFile
 from datasets.photographs.scene import scene_points, to_scene
 from datasets.scene import Scene, make_camera
 from datasets.settings import SceneConfig
-from datasets.source import Log, PosedImages, Source, data_folder
+from datasets.source import Log
 from rasterizer.camera import Camera
 
 LARGEST_TRACK_ERROR = 2.0  # pixels: points of a larger reprojection error are left out
@@ -35,17 +35,11 @@ UNDISTORTED = (
     "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV", "OPENCV_FISHEYE",
     "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE",
 )  # fmt: skip
-
-
 TITLE, PRECEDENCE = "COLMAP", 60
 
 
 def matches(path: Path) -> str | None:
     return None if sparse_folders(path) else "no sparse/0 with images.bin or images.txt"
-
-
-def open_source(cfg: SceneConfig, threads: int, log: Log) -> Source:
-    return PosedImages(cfg, lambda: read_colmap(data_folder(cfg), cfg, log))
 
 
 def sparse_folders(root: Path) -> list[Path]:
@@ -61,7 +55,7 @@ def _images_file(folder: Path) -> Path | None:
     return next((file for suffix in ("bin", "txt") if (file := folder / f"images.{suffix}").is_file()), None)
 
 
-def read_colmap(root: Path, cfg: SceneConfig, log: Log) -> Scene:
+def read(root: Path, cfg: SceneConfig, log: Log) -> Scene:
     """The scene; images without a pose are left out. SceneError for invalid files and lens models that are unknown."""
     folders = sparse_folders(root)
     if not folders:

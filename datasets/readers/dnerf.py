@@ -40,7 +40,7 @@ from datasets.ground_truth import truth_beside
 from datasets.photographs.photograph import PosedFile
 from datasets.scene import Scene, View, camera_extent, capture_of, make_camera, validate_scene
 from datasets.settings import SceneConfig
-from datasets.source import Log, PosedImages, Source, data_folder, data_path
+from datasets.source import Log, data_path
 
 # Times within [0, 1] that span more than this are in D-NeRF's unit, whose range is [0, 1].
 UNIT_INTERVAL_SPAN = 0.5
@@ -60,10 +60,6 @@ def matches(path: Path) -> str | None:
     return None if (path / "transforms_train.json").is_file() else "no transforms_train.json"
 
 
-def open_source(cfg: SceneConfig, threads: int, log: Log) -> Source:
-    return PosedImages(cfg, lambda: read_dnerf(data_folder(cfg), cfg, log))
-
-
 def as_found(cfg: SceneConfig, log: Log) -> SceneConfig:
     """Where the test split is missing transforms_val.json is held out, else every eighth training view."""
     cfg, path = replace(cfg, reader="dnerf"), data_path(cfg)
@@ -77,7 +73,7 @@ def as_found(cfg: SceneConfig, log: Log) -> SceneConfig:
     return replace(cfg, validation_every=VALIDATION_EVERY)
 
 
-def read_dnerf(root: Path, cfg: SceneConfig, log: Log) -> Scene:
+def read(root: Path, cfg: SceneConfig, log: Log) -> Scene:
     """The scene in a folder. Raises SceneError if it does not follow the layout.
 
     With scene.validation_every a missing test split is left empty: the caller holds out training views.

@@ -23,13 +23,11 @@ from datasets.photographs.photograph import PosedFile
 from datasets.photographs.scene import scene_points, to_scene
 from datasets.scene import Scene, ScenePoints, make_camera
 from datasets.settings import SceneConfig
-from datasets.source import Log, PosedImages, Source, data_folder
+from datasets.source import Log
 from rasterizer.camera import Camera
 
 TABLES = "an object with k, w2c, fn, cam_id"
 MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
-
-
 TITLE, PRECEDENCE = "Dynamic 3D Gaussians", 10
 
 
@@ -37,11 +35,7 @@ def matches(path: Path) -> str | None:
     return None if (path / "train_meta.json").is_file() else "no train_meta.json"
 
 
-def open_source(cfg: SceneConfig, threads: int, log: Log) -> Source:
-    return PosedImages(cfg, lambda: read_dynamic_gaussians(data_folder(cfg), cfg, log))
-
-
-def read_dynamic_gaussians(root: Path, cfg: SceneConfig, log: Log) -> Scene:
+def read(root: Path, cfg: SceneConfig, log: Log) -> Scene:
     """The scene; without test_meta.json, scene.test_cameras are held out, by their number in cam_id."""
     if (root / "test_meta.json").is_file():
         photographs = _read_meta(root, "train_meta.json", False, log) + _read_meta(root, "test_meta.json", True, log)

@@ -17,11 +17,9 @@ from datasets.photographs.scene import to_scene
 from datasets.plenoptic.poses import read_poses
 from datasets.scene import Scene
 from datasets.settings import SceneConfig
-from datasets.source import Log, PosedImages, Source, data_folder
+from datasets.source import Log
 
 SUFFIXES = (".png", ".jpg", ".jpeg")
-
-
 TITLE, PRECEDENCE = "NVIDIA Dynamic Scenes (LLFF poses)", 70
 
 
@@ -31,17 +29,13 @@ def matches(path: Path) -> str | None:
     return None if image_folder(path) is not None else "no images/"
 
 
-def open_source(cfg: SceneConfig, threads: int, log: Log) -> Source:
-    return PosedImages(cfg, lambda: read_llff(data_folder(cfg), cfg, log))
-
-
 def image_folder(root: Path) -> Path | None:
     """images, else the first folder images_…; None without one."""
     folders = sorted(p for p in root.glob("images*") if p.is_dir() and "colmap" not in p.name and _images(p))
     return next((p for p in folders if p.name == "images"), folders[0] if folders else None)
 
 
-def read_llff(root: Path, cfg: SceneConfig, log: Log) -> Scene:
+def read(root: Path, cfg: SceneConfig, log: Log) -> Scene:
     """The scene. SceneError unless there are as many images as poses."""
     folder = image_folder(root)
     if folder is None:

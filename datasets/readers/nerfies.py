@@ -32,13 +32,11 @@ from datasets.photographs.photograph import PosedFile
 from datasets.photographs.scene import scene_points, to_scene
 from datasets.scene import Scene, ScenePoints, make_camera
 from datasets.settings import SceneConfig
-from datasets.source import Log, PosedImages, Source, data_folder
+from datasets.source import Log
 from rasterizer.camera import Camera
 
 TIME_KEYS = ("time_id", "warp_id", "appearance_id")
 LATEST = 1e9  # frames
-
-
 TITLE, PRECEDENCE = "Nerfies, HyperNeRF or DyCheck", 20
 
 
@@ -48,11 +46,7 @@ def matches(path: Path) -> str | None:
     return None if (path / "camera").is_dir() and (path / "rgb").is_dir() else "no camera/ and rgb/"
 
 
-def open_source(cfg: SceneConfig, threads: int, log: Log) -> Source:
-    return PosedImages(cfg, lambda: read_nerfies(data_folder(cfg), cfg, log))
-
-
-def read_nerfies(root: Path, cfg: SceneConfig, log: Log) -> Scene:
+def read(root: Path, cfg: SceneConfig, log: Log) -> Scene:
     """The scene, with the layout's own split where it holds out frames."""
     ids, test = _split(root)
     factor, remaining = _scale_folder(root, cfg.downscale, ids)

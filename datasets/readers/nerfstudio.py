@@ -28,13 +28,11 @@ from datasets.photographs.photograph import PosedFile
 from datasets.photographs.scene import scene_points, to_scene
 from datasets.scene import Scene, ScenePoints
 from datasets.settings import SceneConfig
-from datasets.source import Log, PosedImages, Source, data_folder
+from datasets.source import Log
 from rasterizer.camera import Camera
 
 FISHEYE = ("OPENCV_FISHEYE", "FISHEYE")
 COLORS = ("red", "green", "blue")
-
-
 TITLE, PRECEDENCE = "nerfstudio", 50
 
 
@@ -42,11 +40,7 @@ def matches(path: Path) -> str | None:
     return None if (path / "transforms.json").is_file() else "no transforms.json"
 
 
-def open_source(cfg: SceneConfig, threads: int, log: Log) -> Source:
-    return PosedImages(cfg, lambda: read_nerfstudio(data_folder(cfg), cfg, log))
-
-
-def read_nerfstudio(root: Path, cfg: SceneConfig, log: Log) -> Scene:
+def read(root: Path, cfg: SceneConfig, log: Log) -> Scene:
     """The scene. SceneError for invalid data and for cameras that are no perspective or fisheye lens."""
     file = root / "transforms.json"
     entries = read_transforms(file, root)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from datasets.readers.dnerf import read_dnerf
+from datasets.readers import dnerf
 from datasets.scene import PLAYBACK_RATE, Scene
 from datasets.settings import SceneConfig
 from datasets.source import Log, PosedImages, Source
@@ -30,7 +30,7 @@ def open_source(cfg: SceneConfig, threads: int, log: Log) -> Source:
 
 
 def _photographed(name: str, cfg: SceneConfig, log: Log) -> Scene:
-    scene = read_dnerf(_made(name, cfg, "cameras", log), cfg, log)
+    scene = dnerf.read(_made(name, cfg, "cameras", log), cfg, log)
     filmed = cfg.camera_path == "arc" and scene.capture == "monocular"
     return replace(scene, capture="clip", playback_rate=PLAYBACK_RATE) if filmed else scene
 

@@ -26,7 +26,7 @@ from datasets.photographs.photograph import PosedFile
 from datasets.photographs.scene import to_scene
 from datasets.scene import Scene
 from datasets.settings import SceneConfig
-from datasets.source import Log, PosedImages, Source, data_folder
+from datasets.source import Log
 from rasterizer.camera import Camera
 
 TITLE, PRECEDENCE = "Toy", 15
@@ -36,11 +36,7 @@ def matches(path: Path) -> str | None:
     return None if (path / "toy.json").is_file() else "no toy.json"
 
 
-def open_source(cfg: SceneConfig, threads: int, log: Log) -> Source:
-    return PosedImages(cfg, lambda: read_toy(data_folder(cfg), cfg, log))
-
-
-def read_toy(root: Path, cfg: SceneConfig, log: Log) -> Scene:
+def read(root: Path, cfg: SceneConfig, log: Log) -> Scene:
     entries = json.loads((root / "toy.json").read_text())
     files = []
     for name, x in entries.items():
