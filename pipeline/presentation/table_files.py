@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import csv
-import io
-
 from pipeline.presentation.table import NOT_MEASURED, NOT_REPORTED, NOTHING, Cell, Column, Row, Table
 from pipeline.presentation.table_layout import laid_out
+from pipeline.runs.run_folder import csv_text
 
 # fmt: off
 _LATEX = {
@@ -56,9 +54,7 @@ def comma_separated(table: Table) -> str:
     """CSV at full precision, one number per cell: errors in columns of their own, footnote marks in `note`."""
     with_error = {c.key for c in table.columns if any(table.cell(row, c).error is not None for row in table.rows)}
     head = [name for c in table.columns for name in ([c.key, f"{c.key}_{c.error}"] if c.key in with_error else [c.key])]
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(["kind", *head, "note"])
+    lines = []
     for row in table.rows:
         line: list[str] = [row.kind]
         for column in table.columns:
@@ -66,8 +62,8 @@ def comma_separated(table: Table) -> str:
             line.append(_csv_cell(cell, row))
             if column.key in with_error:
                 line.append(_plain(cell.error) if cell.error is not None else "")
-        writer.writerow([*line, row.mark])
-    return buffer.getvalue()
+        lines.append([*line, row.mark])
+    return csv_text(["kind", *head, "note"], lines)
 
 
 def _csv_cell(cell: Cell, row: Row) -> str:

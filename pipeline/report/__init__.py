@@ -2,5 +2,5 @@
 
 runs.py reads the runs into a data frame. tables.py lists the tables as data; run_table.py and paper_table.py make them.
 curve_figures.py and plots.py draw learning curves, strips.py held-out views. content.py puts all of it into sections,
-page.py into HTML, build.py into files. The report only reads run folders; it does not train and does not change them.
+build.py into HTML and files. The report only reads run folders; it does not train and does not change them.
 """

@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+import base64
+import os
+import re
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from urllib.parse import quote
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from pipeline.presentation.table_files import files_of
+from pipeline.presentation.table_layout import laid_out
 from pipeline.presentation.theme import DARK
 from pipeline.report import tables
 from pipeline.report.content import Content, CurvePlot, report_markdown, terminal_text
 from pipeline.report.curve_figures import curve_figures
-from pipeline.report.page import render_page
 from pipeline.report.plots import plot, recoloured
-from pipeline.report.run_figures import RunFigure, run_figures
+from pipeline.report.run_figures import run_figures
 from pipeline.report.runs import Collection, collect
-from pipeline.report.sfm import SfmPicture, sfm_section
-from pipeline.report.strips import Strip, make_strips
+from pipeline.report.sfm import sfm_section
+from pipeline.report.strips import RunFigure, Strip, make_strips
 from pipeline.report.time_to_psnr import TimeToPsnr
 
 
@@ -42,7 +49,7 @@ def build_report(
     content = content_of(collection, no_pictures, levels, _plots(collection))
     files = {f"tables/{name}": data for table in content.tables for name, data in files_of(table, with_latex).items()}
     files |= {f"plots/{plot.slug}.svg": plot.light.encode() for plot in content.plots}
-    pictures: list[Strip | RunFigure | SfmPicture] = [*content.strips, *content.figures, *content.sfm_pictures]
+    pictures: list[Strip | RunFigure] = [*content.strips, *content.figures, *content.sfm_pictures]
     files |= {f"strips/{picture.filename}": picture.webp for picture in pictures}
     files |= {"report.md": report_markdown(content).encode(), "report.html": render_page(content, out).encode()}
     return Report(files, (*content.left_out, *content.warnings), terminal_text(content))
@@ -67,3 +74,37 @@ def content_of(
 def _plots(collection: Collection) -> list[CurvePlot]:
     drawn = {figure: plot(collection, figure) for figure in curve_figures(collection)}
     return [CurvePlot(figure.title, figure.slug, svg, recoloured(svg, DARK)) for figure, svg in drawn.items()]
+
+
+def render_page(content: Content, out: Path = Path()) -> str:
+    """HTML text of page.html, without scripts. The template engine escapes text; images become data URIs. Empty
+    sections are left out.
+
+    out: the page's folder, from which links lead to the runs' viewers.
+    """
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {"data_uri": _data_uri, "pieces": pieces, "viewer_link": partial(viewer_link, out=out)}
+    return environment.get_template("page.html").render(content=content, laid_out=laid_out, sections=content.sections)
+
+
+def viewer_link(strip: Strip, out: Path) -> str:
+    """Relative address of the run's viewer at the strip's view, half of it the truth."""
+    assert strip.viewer is not None
+    path = os.path.relpath(strip.viewer.resolve(), out.resolve())
+    return f"{quote(path)}#view={quote(strip.view)}&compare=wipe"
+
+
+def pieces(text: str) -> list[str]:
+    """`text` split where a line may break: after / _ and =."""
+    return re.split(r"(?<=[/_=])", text)
+
+
+def _data_uri(content: bytes | str, mime: str) -> str:
+    content = content.encode() if isinstance(content, str) else content
+    return f"data:{mime};base64,{base64.b64encode(content).decode()}"

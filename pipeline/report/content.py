@@ -11,11 +11,9 @@ import pandas as pd
 
 from pipeline.presentation.table import NO_RUN, NOTHING, Row, Table
 from pipeline.presentation.table_files import markdown
-from pipeline.report.run_figures import RunFigure
 from pipeline.report.runs import BEST, FINAL
 from pipeline.report.scenes import FULL
-from pipeline.report.sfm import SfmPicture
-from pipeline.report.strips import Strip
+from pipeline.report.strips import RunFigure, Strip
 
 TITLES = {
     "summary": "Summary",
@@ -53,7 +51,7 @@ class Content:
     strips: Sequence[Strip]
     figures: Sequence[RunFigure]  # of pipeline.figures, where it was called
     plots: Sequence[CurvePlot]
-    sfm_pictures: Sequence[SfmPicture]
+    sfm_pictures: Sequence[RunFigure]
 
     def of(self, section: str) -> list[Table]:
         return [table for table in self.tables if table.section == section]
@@ -147,7 +145,7 @@ def report_markdown(content: Content) -> str:
             for f in content.figures
         ],
         "curves": [f"![{p.title}](plots/{p.slug}.svg)\n" for p in content.plots],
-        "sfm": [f"![points and cameras of {p.scene}](strips/{p.filename})\n" for p in content.sfm_pictures],
+        "sfm": [f"![{p.title} of {p.scene}](strips/{p.filename})\n" for p in content.sfm_pictures],
     }
     lines = ["# Benchmark report\n", summary_markdown(content)]
     for key, title in content.sections.items():

@@ -5,27 +5,16 @@ Shown is one run a scene: of the recipe and the model whose views are shown too,
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
 
 from datasets.files.errors import DataError, clear, read_json
 from pipeline.report import scenes
-from pipeline.report.strips import compose, opened, shown_experiment, webp_name
+from pipeline.report.strips import RunFigure, compose, opened, shown_experiment, webp_name
 
 FOLDER, INDEX = "figures", "figures.json"  # of a run folder, as pipeline/figures writes them
 _MAX_SIDE = 1200  # pixels
-
-
-@dataclass(frozen=True)
-class RunFigure:
-    scene: str
-    run: str
-    title: str
-    seen: str  # what is seen, a sentence
-    filename: str
-    webp: bytes
 
 
 def run_figures(runs: pd.DataFrame, no_pictures: tuple[str, ...] = ()) -> tuple[list[RunFigure], list[str]]:

@@ -7,7 +7,6 @@ the table has one row per scene, or one per result where results differ.
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +16,16 @@ from datasets.files.errors import clear
 from pipeline.presentation.table import Cell, Column, Row, Table, number
 from pipeline.report import scenes
 from pipeline.report.runs import BrokenRun, is_number, read_object
-from pipeline.report.strips import compose, opened, webp_name
+from pipeline.report.strips import RunFigure, compose, opened, webp_name
 
-SFM_NUMBERS = ("points", "mean_error_px", "mean_track_length", "cameras", "registered", "seconds")
+SFM_NUMBERS = {  # key of sfm.json -> (header, decimals)
+    "cameras": ("Cameras", 0),
+    "registered": ("Registered", 0),
+    "points": ("Points", 0),
+    "mean_error_px": ("Mean reprojection error ↓, px", 3),
+    "mean_track_length": ("Mean track length, images", 2),
+    "seconds": ("Seconds", 1),
+}
 SFM_POSES = ("known", "refined", "estimated")
 _MAX_SIDE = 1024  # pixels
 _NOTE = (
@@ -29,18 +35,9 @@ _NOTE = (
 )
 
 
-@dataclass(frozen=True)
-class SfmPicture:
-    """A WebP plot of the points and cameras of one scene."""
-
-    scene: str
-    filename: str
-    webp: bytes
-
-
 def sfm_section(
     runs: pd.DataFrame, no_pictures: tuple[str, ...] = ()
-) -> tuple[Table | None, list[SfmPicture], list[str]]:
+) -> tuple[Table | None, list[RunFigure], list[str]]:
     """The table (None without any sfm.json), pictures, and a warning for each file that can't be read."""
     rows, pictures, warnings = [], [], []
     for scene in scenes.in_order(runs["scene"]):
@@ -56,7 +53,8 @@ def sfm_section(
             except Exception as error:  # PIL raises many types for damaged files
                 warnings.append(f"{scene}: no picture of points and cameras: {clear(error)}")
                 continue
-            pictures.append(SfmPicture(scene, webp_name(scene, f"sfm_{i + 1}" if i else "sfm"), webp))
+            name = webp_name(scene, f"sfm_{i + 1}" if i else "sfm")
+            pictures.append(RunFigure(scene, "", "points and cameras", "", name, webp))
     return (_table(rows) if rows else None), pictures, warnings
 
 
@@ -90,22 +88,12 @@ def read_sfm(path: Path) -> dict[str, Any]:
 
 
 def _row(scene: str, result: dict[str, Any], runs: int) -> Row:
-    decimals = {"points": 0, "mean_error_px": 3, "mean_track_length": 2, "cameras": 0, "registered": 0, "seconds": 1}
-    cells = {key: number(result[key], places) for key, places in decimals.items()}
+    cells = {key: number(result[key], decimals) for key, (_, decimals) in SFM_NUMBERS.items()}
     return Row({"scene": Cell(scene), "poses": Cell(result["poses"]), "runs": number(runs, 0)} | cells)
 
 
 def _table(rows: list[Row]) -> Table:
-    columns = (
-        Column("scene", "Scene", False),
-        Column("poses", "Poses", False),
-        Column("cameras", "Cameras"),
-        Column("registered", "Registered"),
-        Column("points", "Points"),
-        Column("mean_error_px", "Mean reprojection error ↓, px"),
-        Column("mean_track_length", "Mean track length, images"),
-        Column("seconds", "Seconds"),
-        Column("runs", "Runs"),
-    )
+    numbers = (Column(key, header) for key, (header, _) in SFM_NUMBERS.items())
+    columns = (Column("scene", "Scene", False), Column("poses", "Poses", False), *numbers, Column("runs", "Runs"))
     title = "Points and camera poses from COLMAP"
     return Table("structure", title, columns, tuple(rows), notes=(_NOTE,), over_seeds=False, section="sfm")

@@ -1,8 +1,9 @@
 """Image strips, render | truth | difference, and for driving logs depth, from the images in a run's renders/ folder.
 
 Per scene one recipe: the one with the best mean final PSNR of `full`. Shown are the median and the worst view of `full`
-and, where the dynamic region is known, the view with the largest, as in moving_picture.py; of the ablation that the
-scene was made for the same median view, and that of motion. Other models are compared in tables.
+and, where the dynamic region is known, the view with the largest: render and truth with its outline, and both enlarged
+there, since a moving object that a model has lost is a small part of an image. Of the ablation that the scene was made
+for the same median view, and that of motion. Other models are compared in tables.
 """
 
 from __future__ import annotations
@@ -11,23 +12,27 @@ import io
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 from PIL import Image
+from scipy.ndimage import binary_dilation, find_objects, label
 
 from datasets.files.errors import clear
 from pipeline.report import scenes
 from pipeline.report.curve_figures import file_name
-from pipeline.report.moving_picture import PARTS as MOVING_PARTS
-from pipeline.report.moving_picture import moving_count, moving_parts
 from pipeline.report.runs import read_view_psnr
 
-PARTS = ("render", "truth", "difference")
-DEPTH = "rendered_depth"  # a fourth part, of driving logs
+MOVING_PARTS = ("render, dynamic region outlined", "truth", "render, enlarged", "truth, enlarged")
 MOTION = "largest dynamic region"  # the choice of a view
 _MAX_SIDE = 512  # pixels of a view, to limit the size of the page
 _GAP = 6  # pixels between the parts
 _QUALITY = 90  # of WebP; the exact images are in the run's renders/
 DIFFERENCE_GAIN = 4  # of the difference images that pipeline/evaluation/pictures/view_pictures.py writes
+OUTLINE = (255, 0, 200)  # RGB; rare in photographs
+_MARGIN = 0.15  # of the enlarged object's size, on every side
+_SMALLEST = 24  # pixels, side of what is enlarged
+
+Box = tuple[int, int, int, int]  # left, upper, right, lower, as in PIL
 
 
 @dataclass(frozen=True)
@@ -42,9 +47,9 @@ class Strip:
     choice: str  # median | worst | example | MOTION: how the view was chosen
     chosen_for: str  # the model by whose PSNR it was chosen
     psnr: float | None  # of this view, dB
+    parts: tuple[str, ...]  # render, truth, difference and, of driving logs, depth; or MOVING_PARTS
     webp: bytes
-    viewer: Path | None = None  # the run's viewer.html
-    with_depth: bool = False
+    viewer: Path | None  # the run's viewer.html
 
     @property
     def choice_text(self) -> str:
@@ -53,15 +58,21 @@ class Strip:
         return self.choice if same else f"{self.choice} of {self.chosen_for}"
 
     @property
-    def parts(self) -> tuple[str, ...]:
-        if self.choice == MOTION:
-            return MOVING_PARTS
-        return ("render", "truth", f"difference × {DIFFERENCE_GAIN}", *(("depth",) if self.with_depth else ()))
-
-    @property
     def filename(self) -> str:
         """Unique among strips and valid in any file system."""
         return webp_name(self.scene, self.model, self.recipe_label, f"seed{self.seed}", self.choice, self.view)
+
+
+@dataclass(frozen=True)
+class RunFigure:
+    """A picture from a run's folder that is shown as it is."""
+
+    scene: str
+    run: str  # "": of several runs
+    title: str
+    seen: str  # what is seen, a sentence
+    filename: str
+    webp: bytes
 
 
 def make_strips(runs: pd.DataFrame, no_pictures: tuple[str, ...] = ()) -> tuple[list[Strip], list[str]]:
@@ -109,16 +120,18 @@ def shown_experiment(runs: pd.DataFrame) -> tuple[str, str]:
 def _strip(run: pd.Series, choice: str, view: str, chosen_for: str) -> Strip:
     """Raises whatever PIL raises for missing and damaged images."""
     folder = Path(run["folder"])
-    with_depth = choice != MOTION and (folder / "renders" / f"{view}_{DEPTH}.png").is_file()
+    files = {"render": "render", "truth": "truth", f"difference × {DIFFERENCE_GAIN}": "difference"}
+    if (folder / "renders" / f"{view}_rendered_depth.png").is_file():
+        files["depth"] = "rendered_depth"
+    parts = MOVING_PARTS if choice == MOTION else tuple(files)
     if choice == MOTION:
-        webp = compose(moving_parts(folder / "renders", view))
+        images = moving_parts(folder / "renders", view)
     else:
-        parts = (*PARTS, DEPTH) if with_depth else PARTS
-        webp = compose([opened(folder / "renders" / f"{view}_{part}.png") for part in parts])
+        images = [opened(folder / "renders" / f"{view}_{file}.png") for file in files.values()]
     psnr = read_view_psnr(folder / "per_image.csv").get(view)
     viewer = folder / "viewer.html" if (folder / "viewer.html").is_file() else None
     which = run["scene"], run["model"], run["recipe_label"], int(run["seed"])
-    return Strip(*which, view, choice, chosen_for, psnr, webp, viewer, with_depth)
+    return Strip(*which, view, choice, chosen_for, psnr, parts, compose(images), viewer)
 
 
 def webp_name(*parts: str) -> str:
@@ -139,6 +152,54 @@ def choose_views(renders: Path, psnr_of: dict[str, float]) -> list[tuple[str, st
         return [("example", views[len(views) // 2]), *motion] if views else []
     median, worst = known[len(known) // 2][1], known[0][1]
     return [("median", median)] + ([("worst", worst)] if worst != median else []) + motion
+
+
+def moving_parts(renders: Path, view: str) -> list[Image.Image]:
+    """Of MOVING_PARTS, all of the image's size. Raises whatever PIL raises for missing and damaged images."""
+    mask = moving_mask(renders, view)
+    pictures = [opened(renders / f"{view}_{part}.png") for part in ("render", "truth")]
+    box = enlarged_box(mask)
+    enlarged = [picture.crop(box).resize(picture.size, Image.Resampling.LANCZOS) for picture in pictures]
+    return [*(outlined(picture, mask) for picture in pictures), *enlarged]
+
+
+def moving_count(renders: Path, view: str) -> int:
+    """The moving pixels of a view's mask; 0 if it cannot be read."""
+    try:
+        return int(moving_mask(renders, view).sum())
+    except Exception:  # PIL raises many types for damaged files
+        return 0
+
+
+def moving_mask(renders: Path, view: str) -> np.ndarray:
+    """(H, W) bool. Raises whatever PIL raises for missing and damaged images."""
+    with Image.open(renders / f"{view}_moving.png") as image:
+        return np.asarray(image.convert("L")) > 0
+
+
+def outlined(picture: Image.Image, mask: np.ndarray) -> Image.Image:
+    """The picture with a line around the mask (H, W) bool, outside of it."""
+    width = max(1, round(max(picture.size) / 400))
+    pixels = np.asarray(picture).copy()
+    pixels[binary_dilation(mask, np.ones((3, 3)), iterations=width) & ~mask] = OUTLINE
+    return Image.fromarray(pixels)
+
+
+def enlarged_box(mask: np.ndarray) -> Box:
+    """A box around the largest connected part of the mask, of the image's proportions and inside of it."""
+    height, width = mask.shape
+    parts, count = label(mask, np.ones((3, 3)))
+    if not count:
+        return 0, 0, width, height
+    rows, columns = find_objects(parts)[int(np.bincount(parts.ravel())[1:].argmax())]
+    needed = [(1 + 2 * _MARGIN) * (part.stop - part.start) for part in (columns, rows)]
+    share = min(1.0, max(needed[0] / width, needed[1] / height, _SMALLEST / min(height, width)))
+    size = max(1, round(share * width)), max(1, round(share * height))
+    left, upper = (
+        int(np.clip((part.start + part.stop - side) // 2, 0, whole - side))
+        for part, side, whole in zip((columns, rows), size, (width, height))
+    )
+    return left, upper, left + size[0], upper + size[1]
 
 
 def opened(path: Path) -> Image.Image:

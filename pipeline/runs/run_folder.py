@@ -17,7 +17,7 @@ import json
 import os
 import shutil
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
@@ -31,13 +31,16 @@ CURVE_COLUMNS = ("train_seconds", "iteration", "psnr", "ssim", "test_loss", "n_g
 State = Literal["open", "done", "other code"]  # of a stage
 
 
-def write_csv(path: Path, rows: list[dict]) -> None:
-    """One row a dict; the first one names the columns. None is an empty cell."""
+def csv_text(header: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
+    """None is an empty cell."""
     text = io.StringIO()
-    writer = csv.DictWriter(text, fieldnames=list(rows[0]) if rows else [], lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    write_text(path, text.getvalue())
+    csv.writer(text, lineterminator="\n").writerows([header, *rows])
+    return text.getvalue()
+
+
+def write_csv(path: Path, rows: list[dict]) -> None:
+    """One row a dict; the first one names the columns."""
+    write_text(path, csv_text(rows[0] if rows else [], (row.values() for row in rows)))
 
 
 class RunFolder:

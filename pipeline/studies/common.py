@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import shlex
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -31,27 +29,18 @@ def made_by(name: str, arguments: list[str]) -> str:
     return f"{found['machine']}; {found['date'][:16]}; commit {found['git_commit'][:10]}; `{command}`"
 
 
-def write_results(folder: Path, files: Mapping[str, str | Callable[[Path], object]]) -> str:
-    """Replaces each file, given as its text or as a function that writes to a path; returns the line that names them.
-
-    To be called before anything is printed: printing stops where a pipe is closed.
-    """
+def write_results(folder: Path, name: str, table: str, files: Mapping[str, str | Callable[[Path], object]]) -> None:
+    """Writes the table as name.md and `files` by suffix, each a text or a function that writes to a path; then prints
+    the table and the names of the files. Written first: printing stops where a pipe is closed."""
+    files = {f"{name}.{suffix}": content for suffix, content in ({"md": table} | dict(files)).items()}
     folder.mkdir(parents=True, exist_ok=True)
-    for name, content in files.items():
-        with atomic_file(folder / name) as path:
+    for file, content in files.items():
+        with atomic_file(folder / file) as path:
             if isinstance(content, str):
                 path.write_text(content, encoding="utf-8")
             else:
                 content(path)
-    return f"written to {folder}: {', '.join(files)}"
-
-
-def csv_text(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(header)
-    writer.writerows(rows)
-    return buffer.getvalue()
+    print(f"{table}\nwritten to {folder}: {', '.join(files)}")
 
 
 def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

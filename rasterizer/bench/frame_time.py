@@ -115,8 +115,8 @@ def count_work(workload: Workload) -> WorkCounts:
 def time_iteration(
     workload: Workload, threads: int, repeats: int, views: int = 4, sparse: bool = False
 ) -> dict[str, Time]:
-    """Time by part ("rasterizer", "loss", "adam") and of the whole "iteration": of each of `views` views rendering, loss
-    and backward pass, then Adam.
+    """Time by part ("rasterizer", "loss", "adam") and of the whole "iteration": rendering, loss and backward pass of
+    `views` views, then Adam.
 
     sparse: Adam skips the Gaussians that no view of the batch shows.
     """

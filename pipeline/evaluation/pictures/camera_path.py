@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from datasets.canonical import SMALLEST_MEAN_DIRECTION, intersect_axes
+from datasets.urban.projection import in_image, project
 from rasterizer import Camera
 
 SECONDS = 5.0  # of video, both turns
@@ -87,11 +88,9 @@ def ellipse_among(cameras: Sequence[Camera], default_depth: float) -> Ellipse:
 
 def median_depth(points: np.ndarray, camera: Camera) -> float | None:
     """Median depth z, world units, of the points (N, 3) inside the camera's image; None if there are none."""
-    x, y, z = camera.world_to_cam[:3, :3] @ points.T + camera.world_to_cam[:3, 3:]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        column, row = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
-    visible = (z > 0) & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
-    return float(np.median(z[visible])) if visible.any() else None
+    column, row, depth = project(points, camera)
+    visible = in_image(column, row, depth, camera)
+    return float(np.median(depth[visible])) if visible.any() else None
 
 
 def look_at(position: np.ndarray, target: np.ndarray, down: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -102,15 +103,8 @@ def main(arguments: list[str]) -> int:
     chosen = smallest(points, MAX_LOSS)
     title = f"{cfg.scene.name}, {cfg.ablation.name}, {cfg.train.name}, seed {cfg.seed}"
     table = markdown(points, chosen, f"{title}. {made_by(NAME, arguments)}.")
-    written = write_results(
-        options.out,
-        {
-            f"{NAME}.md": table,
-            f"{NAME}.safetensors": lambda path: save_compressed(path, models[chosen.fraction], chosen.precision),
-        },
-    )
-    print(table)
-    print(written)
+    save = partial(save_compressed, model=models[chosen.fraction], precision=chosen.precision)
+    write_results(options.out, NAME, table, {"safetensors": save})
     return 0
 
 

@@ -79,11 +79,7 @@ def main(arguments: list[str]) -> int:
         f"instruction set {kernel.__name__.rsplit('_', 1)[1]}; errors of its middle {pixels}×{pixels} pixels"
     )
     table = markdown(points, f"{heading}. {made_by(NAME, arguments)}.")
-    written = write_results(
-        options.out, {f"{NAME}.csv": comma_separated(points), f"{NAME}.md": table, f"{NAME}.svg": draw(points, heading)}
-    )
-    print(table)
-    print(written)
+    write_results(options.out, NAME, table, {"csv": comma_separated(points), "svg": draw(points, heading)})
     return 0
 
 

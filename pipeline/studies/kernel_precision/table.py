@@ -7,7 +7,8 @@ from dataclasses import asdict
 
 import numpy as np
 
-from pipeline.studies.common import csv_text, markdown_table
+from pipeline.runs.run_folder import csv_text
+from pipeline.studies.common import markdown_table
 from pipeline.studies.kernel_precision.measure import Errors, Point
 from pipeline.studies.kernel_precision.variants import AGAIN, DEFAULT, TRADES
 

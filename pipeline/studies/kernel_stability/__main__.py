@@ -17,7 +17,8 @@ import torch
 from rich.console import Console
 from rich.progress import track
 
-from pipeline.studies.common import StudyParser, csv_text, made_by, markdown_table, write_results
+from pipeline.runs.run_folder import csv_text
+from pipeline.studies.common import StudyParser, made_by, markdown_table, write_results
 from pipeline.studies.kernel_stability import textbook_formulas
 from pipeline.studies.kernel_stability.cases import CASES, Case
 from pipeline.studies.kernel_stability.instruction_sets import Spread, measure_spread
@@ -145,13 +146,11 @@ def main(arguments: list[str]) -> int:
     rows = [measure_case(case, options.steps) for case in track(cases, console=Console(), transient=True)]
     heading = f"{made_by(NAME, arguments)}. Instruction sets: {', '.join(available_isas())}."
     table = markdown(rows, heading)
-    written = write_results(options.out, {f"{NAME}.md": table, f"{NAME}.csv": comma_separated(rows)})
-    print(table)
+    write_results(options.out, NAME, table, {"csv": comma_separated(rows)})
     exceeded = [row for row in rows if row.violations]
     for row in exceeded:
         print(f"{row.case.name}: {'; '.join(row.violations)}", file=sys.stderr)
     print(f"{len(rows) - len(exceeded)} of {len(rows)} cases are within their bounds")
-    print(written)
     return 1 if exceeded else 0
 
 

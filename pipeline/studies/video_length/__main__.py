@@ -13,8 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.runs.run_folder import csv_text
 from pipeline.runs.run_identity import FREE_KEYS, flat, read_config
-from pipeline.studies.common import StudyParser, csv_text, markdown_table, write_results
+from pipeline.studies.common import StudyParser, markdown_table, write_results
 from pipeline.terminal.command_line import command
 
 NAME = "video_length"
@@ -110,9 +111,7 @@ def main(arguments: list[str]) -> int:
     made = json.loads(next(options.runs.rglob("environment.json")).read_text())
     machine, date, commit = made["machine"], made["date"], made["git_commit"][:10]
     table = markdown(lengths, f"{scene}. {machine}; {date[:16]}; commit {commit}; `{made['command']}` and its sweep.")
-    written = write_results(options.out, {f"{NAME}.csv": comma_separated(lengths), f"{NAME}.md": table})
-    print(table)
-    print(written)
+    write_results(options.out, NAME, table, {"csv": comma_separated(lengths)})
     return 0
 
 

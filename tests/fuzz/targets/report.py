@@ -13,11 +13,10 @@ from fuzz.edits.json import edit_json
 from fuzz.target import REFUSED, VALID, Changes, Files, Target, check_message, require, valid_or_refused
 from fuzz.targets.data.dnerf import png
 from pipeline.evaluation.metrics import METRICS
-from pipeline.report.build import content_of
+from pipeline.report.build import content_of, render_page
 from pipeline.report.content import report_markdown, terminal_text
 from pipeline.report.curve_figures import curve_figures
-from pipeline.report.curve_statistics import end_of_coarse
-from pipeline.report.page import render_page
+from pipeline.report.plots import end_of_coarse
 from pipeline.report.runs import REQUIRED, collect, metric_columns
 
 RUNS = ("synthetic/counter/full/fast/seed0", "synthetic/counter/no_4drot/fast/seed1")

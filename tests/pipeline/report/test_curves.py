@@ -14,8 +14,7 @@ from report_runs import write_run
 
 from pipeline.presentation.theme import DARK, LIGHT
 from pipeline.report.curve_figures import MOST_LINES, CurveFigure, curve_figures
-from pipeline.report.curve_statistics import end_of_coarse, mean_and_std, split_at
-from pipeline.report.plots import plot, recoloured
+from pipeline.report.plots import end_of_coarse, mean_and_std, plot, recoloured, split_at
 from pipeline.report.runs import Collection, collect
 
 COARSE = "  resolution_steps: [{until: 0.5, scale: 0.5}]\n"

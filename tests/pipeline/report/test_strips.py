@@ -10,9 +10,8 @@ from PIL import Image
 from report_runs import write_run
 
 from pipeline.report.__main__ import main
-from pipeline.report.moving_picture import OUTLINE, enlarged_box, outlined
 from pipeline.report.runs import collect
-from pipeline.report.strips import choose_views, make_strips
+from pipeline.report.strips import OUTLINE, choose_views, enlarged_box, make_strips, outlined
 
 
 def write_mask(folder: Path, view: str, box: tuple[slice, slice]) -> None:
