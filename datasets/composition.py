@@ -19,16 +19,11 @@ BORDER_TOLERANCE = 8  # levels of 255: JPEG artefacts in an area of one colour
 BORDER_SHARE = 0.9  # least share of border pixels of that colour; objects may cover the rest
 
 
-def as_color(channels: Sequence[float]) -> Color:
-    """Three channels in [0, 1] as floats; validate_scene checks their number and range."""
-    return cast(Color, tuple(float(channel) for channel in channels))
-
-
 def background_color(setting: str | Sequence[float]) -> Color | None:
     """scene.background as RGB in [0, 1]; None for auto."""
     if isinstance(setting, str):
         return {"auto": None, "black": BLACK, "white": WHITE}[setting]
-    return as_color(setting)
+    return cast(Color, tuple(float(channel) for channel in setting))
 
 
 def compose(rgba: np.ndarray, background: Color, downscale: int = 1) -> np.ndarray:
@@ -99,7 +94,6 @@ def chosen_background(
             log(f"scene.background: {_color_name(border)}, the border colour of the images; "
                 "scene.background=black overrides")  # fmt: skip
         return border or BLACK
-    requested = as_color(requested)
     if border is not None and border != requested:
         log(f"scene.background: {_color_name(requested)} as set, but the images' borders are {_color_name(border)}")
     return requested

@@ -7,13 +7,12 @@ Matrices are camera-to-world with NeRF's axes, as in the transforms files of dat
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from datasets.cameras.intrinsics import FOCAL_KEYS, merge_intrinsics, read_pinhole
-from datasets.cameras.transforms import read_pose
+from datasets.cameras.transforms import read_pose, read_time
 from datasets.files.errors import SceneError, read_json
 from datasets.files.json_values import get_key, read_number
 from rasterizer.camera import Camera
@@ -51,9 +50,4 @@ def _read_frame(frame: Any, content: dict, default: Camera, where: str, file: Pa
     else:
         posed = Camera.from_blender(default.width, default.height, default.fx, pose)
         camera = replace(default, world_to_cam=posed.world_to_cam).resized(size[0], size[1])
-    time = None
-    if "time" in frame:
-        time = read_number(frame["time"], f"{where}: time")
-        if not math.isfinite(time):
-            raise SceneError(f"{where}: time", "a finite time", f"{time}")
-    return camera, time
+    return camera, read_time(frame, where)

@@ -54,11 +54,7 @@ def _load(file: Path) -> tuple[dict, list]:
 
 def _read_entry(entry: Any, content: dict, where: str, file: Path, root: Path) -> TransformsEntry:
     file_path, image_path = _find_image(entry, where, root)
-    time = None
-    if "time" in entry:
-        time = read_number(entry["time"], f"{where}: time")
-        if not math.isfinite(time):
-            raise SceneError(f"{where}: time", "a finite time", f"{time}")
+    time = read_time(entry, where)
     pose = read_pose(get_key(entry, "transform_matrix", where), f"{where}: transform_matrix")
     return TransformsEntry(file, where, file_path, image_path, time, pose, merge_intrinsics(content, entry, where))
 
@@ -78,6 +74,14 @@ def _find_image(entry: Any, where: str, root: Path) -> tuple[str, Path]:
                 return written, image_path
     without = "" if len(suffixes) == 1 else f", nor with {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]} after it"
     raise SceneError(named, f"an image, named by {where}", f"no such file{without}")
+
+
+def read_time(entry: dict, where: str) -> float | None:
+    """The time of an entry, None without one; SceneError unless it is finite."""
+    time = read_number(entry["time"], f"{where}: time") if "time" in entry else None
+    if time is not None and not math.isfinite(time):
+        raise SceneError(f"{where}: time", "a finite time", f"{time}")
+    return time
 
 
 def named_path(root: Path, name: str) -> Path:

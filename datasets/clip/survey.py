@@ -74,18 +74,10 @@ def survey(frames: Iterable[Frame], total: int) -> Survey | None:
         return None
     table = np.array(rows, dtype=np.float64)
     index = table[:, 0].astype(int)
-    return Survey(
-        index=index,
-        time=table[:, 1],
-        good=table[:, 2] > 0,
-        sharpness=table[:, 3],
-        brightness=table[:, 4],
-        contrast=table[:, 5],
-        flow=table[:, 6],
-        unexplained=table[:, 7],
-        content=_content(brightest),
-        total=max(total, int(index[-1]) + 1),
-    )
+    total = max(total, int(index[-1]) + 1)
+    sharpness, brightness, contrast, flow, unexplained = table[:, 3:].T
+    numbers = sharpness, brightness, contrast, flow, unexplained
+    return Survey(index, table[:, 1], table[:, 2] > 0, *numbers, _content(brightest), total)
 
 
 def small_image(grey: np.ndarray) -> np.ndarray:

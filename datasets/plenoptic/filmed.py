@@ -24,6 +24,7 @@ class FilmedSource(Source):
 
     footage: Footage
     several_videos = True
+    points = "sfm"
 
     @property
     def path(self) -> Path:

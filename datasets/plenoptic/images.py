@@ -42,10 +42,6 @@ class CameraFrame:
     time: float  # the file's unit
     entry: TransformsEntry
 
-    @property
-    def image_path(self) -> Path:
-        return self.entry.image_path
-
 
 @dataclass(frozen=True)
 class ImageSequence(Stream):
@@ -101,7 +97,7 @@ def image_sequences(
     sequences = []
     for name, frames in kept.items():
         rate = _frame_rate(frames)
-        paths = tuple(frame.image_path for frame in frames)
+        paths = tuple(frame.entry.image_path for frame in frames)
         sequences.append(
             ImageSequence(
                 name=name,

@@ -28,7 +28,7 @@ from datasets.settings import SceneConfig
 from datasets.source import Log, Source, data_folder
 from datasets.urban.assemble import DriveSource
 from datasets.urban.log import DrivingLog, LogImage, check_times, log_sweeps, numbered_files
-from datasets.urban.number_files import entry, read_calibration, read_lines, read_rows, read_sweep, rigid
+from datasets.urban.number_files import entry, read_calibration, read_lines, read_rows, read_sweep, rigid, rigid_entry
 from rasterizer.camera import Camera
 
 IMAGES = (".png", ".jpg", ".jpeg")
@@ -72,9 +72,8 @@ def open_kitti(path: Path) -> DrivingLog:
 def _open_odometry(path: Path) -> DrivingLog:
     file = path / "calib.txt"
     values = read_calibration(file)
-    calibration = Calibration(
-        _projections(values, "P{}", file), _velo_to_camera(values, ("Tr", "Tr_velo_to_cam"), file)
-    )
+    projections = _projections(values, "P{}", file)
+    calibration = Calibration(projections, rigid_entry(values, ("Tr", "Tr_velo_to_cam"), 4, file))
     poses_file = path / "poses.txt"
     if not poses_file.is_file():
         poses_file = path.parent.parent / "poses" / f"{path.name}.txt"
@@ -86,7 +85,7 @@ def _open_odometry(path: Path) -> DrivingLog:
     for what, count, where in (("poses", len(poses), poses_file), ("times", len(times), path / "times.txt")):
         if numbers[-1] >= count:
             raise SceneError(where, f"{what} of frame {numbers[-1]}", f"{count} {what}")
-    rectified_to_world = [rigid(poses[n][:, :3], poses[n][:, 3], f"{poses_file}: line {n + 1}") for n in numbers]
+    rectified_to_world = [rigid(poses[n], f"{poses_file}: line {n + 1}") for n in numbers]
     own_times = [times[n] for n in numbers]
     check_times(own_times, path / "times.txt")
     sweeps = numbered_files(path / "velodyne", (".bin",))
@@ -98,7 +97,7 @@ def _open_raw(path: Path) -> DrivingLog:
     folder = path.parent
     file = folder / "calib_cam_to_cam.txt"
     values = read_calibration(file)
-    rectification = rigid(entry(values, ("R_rect_00",), (3, 3), file), np.zeros(3), f"{file}: R_rect_00")
+    rectification = rigid_entry(values, ("R_rect_00",), 3, file)
     velo_to_camera = rectification @ _rigid_file(folder / "calib_velo_to_cam.txt")
     imu_to_rectified = velo_to_camera @ _rigid_file(folder / "calib_imu_to_velo.txt")
     projections = _projections(values, "P_rect_{:02d}", file)
@@ -124,10 +123,9 @@ def _open_tracking(path: Path) -> DrivingLog:
     root, sequence = path.parent.parent, path.name
     file = root / "calib" / f"{sequence}.txt"
     values = read_calibration(file)
-    rectification = rigid(entry(values, ("R_rect", "R0_rect"), (3, 3), file), np.zeros(3), f"{file}: R_rect")
-    velo_to_camera = rectification @ _velo_to_camera(values, ("Tr_velo_cam", "Tr_velo_to_cam"), file)
-    imu_to_velo = entry(values, ("Tr_imu_velo", "Tr_imu_to_velo"), (3, 4), file)
-    imu_to_rectified = velo_to_camera @ rigid(imu_to_velo[:, :3], imu_to_velo[:, 3], f"{file}: Tr_imu_velo")
+    rectification = rigid_entry(values, ("R_rect", "R0_rect"), 3, file)
+    velo_to_camera = rectification @ rigid_entry(values, ("Tr_velo_cam", "Tr_velo_to_cam"), 4, file)
+    imu_to_rectified = velo_to_camera @ rigid_entry(values, ("Tr_imu_velo", "Tr_imu_to_velo"), 4, file)
     calibration = Calibration(_projections(values, "P{}", file), velo_to_camera)
     images = {n: numbered_files(root / f"image_{n:02d}" / sequence, IMAGES) for n in calibration.projection}
     sky = {n: numbered_files(root / f"sky_{n:02d}" / sequence, IMAGES) for n in calibration.projection}
@@ -204,15 +202,11 @@ def _rectified_sizes(values: dict[str, np.ndarray], file: Path) -> dict[int, tup
     return {n: (round(width), round(height)) for n, (width, height) in found.items()}
 
 
-def _velo_to_camera(values: dict[str, np.ndarray], names: tuple[str, ...], file: Path) -> np.ndarray:
-    matrix = entry(values, names, (3, 4), file)
-    return rigid(matrix[:, :3], matrix[:, 3], f"{file}: {names[0]}")
-
-
 def _rigid_file(file: Path) -> np.ndarray:
     """A file with the entries R and T."""
     values = read_calibration(file)
-    return rigid(entry(values, ("R",), (3, 3), file), entry(values, ("T",), (3,), file), str(file))
+    matrix = np.column_stack([entry(values, ("R",), (3, 3), file), entry(values, ("T",), (3,), file)])
+    return rigid(matrix, str(file))
 
 
 def _frames(images: dict[int, dict[int, Path]], path: Path) -> list[int]:

@@ -13,7 +13,6 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 
 from datasets.cameras.lens import Undistortion
 from datasets.canonical import canonical_space
@@ -89,10 +88,6 @@ class PosedFootage(FilmedSource):
     unit: float = 1.0  # world units per normalised unit
     init_box: Box | None = None  # None: a cube around the cameras
 
-    @property
-    def points(self) -> Literal["sfm"]:
-        return "sfm"
-
     def photographs(self) -> list[Photograph]:
         """The first frames of the training cameras, undistorted, full size."""
         return [
@@ -154,7 +149,7 @@ def _open_images(root: Path, cfg: SceneConfig, threads: int, log: Log) -> PosedF
     background = background_color(cfg.background) or BLACK
     sequences = image_sequences(entries, keep, background)
     count = common_frames(sequences, cfg.first_frame, cfg.frames, cfg.drop_cameras)
-    files = [frame.image_path for frames in entries.values() for frame in frames]
+    files = [frame.entry.image_path for frames in entries.values() for frame in frames]
     content = f"{fingerprint(files, IMAGE_PART)} over {background}"
     footage = Footage(root, sequences, count, content, cfg, threads, log)
     posed = {name: read_camera(entries[name], footage.size) for name in footage.names}

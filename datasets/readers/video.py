@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
 
 from datasets.cameras.lens import Undistortion
 from datasets.clip.clips import Clips, cameras_move, is_clip, open_clip, open_clips
@@ -49,22 +48,15 @@ def open_source(cfg: SceneConfig, threads: int, log: Log) -> Source:
     return FootageSource(cfg, read_footage(path, cfg, threads, log))
 
 
-class _WithoutPoses(Source):
-    """Initial points come from structure from motion, as do the poses."""
-
-    @property
-    def points(self) -> Literal["sfm"]:
-        return "sfm"
-
-
 @dataclass(frozen=True)
-class ClipSource(_WithoutPoses):
+class ClipSource(Source):
     """The video of one camera that moves, or those of several of which some do, in one reconstruction."""
 
     cfg: SceneConfig
     open: Callable[[], Clips]  # reads the frames in use
     several_videos: bool = False
     poses = "of every frame"
+    points = "sfm"
 
     @cached_property
     def clips(self) -> Clips:
@@ -93,7 +85,7 @@ class ClipSource(_WithoutPoses):
 
 
 @dataclass(frozen=True)
-class FootageSource(_WithoutPoses, FilmedSource):
+class FootageSource(FilmedSource):
     """Videos of cameras that stand still: their first frames have the poses and points of all times."""
 
     cfg: SceneConfig

@@ -87,11 +87,16 @@ def entry(values: Mapping[str, np.ndarray], names: tuple[str, ...], shape: tuple
     raise SceneError(f"{where}: {names[0]}", f"{int(np.prod(shape))} numbers", "no such entry")
 
 
-def rigid(rotation: np.ndarray, translation: np.ndarray, where: str) -> np.ndarray:
-    """(4, 4) from (3, 3) and (3,), checked."""
+def rigid(matrix: np.ndarray, where: str) -> np.ndarray:
+    """(4, 4) from a rotation (3, 3), or with a translation (3, 4), checked."""
     pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = rotation, translation
+    pose[:3, : matrix.shape[1]] = matrix
     return read_pose(pose, where)
+
+
+def rigid_entry(values: Mapping[str, np.ndarray], names: tuple[str, ...], columns: int, where: Path) -> np.ndarray:
+    """`rigid` of the entry (3, columns) under one of `names`."""
+    return rigid(entry(values, names, (3, columns), where), f"{where}: {names[0]}")
 
 
 def read_floats(path: Path) -> np.ndarray:

@@ -53,37 +53,28 @@ def sparse(depth: np.ndarray) -> SparseDepth:
     return SparseDepth(torch.from_numpy(pixel), torch.from_numpy(1 / depth.reshape(-1)[pixel]))
 
 
-@dataclass(frozen=True)
-class _Projected:
-    """The points in an image, the nearest of each pixel."""
-
-    size: tuple[int, int]
-    pixel: Tensor  # (n,) int64, row × width + column
-    inverse: Tensor  # (n,) float32, one over the depth z in scene units
-    color: Tensor  # (3, n) float32 in [0, 1]
-
-
 class PointDepths:
     """The points' depths in each training view; those of each camera are kept at its last size."""
 
     def __init__(self, scene: Scene, points: ScenePoints) -> None:
         """points: in the scene's coordinates."""
         self._views, self._points = scene.train, points
-        self._cache: dict[tuple, _Projected] = {}
+        self._cache: dict[tuple, tuple[tuple[int, int], SparseDepth, Tensor]] = {}  # size, depths, colours
 
     def at(self, index: int, camera: Camera, image: Tensor) -> SparseDepth | None:
         """Of view `index` at the size of `camera`, whose image (3, H, W) in [0, 1] is given; None without a point."""
         c, size = self._views[index].camera, (camera.width, camera.height)
         key = (c.fx, c.fy, c.cx, c.cy, c.world_to_cam.tobytes())
-        if key not in self._cache or self._cache[key].size != size:
-            self._cache[key] = _projected(self._points, camera)
-        found = self._cache[key]
+        if key not in self._cache or self._cache[key][0] != size:
+            self._cache[key] = size, *_projected(self._points, camera)
+        _, found, color = self._cache[key]
         shown = image.reshape(3, -1)[:, found.pixel]
-        same = (shown - found.color).abs().amax(dim=0) <= MOST_DIFFERENT
+        same = (shown - color).abs().amax(dim=0) <= MOST_DIFFERENT
         return SparseDepth(found.pixel[same], found.inverse[same]) if same.any() else None
 
 
-def _projected(points: ScenePoints, camera: Camera) -> _Projected:
+def _projected(points: ScenePoints, camera: Camera) -> tuple[SparseDepth, Tensor]:
+    """The points in an image, the nearest of each pixel, and their colours (3, n) float32 in [0, 1]."""
     column, row, depth = project(points.positions, camera)
     index = np.flatnonzero(in_image(column, row, depth, camera))
     index = index[np.argsort(depth[index], kind="stable")]
@@ -91,9 +82,5 @@ def _projected(points: ScenePoints, camera: Camera) -> _Projected:
     pixel, first = np.unique(pixels, return_index=True)  # the first of a pixel is the nearest
     nearest = index[first]
     color = points.colors[nearest].T.astype(np.float32) / 255
-    return _Projected(
-        (camera.width, camera.height),
-        torch.from_numpy(pixel),
-        torch.from_numpy((1 / depth[nearest]).astype(np.float32)),
-        torch.from_numpy(np.ascontiguousarray(color)),
-    )
+    inverse = torch.from_numpy((1 / depth[nearest]).astype(np.float32))
+    return SparseDepth(torch.from_numpy(pixel), inverse), torch.from_numpy(np.ascontiguousarray(color))

@@ -41,20 +41,12 @@ def target_of(view: View, scale: float) -> Target:
     if view.coverage is not None:
         planes = np.dstack([planes, view.coverage])
     planes = area_average(planes, camera) / np.float32(255)
-    mask = None if view.mask is None else _reduced_mask(view.mask, camera)
+    # All parts of a valid pixel are valid.
+    mask = None if view.mask is None else torch.from_numpy(area_average(view.mask, camera) > 1 - 1e-3)
+    sky = None if view.sky is None else torch.from_numpy(area_average(view.sky, camera))[None]
     channels = torch.from_numpy(np.ascontiguousarray(planes.transpose(2, 0, 1)))
     alpha = channels[3:] if view.coverage is not None else None
-    return Target(view.name, view.time, camera, channels[:3], alpha, mask=mask, sky=_sky(view, camera))
-
-
-def _sky(view: View, camera: Camera) -> Tensor | None:
-    """(1, H, W) share of sky of each pixel of `camera`, area average; None where it is unknown."""
-    return None if view.sky is None else torch.from_numpy(area_average(view.sky, camera))[None]
-
-
-def _reduced_mask(mask: np.ndarray, camera: Camera) -> Tensor:
-    """(H, W) bool at the camera's size: pixels all of whose parts are valid."""
-    return torch.from_numpy(area_average(mask, camera) > 1 - 1e-3)
+    return Target(view.name, view.time, camera, channels[:3], alpha, mask=mask, sky=sky)
 
 
 def camera_at(camera: Camera, scale: float) -> Camera:

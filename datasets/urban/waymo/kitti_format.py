@@ -23,7 +23,7 @@ from datasets.files.errors import SceneError
 from datasets.files.image_files import image_size
 from datasets.scene import make_camera
 from datasets.urban.log import DrivingLog, LogImage, check_times, log_sweeps, numbered_files
-from datasets.urban.number_files import entry, read_calibration, read_matrix, read_rows, read_sweep, rigid
+from datasets.urban.number_files import entry, read_calibration, read_matrix, read_rows, read_sweep, rigid_entry
 from rasterizer.camera import Camera
 
 CAMERAS = range(5)
@@ -75,8 +75,7 @@ def _camera(
     file: Path, number: int, values: dict[str, np.ndarray], vehicle_to_world: np.ndarray, where: Path
 ) -> Camera:
     projection = entry(values, (f"P{number}",), (3, 4), where)
-    matrix = entry(values, (f"Tr_velo_to_cam_{number}",), (3, 4), where)
-    vehicle_to_camera = rigid(matrix[:, :3], matrix[:, 3], f"{where}: Tr_velo_to_cam_{number}")
+    vehicle_to_camera = rigid_entry(values, (f"Tr_velo_to_cam_{number}",), 4, where)
     pose = vehicle_to_camera @ np.linalg.inv(vehicle_to_world)
     width, height = image_size(file)
     fx, fy, cx, cy = (float(projection[i]) for i in ((0, 0), (1, 1), (0, 2), (1, 2)))

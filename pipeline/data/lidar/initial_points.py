@@ -29,7 +29,7 @@ class TimedPoints:
     velocities: np.ndarray  # (N, 3) world units per unit of time
 
     def rows(self, index: np.ndarray) -> TimedPoints:
-        return TimedPoints(self.points[index], self.times[index], self.colors[index], self.velocities[index])
+        return TimedPoints(*(array[index] for array in vars(self).values()))
 
 
 def initial_points(scene: Scene, budget: int, rng: np.random.Generator, velocities: bool = True) -> TimedPoints:
@@ -160,12 +160,7 @@ def views_by_frame(scene: Scene) -> dict[int, list[View]]:
 
 def joined(parts: list[TimedPoints]) -> TimedPoints:
     """One after the other."""
-    return TimedPoints(
-        np.concatenate([part.points for part in parts]),
-        np.concatenate([part.times for part in parts]),
-        np.concatenate([part.colors for part in parts]),
-        np.concatenate([part.velocities for part in parts]),
-    )
+    return TimedPoints(*(np.concatenate(arrays) for arrays in zip(*(vars(part).values() for part in parts))))
 
 
 def nothing() -> TimedPoints:
