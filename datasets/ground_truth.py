@@ -34,10 +34,6 @@ class GroundTruth:
     flow_valid: np.ndarray | None = None  # (H, W) bool; not None where flow is not
     flow_dt: float | None = None  # the scene's unit of time
 
-    def cropped(self, width: int, height: int) -> GroundTruth:
-        """The upper left width × height pixels."""
-        return self._with({name: array[..., :height, :width] for name, array in self._arrays().items()})
-
     def resized(self, width: int, height: int) -> GroundTruth:
         """Of another size. A pixel moves if any of those that it covers does; depth and flow are those of the pixel at
         its centre, flow in the new pixels."""
@@ -51,10 +47,7 @@ class GroundTruth:
             found["moving"] = any_moving(self.moving, width, height)
         if self.flow is not None:
             found["flow"] = found["flow"] * np.array([[[width / old_width]], [[height / old_height]]], np.float32)
-        return self._with(found)
-
-    def _with(self, arrays: dict[str, np.ndarray]) -> GroundTruth:
-        return GroundTruth(**arrays, flow_dt=self.flow_dt)
+        return GroundTruth(**found, flow_dt=self.flow_dt)
 
     def _arrays(self) -> dict[str, np.ndarray]:
         known = {name: getattr(self, name) for name in ("moving", "depth", "flow", "flow_valid")}
@@ -84,13 +77,12 @@ class StoredTruth:
                 truth = self._of(file, moving_only)
         except (OSError, ValueError, BadZipFile, EOFError) as error:
             raise SceneError(self.path, "arrays of ground truth (datasets/ground_truth.py)", str(error)) from None
-        if self.downscale == 1:
+        arrays, side = truth._arrays(), self.downscale
+        if side == 1 or not arrays:
             return truth
-        arrays = truth._arrays()
-        if not arrays:
-            return truth
-        height, width = (side // self.downscale for side in next(iter(arrays.values())).shape[-2:])
-        return truth.cropped(width * self.downscale, height * self.downscale).resized(width, height)
+        height, width = (whole // side for whole in next(iter(arrays.values())).shape[-2:])
+        cropped = {name: array[..., : height * side, : width * side] for name, array in arrays.items()}
+        return GroundTruth(**cropped, flow_dt=truth.flow_dt).resized(width, height)
 
     def _of(self, file: np.lib.npyio.NpzFile, moving_only: bool) -> GroundTruth:
         def array(name: str, kind: type) -> np.ndarray | None:

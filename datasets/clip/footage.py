@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -12,7 +12,7 @@ import numpy as np
 
 from datasets.clip.choose import Choice, choose
 from datasets.clip.survey import MOST_SURVEYED, survey
-from datasets.composition import BLACK, Color, background_color, chosen_downscale, reduced_camera
+from datasets.composition import BLACK, background_color, chosen_downscale, reduced_camera
 from datasets.files.errors import SceneError
 from datasets.files.image_files import read_rgba
 from datasets.plenoptic.decode import reduce_image
@@ -21,11 +21,13 @@ from datasets.scene import make_camera
 from datasets.settings import SceneConfig
 from datasets.source import Log
 from datasets.video_files.decode import Frame, image_frames, image_paths, video_frames
-from datasets.video_files.probe import Header, probe
+from datasets.video_files.probe import probe
 from rasterizer.camera import Camera
 
 FEWEST_FRAMES = 12  # with fewer neither motion nor a held-out frame can be told
 SFM_SIDE = 1024  # pixels: the longer side of the images that structure from motion gets is not longer
+
+Frames = Callable[..., Iterator[Frame]]  # video_frames or image_frames, but for `keep` and `every`
 
 
 @dataclass(frozen=True)
@@ -90,21 +92,24 @@ class Clip:
 def survey_clip(path: Path, cfg: SceneConfig, most: int, log: Log, still: bool = False) -> SurveyedClip:
     """Chooses the frames in use, `most` at most. still: the camera stands still, so that frames may be alike."""
     header = None if path.is_dir() else probe(path)
-    source = _Source(path, header, background_color(cfg.background) or BLACK)
+    frames: Frames
     if header:
         for note in header.notes():
             log(f"{path.name}: {note}")
-    total = header.frames if header else len(image_paths(path))
+        frames, total = partial(video_frames, path, header), header.frames
+    else:
+        images, background = image_paths(path), background_color(cfg.background) or BLACK
+        frames, total = partial(image_frames, images, background=background), len(images)
     every = max(1, -(-total // MOST_SURVEYED))
-    found = survey((f for f in source.frames(every=every) if f.index >= cfg.first_frame), total)
+    found = survey((f for f in frames(every=every) if f.index >= cfg.first_frame), total)
     if found is None:
-        last = max((f.index for f in source.frames(every=every) if f.image is not None), default=cfg.first_frame)
+        last = max((f.index for f in frames(every=every) if f.image is not None), default=cfg.first_frame)
         if last < cfg.first_frame:
             raise SceneError(
                 f"{path}: scene.first_frame", f"below the {last + 1} frames of the clip", f"{cfg.first_frame}"
             )
-        if header is None and (images := image_paths(path)):
-            read_rgba(images[0])  # says what it is instead
+        if header is None and total:
+            read_rgba(image_paths(path)[0])  # says what it is instead
         raise SceneError(path, "frames that can be decoded", "none")
     choice = choose(found, most, still)
     for note in choice.notes:
@@ -123,7 +128,7 @@ def survey_clip(path: Path, cfg: SceneConfig, most: int, log: Log, still: bool =
             f"at least {FEWEST_FRAMES} sharp frames of one take",
             f"{sharp} of {found.total}{start}; film 5 to 20 seconds while walking around what you film",
         )
-    surveyed = SurveyedClip(source, choice, found.content, cfg)
+    surveyed = SurveyedClip(path, frames, choice, found.content, cfg)
     if header is not None and surveyed.size != header.size:
         log(f"{path.name}: black bars are cut off, {{}} x {{}} pixels are left".format(*surveyed.size))
     return surveyed
@@ -133,7 +138,8 @@ def survey_clip(path: Path, cfg: SceneConfig, most: int, log: Log, still: bool =
 class SurveyedClip:
     """A clip whose frames in use are chosen, and not read yet."""
 
-    source: _Source
+    path: Path
+    all_frames: Frames
     choice: Choice
     content: tuple[int, int, int, int]  # left, top, right, bottom of the image without bars, pixels
     cfg: SceneConfig
@@ -146,31 +152,16 @@ class SurveyedClip:
 
     def read(self, size: tuple[int, int]) -> Clip:
         """The clip with its frames. size: (width, height) that they are scaled to cover."""
-        source = self.source
         left, top, right, bottom = self.content
         downscale = self.cfg.downscale or chosen_downscale(size)
         reduced = min(_sfm_reduction(size), downscale)  # training images are never enlarged
         times = dict(zip(self.choice.indices, self.choice.times))
         frames = []
-        for frame in source.frames(keep=set(self.choice.indices)):
+        for frame in self.all_frames(keep=set(self.choice.indices)):
             if frame.image is not None:
                 image = covering(np.ascontiguousarray(frame.image[top:bottom, left:right]), size)
                 frames.append(ClipFrame(f"frame_{frame.index:05d}", times[frame.index], reduce_image(image, reduced)))
-        return Clip(source.path, tuple(frames), size, reduced, downscale)
-
-
-@dataclass(frozen=True)
-class _Source:
-    """A video file or a folder of images."""
-
-    path: Path
-    header: Header | None
-    background: Color  # under transparent pixels of images
-
-    def frames(self, keep: set[int] | None = None, every: int = 1) -> Iterator[Frame]:
-        if self.header is None:
-            return image_frames(image_paths(self.path), keep, every, self.background)
-        return video_frames(self.path, self.header, keep, every)
+        return Clip(self.path, tuple(frames), size, reduced, downscale)
 
 
 def _sfm_reduction(size: tuple[int, int]) -> int:

@@ -13,7 +13,7 @@ from datasets.plenoptic.footage import Footage
 from datasets.plenoptic.sync import common_frames, select_cameras
 from datasets.plenoptic.videos import Video, VideoFile, probe
 from datasets.settings import SceneConfig
-from datasets.source import Log, Size, Source
+from datasets.source import Log, Size, Source, without_validation
 
 VIDEO_PART = 1 << 20  # bytes hashed at the beginning and at the end of each file
 TIMED_FRAMES = 12
@@ -48,6 +48,13 @@ class FilmedSource(Source):
         for _ in self.footage.streams[0].read(self.footage.cfg.first_frame, count, 1):
             pass
         return (time.perf_counter() - started) / count
+
+
+def videos_config(cfg: SceneConfig) -> SceneConfig:
+    """`cfg`; SceneError for a validation split of photographs."""
+    return without_validation(
+        cfg, f"the multi-camera videos of {cfg.name} (scene.test_cameras holds out another camera)"
+    )
 
 
 def open_videos(

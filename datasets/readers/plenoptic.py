@@ -19,7 +19,7 @@ from datasets.canonical import canonical_space
 from datasets.composition import BLACK, background_color
 from datasets.files.errors import SceneError, read_json
 from datasets.plenoptic.decode import fingerprint
-from datasets.plenoptic.filmed import FilmedSource, footage_of, open_videos
+from datasets.plenoptic.filmed import FilmedSource, footage_of, open_videos, videos_config
 from datasets.plenoptic.footage import Footage
 from datasets.plenoptic.images import (
     FRAME_NAME,
@@ -36,7 +36,7 @@ from datasets.plenoptic.videos import PLENOPTIC_NAME, find_cameras, video_paths
 from datasets.readers.llff import image_folder
 from datasets.scene import Box, Scene
 from datasets.settings import SceneConfig
-from datasets.source import Calibration, Log, Photograph, data_folder, without_validation
+from datasets.source import Calibration, Log, Photograph, data_folder
 from rasterizer.camera import Camera
 
 TITLE, PRECEDENCE = "Plenoptic Video", 30
@@ -117,13 +117,6 @@ def as_found(cfg: SceneConfig, log: Log) -> SceneConfig:
 
 def open_source(cfg: SceneConfig, threads: int, log: Log) -> PosedFootage:
     return open_folder(data_folder(cfg), videos_config(cfg), threads, log)
-
-
-def videos_config(cfg: SceneConfig) -> SceneConfig:
-    """`cfg`; SceneError for a validation split of photographs."""
-    return without_validation(
-        cfg, f"the multi-camera videos of {cfg.name} (scene.test_cameras holds out another camera)"
-    )
 
 
 def open_folder(root: Path, cfg: SceneConfig, threads: int, log: Log) -> PosedFootage:

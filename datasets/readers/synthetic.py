@@ -17,7 +17,8 @@ def open_source(cfg: SceneConfig, threads: int, log: Log) -> Source:
 
     name = cfg.name.rpartition("/")[2]  # "wheel" of "synthetic/wheel"
     if name in FILMED:
-        from datasets.readers.plenoptic import open_folder, videos_config
+        from datasets.plenoptic.filmed import videos_config
+        from datasets.readers.plenoptic import open_folder
 
         cfg = videos_config(cfg)  # refused before they are made
         return open_folder(_made(name, cfg, "cameras", log), cfg, threads, log)

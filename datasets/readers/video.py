@@ -14,7 +14,7 @@ from pathlib import Path
 from datasets.cameras.lens import Undistortion
 from datasets.clip.clips import Clips, cameras_move, is_clip, open_clip, open_clips
 from datasets.composition import chosen_downscale
-from datasets.plenoptic.filmed import FilmedSource, content_of, footage_of, open_videos
+from datasets.plenoptic.filmed import FilmedSource, content_of, footage_of, open_videos, videos_config
 from datasets.plenoptic.footage import Footage
 from datasets.plenoptic.unsynchronised import align, is_synchronised, offsets_of
 from datasets.plenoptic.videos import find_footage, video_paths
@@ -42,9 +42,7 @@ def open_source(cfg: SceneConfig, threads: int, log: Log) -> Source:
     if cfg.moving_cameras and cameras_move(path, cfg.drop_cameras, assumed=cfg.moving_cameras is True):
         cfg = without_validation(cfg, "clips (scene.test_every and scene.test_cameras hold out other views)")
         return ClipSource(cfg, lambda: open_clips(path, cfg, log), several_videos=True)
-    cfg = without_validation(
-        cfg, f"the multi-camera videos of {cfg.name} (scene.test_cameras holds out another camera)"
-    )
+    cfg = videos_config(cfg)
     return FootageSource(cfg, read_footage(path, cfg, threads, log))
 
 
