@@ -182,9 +182,11 @@ def _report(cfg: Config, metrics: dict) -> None:
 
 def _result_line(cfg: Config, metrics: dict) -> str:
     """One run of a sweep."""
+    from pipeline.evaluation.metrics import METRICS  # late, as it imports the metrics' libraries
+
     final = metrics["final"]
     return (
-        f"{_title(cfg, metrics)}: PSNR {_cell(final['psnr'])}, SSIM {_cell(final['ssim'])}, "
+        f"{_title(cfg, metrics)}: PSNR {METRICS['psnr'].text(final['psnr'])}, SSIM {METRICS['ssim'].text(final['ssim'])}, "
         f"{metrics['n_gaussians']} Gaussians, {metrics['train_seconds']:.0f} s of training; written to {cfg.out}"
     )
 
@@ -202,9 +204,3 @@ def _title(cfg: Config, metrics: dict | None = None) -> str:
     decided = (metrics or {}).get("decided", {})
     found = " (static, as validation found)" if decided.get("static") else ""
     return f"{cfg.scene.name} · {cfg.ablation.name}{found} · {cfg.train.name} · seed {cfg.seed}"
-
-
-def _cell(value: float | None) -> str:
-    if value is None:
-        return "–"
-    return f"{value:.1f}" if value >= 100 else f"{value:.2f}" if value >= 2 else f"{value:.4f}"

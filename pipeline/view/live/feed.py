@@ -29,15 +29,10 @@ class Feed:
         self._changed = threading.Condition()
         self._progress: dict | None = None
         self._model: tuple[int, bytes] | None = None
-        self._wanted = False
-        self._ended = False
+        self.wanted = False  # whether a page waits for a newer model than there is
+        self.ended = False  # whether nothing newer will come
 
     # What training does.
-
-    @property
-    def wanted(self) -> bool:
-        """Whether a page waits for a newer model than there is."""
-        return self._wanted
 
     def report(self, progress: dict) -> None:
         """The numbers of an iteration; pages get the newest ones."""
@@ -49,20 +44,15 @@ class Feed:
         header = json.dumps({**packed.header, "iteration": iteration}).encode()
         message = struct.pack("<I", len(header)) + header + packed.data
         with self._changed:
-            self._model, self._wanted = (iteration, message), False
+            self._model, self.wanted = (iteration, message), False
             self._changed.notify_all()
 
     def end(self) -> None:
-        """Nothing newer will come."""
         with self._changed:
-            self._ended = True
+            self.ended = True
             self._changed.notify_all()
 
     # What a page's request does.
-
-    @property
-    def ended(self) -> bool:
-        return self._ended
 
     def model_after(self, iteration: int, seconds: float) -> bytes | None:
         """The newest model if it is of another iteration, an earlier one after a new start: `<u4` length of its header,
@@ -71,7 +61,7 @@ class Feed:
         Waits for one up to `seconds`; None where none came.
         """
         with self._changed:
-            self._wanted = self._wanted or not self._is_after(iteration)
+            self.wanted = self.wanted or not self._is_after(iteration)
             self._wait(lambda: self._is_after(iteration), seconds)
             return self._model[1] if self._model and self._is_after(iteration) else None
 
@@ -89,7 +79,7 @@ class Feed:
         return self._model is not None and self._model[0] != iteration
 
     def _wait(self, condition: Callable[[], bool], seconds: float) -> None:
-        self._changed.wait_for(lambda: condition() or self._ended, seconds)
+        self._changed.wait_for(lambda: condition() or self.ended, seconds)
 
 
 class TrainingView:
