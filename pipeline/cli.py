@@ -184,9 +184,9 @@ def _result_line(cfg: Config, metrics: dict) -> str:
     """One run of a sweep."""
     from pipeline.evaluation.metrics import METRICS  # late, as it imports the metrics' libraries
 
-    final = metrics["final"]
+    psnr, ssim = (METRICS[key].text(metrics["final"][key]) for key in ("psnr", "ssim"))
     return (
-        f"{_title(cfg, metrics)}: PSNR {METRICS['psnr'].text(final['psnr'])}, SSIM {METRICS['ssim'].text(final['ssim'])}, "
+        f"{_title(cfg, metrics)}: PSNR {psnr}, SSIM {ssim}, "
         f"{metrics['n_gaussians']} Gaussians, {metrics['train_seconds']:.0f} s of training; written to {cfg.out}"
     )
 

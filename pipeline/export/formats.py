@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from datasets.files.atomic_write import atomic_file
-from pipeline.export.frame import frame_at
-from pipeline.export.moving import moving_gaussians
 from pipeline.export.source import Source
+from pipeline.export.splats import frame_at, moving_gaussians
 from pipeline.export.static_formats import glb_bytes, splat_bytes, spz_bytes
 from pipeline.export.temporal_formats import fourdgs_bytes, ftgs_bytes, splatv_bytes
 from pipeline.model.ply import ply_bytes

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from pipeline.export.frame import colours, flipped, unit_quaternions
+from pipeline.export.splats import colours, flipped, unit_quaternions
 from pipeline.model.model import Model
 
 # ---- .splat ----

@@ -20,9 +20,8 @@ import torch
 from plyfile import PlyData, PlyElement
 from torch import Tensor
 
-from pipeline.export.frame import colours, logit
-from pipeline.export.moving import MovingGaussians
 from pipeline.export.source import Timeline
+from pipeline.export.splats import MovingGaussians, colours, logit
 from rasterizer import Camera
 
 

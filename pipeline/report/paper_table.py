@@ -42,12 +42,12 @@ class PaperTable:
     notes: tuple[str, ...] = ()
     section: str = "paper"
 
-    def build(self, collection: Collection, folder: Path = PAPER_DIR) -> Table | None:
+    def build(self, collection: Collection) -> Table | None:
         runs = scenes.on_paper_split(collection)
         runs = runs[runs["scene"].isin(self.scenes)]
         rows: list[Row] = []
         marks = ""
-        for line in read(self.slug, folder):
+        for line in read(self.slug):
             marks += line["note"]
             rows.append(self._printed(line))
             if self.by_model:
@@ -70,7 +70,7 @@ class PaperTable:
             self.title,
             (*heads, *map(self._column, self.columns)),
             tuple(rows),
-            notes=(*footnotes(marks, folder), *(("", note) for note in dict.fromkeys(notes))),
+            notes=(*footnotes(marks), *(("", note) for note in dict.fromkeys(notes))),
             section=self.section,
         )
 
@@ -122,14 +122,14 @@ def _decided(runs: pd.DataFrame) -> list[str]:
     ]
 
 
-def read(name: str, folder: Path = PAPER_DIR) -> list[dict[str, str]]:
+def read(name: str) -> list[dict[str, str]]:
     """Rows of `name`.csv as strings (32.00 stays 32.00); FileNotFoundError if there is no such file."""
-    path = folder / f"{name}.csv"
+    path = PAPER_DIR / f"{name}.csv"
     if not path.is_file():
         raise FileNotFoundError(f"{path}: expected the paper's numbers, found nothing")
     return pd.read_csv(path, dtype=str, keep_default_na=False).to_dict("records")
 
 
-def footnotes(marks: str, folder: Path = PAPER_DIR) -> tuple[tuple[str, str], ...]:
+def footnotes(marks: str) -> tuple[tuple[str, str], ...]:
     """(mark, text) for each of `marks`, in the file's order."""
-    return tuple((row["mark"], row["text"]) for row in read("footnotes", folder) if row["mark"] in marks)
+    return tuple((row["mark"], row["text"]) for row in read("footnotes") if row["mark"] in marks)

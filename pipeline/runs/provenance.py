@@ -52,13 +52,7 @@ def machine_line() -> str:
 
 def cpu_model() -> str:
     """The processor's name as the kernel knows it."""
-    try:
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    except OSError:
-        pass
-    return platform.processor() or platform.machine() or "unknown processor"
+    return _line_of("/proc/cpuinfo", "model name") or platform.processor() or platform.machine() or "unknown processor"
 
 
 def memory_gb() -> float:
@@ -87,13 +81,17 @@ def reset_peak_memory() -> None:
 
 def peak_memory_mb() -> float:
     """Largest resident memory of this process since `reset_peak_memory`, in MB (10⁶ bytes)."""
-    try:
-        for line in Path("/proc/self/status").read_text().splitlines():
-            if line.startswith("VmHWM:"):
-                return int(line.split()[1]) * 1024 / 1e6
-    except OSError:
-        pass
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6
+    found = _line_of("/proc/self/status", "VmHWM")
+    return (int(found.split()[0]) if found else resource.getrusage(resource.RUSAGE_SELF).ru_maxrss) * 1024 / 1e6
+
+
+def _line_of(file: str, key: str) -> str:
+    """What a file of /proc has behind `key:`; empty where there is no such line."""
+    with suppress(OSError):
+        for line in Path(file).read_text().splitlines():
+            if line.startswith(key):
+                return line.partition(":")[2].strip()
+    return ""
 
 
 def _version(package: str) -> str | None:

@@ -1,4 +1,10 @@
-"""A model as a viewer's data: quantised, in order of place, compressed.
+"""A model as a viewer's data: 3D Gaussians that move on lines and fade, quantised, in order of place, compressed.
+
+Conditioned on time a 4D Gaussian is a 3D one. With Σ = M Mᵀ as in docs/method.md 1.1, this is no approximation:
+
+    mean at t        μ_xyz + velocity (t - μt),   velocity = Σ_xyz,t / Σtt
+    covariance       A Aᵀ, constant in time       = R diag(scale²) Rᵀ
+    opacity at t     opacity · exp(-½ (t - μt)²/Σtt), zero where the exponential is below 0.05
 
 What is lost, at most, in units of the picture:
 
@@ -20,13 +26,18 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
+import torch
+from scipy.spatial.transform import Rotation
 
 from datasets.scene import Scene
 from pipeline.model.cube_map import CubeMap
 from pipeline.model.environment_map import EnvironmentMap
 from pipeline.model.model import Model
-from pipeline.view.trajectories import LIFETIME, Trajectories, trajectories
+from rasterizer.gaussians import SH_LAYOUTS
+from rasterizer.reference.blend import MIN_ALPHA, MIN_MARGINAL
+from rasterizer.reference.render import slice_in_time
 
+LIFETIME = math.sqrt(-2 * math.log(MIN_MARGINAL))  # half of it, in standard deviations: 2.45
 POSITION_PX = 0.05
 SCALE_STEP, LIFETIME_STEP, ROTATION_STEP = 0.01, 0.005, 0.002
 LOGIT_STEP, SH_STEP = 0.02, 0.01
@@ -37,6 +48,44 @@ LARGEST_SH = 2**15 - 1  # steps: a texture's 16-bit integer
 MORTON_BITS = 10  # an axis
 
 COMPRESSION = 3  # of zlib; 6 would take three times as long for 5 % less
+
+
+@dataclass(frozen=True)
+class Trajectories:
+    """N Gaussians; float64 arrays. In a static model velocity, mean_t and sigma_t are None."""
+
+    mean: np.ndarray  # (N, 3) at the time mean_t
+    scale: np.ndarray  # (N, 3) standard deviations along the axes of `rotation`
+    rotation: np.ndarray  # (N, 3) axis × angle, radians
+    opacity_logit: np.ndarray  # (N,)
+    sh: np.ndarray  # (N, orders, coefficients, 3) float32
+    velocity: np.ndarray | None  # (N, 3) units of length a unit of time
+    mean_t: np.ndarray | None  # (N,)
+    sigma_t: np.ndarray | None  # (N,)
+
+
+def trajectories(model: Model) -> Trajectories:
+    """The Gaussians of `model` that reach an alpha of 1/255 at some time; nothing else is ever drawn."""
+    gaussians = model.gaussians()
+    gaussians = gaussians.rows(gaussians.opacity_logit > math.log(MIN_ALPHA / (1 - MIN_ALPHA)))
+    coefficients, orders = SH_LAYOUTS[gaussians.sh.shape[1]]
+    sh = gaussians.sh.reshape(-1, orders, coefficients, 3).numpy()
+    gaussians = gaussians.to(torch.float64)
+    sliced = slice_in_time(gaussians, 0.0)
+    mean, logit = gaussians.mean.numpy(), gaussians.opacity_logit.numpy()
+    axes = _axes(sliced.factor.numpy())
+    if sliced.variance_t is None:
+        return Trajectories(mean, *axes, logit, sh, None, None, None)
+    return Trajectories(
+        mean[:, :3], *axes, logit, sh, sliced.velocity.numpy(), mean[:, 3], sliced.variance_t.sqrt().numpy()
+    )
+
+
+def _axes(factor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Scale (N, 3) and rotation (N, 3) of the covariances A Aᵀ, from A (N, 3, k)."""
+    variance, directions = np.linalg.eigh(factor @ factor.transpose(0, 2, 1))
+    directions[:, :, 0] *= np.sign(np.linalg.det(directions))[:, None]  # a rotation, not a reflection
+    return np.sqrt(np.maximum(variance, 0)), Rotation.from_matrix(directions).as_rotvec()
 
 
 @dataclass(frozen=True)

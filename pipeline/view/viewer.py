@@ -13,9 +13,8 @@ from datasets.scene import Scene
 from pipeline.config.schema import Config
 from pipeline.model.model import Model, kind_of
 from pipeline.view.cameras import QUALITY, Cameras, cameras_of
-from pipeline.view.pack import POSITION_PX, SH_STEP, Packed, pack
+from pipeline.view.pack import LIFETIME, POSITION_PX, SH_STEP, Packed, pack
 from pipeline.view.page import page
-from pipeline.view.trajectories import LIFETIME
 from rasterizer.reference.render import DILATION
 
 FILE_NAME = "viewer.html"

@@ -19,9 +19,8 @@ from pipeline.data.training_views import evenly_spaced
 from pipeline.evaluation.image_metrics import psnr
 from pipeline.evaluation.renderer import Renderer
 from pipeline.export.formats import FILM, FORMATS, FRAME
-from pipeline.export.frame import frame_at
-from pipeline.export.moving import MovingGaussians, moving_gaussians
 from pipeline.export.source import PLAYED_SECONDS, Timeline
+from pipeline.export.splats import MovingGaussians, frame_at, moving_gaussians
 from pipeline.model.model import Model
 from pipeline.trained.open_run import TrainedRun, open_run
 from rasterizer import Rasterizer

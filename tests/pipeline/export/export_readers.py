@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from plyfile import PlyData
 
-from pipeline.export.moving import MovingGaussians
+from pipeline.export.splats import MovingGaussians
 from pipeline.model.model import Model, ModelKind
 from rasterizer.reference.blend import MIN_ALPHA, MIN_MARGINAL
 

@@ -15,9 +15,8 @@ from export_readers import read_fourdgs, read_ftgs, read_glb, read_splat, read_s
 
 from pipeline.evaluation.image_metrics import psnr
 from pipeline.export.formats import FILM, FORMATS, FRAME
-from pipeline.export.frame import frame_at
-from pipeline.export.moving import MovingGaussians, moving_gaussians
 from pipeline.export.source import Timeline
+from pipeline.export.splats import MovingGaussians, frame_at, moving_gaussians
 from pipeline.model.model import Model
 from pipeline.model.ply import load_ply
 from rasterizer import Camera, Rasterizer

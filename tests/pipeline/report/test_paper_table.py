@@ -194,13 +194,16 @@ def test_csv_parses_back_to_full_precision(tmp_path: Path) -> None:
         assert all(None not in row and None not in row.values() for row in read_csv(path)), path.name
 
 
-def test_a_new_table_of_printed_numbers_is_its_csv_and_its_columns(tmp_path: Path) -> None:
+def test_a_new_table_of_printed_numbers_is_its_csv_and_its_columns(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(paper_table, "PAPER_DIR", tmp_path / "paper")
     (tmp_path / "paper").mkdir()
     (tmp_path / "paper/toy.csv").write_text("method,ssim,note\nTheirs,0.5,¹\n")
     (tmp_path / "paper/footnotes.csv").write_text("mark,text\n¹,A guess.\n")
     write_run(tmp_path / "runs", "synthetic/wheel")
     spec = PaperTable("toy", "Toy", ("synthetic/wheel",), (Averaged("ssim", "ssim", ("synthetic/wheel",)),))
-    text = markdown(spec.build(collect(tmp_path / "runs"), tmp_path / "paper"))
+    text = markdown(spec.build(collect(tmp_path / "runs")))
     assert "Theirs¹" in text and "0.9000" in text and "- ¹ A guess." in text
 
 

@@ -13,8 +13,18 @@ from scipy.spatial.transform import Rotation
 from viewed import over_environment_map, viewed_model, viewed_scene
 
 from pipeline.model.model import Model
-from pipeline.view.pack import ENVIRONMENT_STEP, LOGIT_STEP, POSITION_PX, SCALE_STEP, SH_STEP, Packed, pack, quantised
-from pipeline.view.trajectories import LIFETIME, trajectories
+from pipeline.view.pack import (
+    ENVIRONMENT_STEP,
+    LIFETIME,
+    LOGIT_STEP,
+    POSITION_PX,
+    SCALE_STEP,
+    SH_STEP,
+    Packed,
+    pack,
+    quantised,
+    trajectories,
+)
 from rasterizer.reference.render import slice_in_time
 
 

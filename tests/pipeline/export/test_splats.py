@@ -11,8 +11,7 @@ from builders import generator, make_request, random_gaussians
 from export_readers import static_at
 from scipy.integrate import quad
 
-from pipeline.export.frame import frame_at
-from pipeline.export.moving import mean_fourier_basis, moving_gaussians
+from pipeline.export.splats import frame_at, mean_fourier_basis, moving_gaussians
 from pipeline.model.model import Model
 from rasterizer import Rasterizer
 
