@@ -13,8 +13,8 @@ from typing import Any
 
 from datasets.cameras.intrinsics import FOCAL_KEYS, merge_intrinsics, read_pinhole
 from datasets.cameras.transforms import read_pose, read_time
-from datasets.files.errors import SceneError, read_json
-from datasets.files.json_values import get_key, read_number
+from datasets.files.errors import SceneError
+from datasets.files.json_values import get_key, read_number, read_object
 from rasterizer.camera import Camera
 
 
@@ -24,13 +24,11 @@ def read_poses(file: Path, default: Camera) -> list[tuple[Camera, float | None]]
     default: its size is taken where the file has no "w" and "h", its intrinsics where the file has no focal length.
     Raises SceneError, one line, for what is missing or invalid.
     """
-    try:
-        content = read_json(file, SceneError)
-    except FileNotFoundError:
-        raise SceneError(file, "a file of poses, or orbit", "none") from None
-    frames = get_key(content, "frames", file) if isinstance(content, dict) else None
+    expected = "an object with a list frames of at least one pose"
+    content = read_object(file, expected, "a file of poses, or orbit")
+    frames = get_key(content, "frames", file)
     if not isinstance(frames, list) or not frames:
-        raise SceneError(file, "an object with a list frames of at least one pose", type(content).__name__)
+        raise SceneError(file, expected, type(content).__name__)
     return [_read_frame(frame, content, default, f"{file}: frames[{i}]", file) for i, frame in enumerate(frames)]
 
 

@@ -63,13 +63,12 @@ class FileImage:
         self._pixels: np.ndarray | None = None
 
     def __array__(self, dtype: np.dtype | None = None, copy: bool | None = None) -> np.ndarray:
-        image = self._pixels if self._pixels is not None else self._read()
+        image = self._pixels
+        if image is None:
+            image = compose(self._photograph.read(), self._background, self._downscale)
         if self.keep:
             self._pixels = image
         return image if dtype is None else image.astype(dtype, copy=False)
-
-    def _read(self) -> np.ndarray:
-        return compose(self._photograph.read(), self._background, self._downscale)
 
 
 def to_scene(

@@ -13,6 +13,7 @@ where they exist.
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import datetime
 from functools import partial
@@ -79,9 +80,7 @@ def _open_odometry(path: Path) -> DrivingLog:
         poses_file = path.parent.parent / "poses" / f"{path.name}.txt"
     poses = read_rows(poses_file, 12).reshape(-1, 3, 4)
     times = read_rows(path / "times.txt", 1)[:, 0].tolist()
-    images = {n: numbered_files(path / f"image_{n}", IMAGES) for n in calibration.projection}
-    sky = {n: numbered_files(path / f"sky_{n}", IMAGES) for n in calibration.projection}
-    numbers = _frames(images, path)
+    images, sky, numbers = _images(calibration, lambda kind, n: path / f"{kind}_{n}", path)
     for what, count, where in (("poses", len(poses), poses_file), ("times", len(times), path / "times.txt")):
         if numbers[-1] >= count:
             raise SceneError(where, f"{what} of frame {numbers[-1]}", f"{count} {what}")
@@ -102,9 +101,7 @@ def _open_raw(path: Path) -> DrivingLog:
     imu_to_rectified = velo_to_camera @ _rigid_file(folder / "calib_imu_to_velo.txt")
     projections = _projections(values, "P_rect_{:02d}", file)
     calibration = Calibration(projections, velo_to_camera, _rectified_sizes(values, file))
-    images = {n: numbered_files(path / f"image_{n:02d}" / "data", IMAGES) for n in calibration.projection}
-    sky = {n: numbered_files(path / f"sky_{n:02d}" / "data", IMAGES) for n in calibration.projection}
-    numbers = _frames(images, path)
+    images, sky, numbers = _images(calibration, lambda kind, n: path / f"{kind}_{n:02d}" / "data", path)
     oxts = numbered_files(path / "oxts" / "data", (".txt",))
     missing = [n for n in numbers if n not in oxts]
     if missing:
@@ -127,9 +124,7 @@ def _open_tracking(path: Path) -> DrivingLog:
     velo_to_camera = rectification @ rigid_entry(values, ("Tr_velo_cam", "Tr_velo_to_cam"), 4, file)
     imu_to_rectified = velo_to_camera @ rigid_entry(values, ("Tr_imu_velo", "Tr_imu_to_velo"), 4, file)
     calibration = Calibration(_projections(values, "P{}", file), velo_to_camera)
-    images = {n: numbered_files(root / f"image_{n:02d}" / sequence, IMAGES) for n in calibration.projection}
-    sky = {n: numbered_files(root / f"sky_{n:02d}" / sequence, IMAGES) for n in calibration.projection}
-    numbers = _frames(images, path)
+    images, sky, numbers = _images(calibration, lambda kind, n: root / f"{kind}_{n:02d}" / sequence, path)
     oxts = root / "oxts" / f"{sequence}.txt"
     rows = read_rows(oxts, 30)
     if numbers[-1] >= len(rows):
@@ -209,12 +204,18 @@ def _rigid_file(file: Path) -> np.ndarray:
     return rigid(matrix, str(file))
 
 
-def _frames(images: dict[int, dict[int, Path]], path: Path) -> list[int]:
-    """The file numbers of all frames, ascending."""
+def _images(
+    calibration: Calibration, folder: Callable[[str, int], Path], path: Path
+) -> tuple[dict[int, dict[int, Path]], dict[int, dict[int, Path]], list[int]]:
+    """(camera -> its images by number, the same of sky masks, the numbers of all frames, ascending).
+
+    folder: of "image" or "sky" and a camera.
+    """
+    images, sky = ({n: numbered_files(folder(k, n), IMAGES) for n in calibration.projection} for k in ("image", "sky"))
     numbers = sorted({number for listed in images.values() for number in listed})
     if not numbers:
         raise SceneError(path, "images of at least one calibrated camera", "none")
-    return numbers
+    return images, sky, numbers
 
 
 def _timestamps(file: Path, numbers: list[int]) -> list[float]:

@@ -9,7 +9,6 @@ folder has both, the videos are read. Every frame is decoded once, into a store 
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,19 +16,11 @@ from pathlib import Path
 from datasets.cameras.lens import Undistortion
 from datasets.canonical import canonical_space
 from datasets.composition import BLACK, background_color
-from datasets.files.errors import SceneError, read_json
+from datasets.files.errors import SceneError
 from datasets.plenoptic.decode import fingerprint
 from datasets.plenoptic.filmed import FilmedSource, footage_of, open_videos, videos_config
 from datasets.plenoptic.footage import Footage
-from datasets.plenoptic.images import (
-    FRAME_NAME,
-    SPLITS,
-    camera_number,
-    held_out_cameras,
-    image_sequences,
-    read_camera,
-    read_cameras,
-)
+from datasets.plenoptic.images import camera_number, held_out_cameras, image_sequences, read_camera, read_cameras
 from datasets.plenoptic.poses import read_poses
 from datasets.plenoptic.sync import common_frames, select_cameras
 from datasets.plenoptic.videos import PLENOPTIC_NAME, find_cameras, video_paths
@@ -41,7 +32,6 @@ from rasterizer.camera import Camera
 
 TITLE, PRECEDENCE = "Plenoptic Video", 30
 DOWNSCALE = 2  # where scene=auto leaves it open
-IMAGE_SUFFIX = re.compile(r"\.(png|jpe?g)$", re.IGNORECASE)
 # Bytes hashed at both ends of an image: there are thousands, and a PNG ends with checksums of its pixels.
 IMAGE_PART = 1 << 12
 
@@ -57,24 +47,15 @@ def matches(path: Path) -> str | None:
 
 
 def _has_images(path: Path) -> bool:
-    """Whether the transforms files name several frames of cameras that stand still, as plenoptic/images.py reads them,
-    each in one of the files. Files without that, or that cannot be read, are left to other readers."""
-    poses: dict[str, list] = {}
-    named: list[set[str]] = []
-    for split in SPLITS:
-        before = {name: len(of_one) for name, of_one in poses.items()}
-        try:
-            for frame in read_json(path / f"transforms_{split}.json", SceneError)["frames"]:
-                name = FRAME_NAME.fullmatch(IMAGE_SUFFIX.sub("", Path(frame["file_path"]).name))
-                if name is None:
-                    return False
-                poses.setdefault(name["camera"], []).append(frame["transform_matrix"])
-        except (OSError, SceneError, TypeError, KeyError):
-            return False
-        named.append({name for name, of_one in poses.items() if len(of_one) > before.get(name, 0)})
-    if set.intersection(*named):  # held out are times, not cameras
+    """Whether the transforms files name several frames of cameras that stand still, each in one of the files. Files
+    without that, or that plenoptic/images.py cannot read, are left to other readers."""
+    try:
+        cameras = read_cameras(path).values()
+    except SceneError:
         return False
-    return len(poses) > 1 and all(len(of_one) > 1 and all(p == of_one[0] for p in of_one) for of_one in poses.values())
+    kinds = [{(frame.entry.file, frame.entry.cam_to_world.tobytes()) for frame in frames} for frames in cameras]
+    # Of a camera in both files times are held out.
+    return len(cameras) > 1 and all(len(frames) > 1 and len(kind) == 1 for frames, kind in zip(cameras, kinds))
 
 
 @dataclass(frozen=True)

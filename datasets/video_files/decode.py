@@ -16,7 +16,7 @@ from datasets.files.errors import SceneError
 from datasets.files.image_files import read_rgba
 from datasets.files.natural_order import about_even, last_number, natural_order
 from datasets.video_files.hdr import tone_mapped
-from datasets.video_files.probe import USUAL_RATE, Header, open_container
+from datasets.video_files.probe import USUAL_RATE, Header, decoded_frames, open_container
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
 _TURNS = {90: cv2.ROTATE_90_CLOCKWISE, 180: cv2.ROTATE_180, 270: cv2.ROTATE_90_COUNTERCLOCKWISE}
@@ -44,7 +44,7 @@ def video_frames(path: Path, header: Header, keep: set[int] | None = None, every
     with open_container(path) as container:
         stream = container.streams.video[0]
         stream.thread_type = "AUTO"
-        for decoded in _decoded(container, stream):
+        for decoded in decoded_frames(container):
             index += 1
             if decoded is not None and decoded.time is not None:
                 time = float(decoded.time)
@@ -119,26 +119,6 @@ def image_frames(
             if stored != first[1]:
                 raise SceneError(path, f"{_pixels(first[1])}, the size of {first[0]}", _pixels(stored))
         yield Frame(index, time, image)
-
-
-def _decoded(
-    container: av.container.InputContainer, stream: av.video.stream.VideoStream
-) -> Iterator[av.VideoFrame | None]:
-    """Decoded frames in order; None for a packet that cannot be decoded. A file that ends early just ends."""
-    packets = container.demux(stream)
-    while True:
-        try:
-            packet = next(packets, None)
-        except av.error.FFmpegError:  # truncated
-            return
-        if packet is None:
-            return
-        try:
-            for frame in packet.decode():
-                if isinstance(frame, av.VideoFrame):
-                    yield frame
-        except av.error.FFmpegError:
-            yield None
 
 
 def _upright(frame: av.VideoFrame, header: Header) -> np.ndarray:

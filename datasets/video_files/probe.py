@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -75,10 +76,7 @@ def probe(path: Path) -> Header:
     """The header of a video and what its first frame adds: rotation and the format of the pixels."""
     with open_container(path) as container:
         stream = container.streams.video[0]
-        try:
-            frame = next(container.decode(stream), None)
-        except av.error.FFmpegError:
-            frame = first_good_frame(path)
+        frame = next((frame for frame in decoded_frames(container) if frame is not None), None)
         if frame is None:
             raise SceneError(path, "a video", "no frame that can be decoded")
         rotation = round(-frame.rotation / 90) * 90 % 360  # the file's angle counts counterclockwise
@@ -107,17 +105,22 @@ def probe(path: Path) -> Header:
         )
 
 
-def first_good_frame(path: Path) -> av.VideoFrame | None:
-    """The first frame that can be decoded, where an earlier one is damaged; None without any."""
-    with open_container(path) as container:
-        for packet in container.demux(container.streams.video[0]):
-            try:
-                for frame in packet.decode():
-                    if isinstance(frame, av.VideoFrame):
-                        return frame
-            except av.error.FFmpegError:
-                continue
-    return None
+def decoded_frames(container: av.container.InputContainer) -> Iterator[av.VideoFrame | None]:
+    """Decoded frames in order; None for a packet that cannot be decoded. A file that ends early just ends."""
+    packets = container.demux(container.streams.video[0])
+    while True:
+        try:
+            packet = next(packets, None)
+        except av.error.FFmpegError:  # truncated
+            return
+        if packet is None:
+            return
+        try:
+            for frame in packet.decode():
+                if isinstance(frame, av.VideoFrame):
+                    yield frame
+        except av.error.FFmpegError:
+            yield None
 
 
 def _reason(error: Exception) -> str:
