@@ -31,7 +31,7 @@ from pipeline.runs.run_folder import now, write_csv
 from pipeline.runs.run_identity import read_config
 from pipeline.stages.settle import for_scene
 from pipeline.terminal.command_line import CommandParser, command, log
-from pipeline.trained.model_file import read_model
+from pipeline.trained.open_run import read_model
 from pipeline.training.checkpoint import FILE_NAME
 from rasterizer.cores import thread_count
 

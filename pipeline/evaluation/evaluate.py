@@ -24,7 +24,7 @@ from pipeline.evaluation.image_metrics import MS_SSIM_SMALLEST_SIDE, SSIM_SMALLE
 from pipeline.evaluation.lpips import Perceptual
 from pipeline.evaluation.metrics import MeasuredView, SeeView, means, measure
 from pipeline.evaluation.moving_pixels import MovingPixels
-from pipeline.evaluation.pictures.films import HeldOutFilms, write_bullet_time, write_clip_films
+from pipeline.evaluation.pictures.films import held_out_films, write_bullet_time, write_clip_films
 from pipeline.evaluation.pictures.view_pictures import picture_saver
 from pipeline.evaluation.renderer import Renderer, frames_per_second
 from pipeline.model.model import Model
@@ -129,14 +129,14 @@ def evaluate(
 
 def evaluate_with_images(model: Model, scene: Scene, cfg: Config, threads: int, folder: Path) -> Evaluation:
     """`evaluate`, with images in `folder` and, for a filmed scene with `evaluate.videos`, videos: one per test camera
-    (films.HeldOutFilms) and bullet_time.mp4 (films.write_bullet_time); of one clip films.write_clip_films."""
+    (films.held_out_films) and bullet_time.mp4 (films.write_bullet_time); of one clip films.write_clip_films."""
     save, renderer = picture_saver(folder, scene), Renderer(model, scene, cfg, Rasterizer(threads=threads))
     if not cfg.evaluate.videos or scene.frame_rate is None:
         found = evaluate(model, scene, cfg, threads, save)
         if cfg.evaluate.videos and scene.playback_rate is not None:
             write_clip_films(folder, renderer, scene.playback_rate)
         return found
-    with HeldOutFilms(folder, scene.playback_rate or scene.frame_rate) as film:
+    with held_out_films(folder, scene.playback_rate or scene.frame_rate) as film:
         found = evaluate(model, scene, cfg, threads, save, film)
     write_bullet_time(folder / "bullet_time.mp4", renderer)
     return found

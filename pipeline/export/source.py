@@ -9,8 +9,7 @@ from pathlib import Path
 from datasets.canonical import Canonical
 from pipeline.model.model import Model
 from pipeline.model.transformed import in_canonical
-from pipeline.trained.model_file import read_model
-from pipeline.trained.open_run import open_run
+from pipeline.trained.open_run import open_run, read_model
 from rasterizer import Camera
 
 PLAYED_SECONDS = 5.0  # of photographs, which have no frame rate

@@ -1,4 +1,4 @@
-"""Reads a finished run again: its configuration, its scene and its final model."""
+"""Reads a finished run again: its configuration, its scene and its final model; or a model from any file with one."""
 
 from __future__ import annotations
 
@@ -14,8 +14,13 @@ from pipeline.config.compose import config_of_tree, one_line
 from pipeline.config.schema import Config
 from pipeline.data.prepare import prepare
 from pipeline.model.model import Model
+from pipeline.model.ply import load_ply
+from pipeline.model.released_checkpoint import load_released
+from pipeline.model.transformed import in_canonical
 from pipeline.runs.run_identity import read_config
 from pipeline.training.checkpoint import FILE_NAME, load_model
+
+SUFFIXES = (".safetensors", ".ply", ".pth")  # of a checkpoint, a model, a checkpoint of the released program
 
 
 @dataclass(frozen=True)
@@ -44,3 +49,22 @@ def stored_config(folder: Path) -> Config:
         return config_of_tree(tree)
     except (ValueError, OmegaConfBaseException) as error:
         raise ValueError(f"{path}: {one_line(error)}") from None
+
+
+def read_model(path: Path, canonical: Canonical) -> Model:
+    """The model in canonical coordinates. ValueError, one line, for a file of another kind or content.
+
+    canonical: of the model's scene. Only .pth files, the released program's, have the coordinates of the data's files;
+    the others are this program's and canonical.
+    """
+    if path.suffix not in SUFFIXES:
+        raise ValueError(
+            f"{path}: expected a file of a model ({', '.join(SUFFIXES)}), found {path.suffix or 'no suffix'}"
+        )
+    if not path.is_file():
+        raise ValueError(f"{path}: expected a file of a model, found none")
+    if path.suffix == ".safetensors":
+        return load_model(path)
+    if path.suffix == ".ply":
+        return load_ply(path)
+    return in_canonical(load_released(path), canonical)

@@ -49,15 +49,11 @@ def cameras_of(scene: Scene, scale: float, with_truths: bool = True, renders: in
         key = (split, name)
         if key not in cameras:
             cameras[key] = {"name": name, "split": split, **_intrinsics(camera), "frames": []}
-        cameras[key]["frames"].append({"time": view.time, "view": file_stem(view.name), "truth": of_view.get(index)})
+        linked = view.name.replace("/", "_")  # as its pictures have it (docs/conventions.md), and links to it
+        cameras[key]["frames"].append({"time": view.time, "view": linked, "truth": of_view.get(index)})
     for found in cameras.values():
         found["frames"].sort(key=lambda frame: frame["time"])
     return Cameras(list(cameras.values()), truths, bytes(data))
-
-
-def file_stem(view: str) -> str:
-    """A view's name as its pictures have it (docs/conventions.md), and links to it."""
-    return view.replace("/", "_")
 
 
 def _intrinsics(camera: Camera) -> dict:

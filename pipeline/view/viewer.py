@@ -36,40 +36,26 @@ def write_viewer(path: Path, shown: Sequence[Shown], scene: Scene, cfg: Config) 
     if not 1 <= len(shown) <= MOST_MODELS:
         raise ValueError(f"{path}: expected 1 to {MOST_MODELS} models side by side, found {len(shown)}")
     packed = [pack(one.model, scene) for one in shown]
-    cameras = cameras_of(scene, cfg.train.resolution_scale, renders=cfg.evaluate.renders)
-    header = {
-        **page_header(scene, cfg, cameras, any(one.model.kind.motion != "static" for one in shown)),
-        "labels": [one.label for one in shown],
-        "facts": " · ".join(
-            one.label if one.psnr is None else f"{one.label}: {one.psnr:.2f} dB held out" for one in shown
-        ),
-        "notes": notes(packed, cameras),
-        "models": [one.header for one in packed],
-        "live": False,
-    }
-    write_text(path, page(_title(cfg), header, cameras.data, [one.data for one in packed]))
+    facts = (one.label if one.psnr is None else f"{one.label}: {one.psnr:.2f} dB held out" for one in shown)
+    has_time = any(one.model.kind.motion != "static" for one in shown)
+    write_text(path, _page(scene, cfg, has_time, [one.label for one in shown], " · ".join(facts), packed))
 
 
 def live_page(label: str, scene: Scene, cfg: Config) -> str:
     """The page of a run that is being trained: it asks its server for the models."""
+    has_time = kind_of(scene, cfg).motion != "static"
+    return _page(scene, cfg, has_time, [label], f"{label}, in training", packed=[])
+
+
+def _page(
+    scene: Scene, cfg: Config, has_time: bool, labels: Sequence[str], facts: str, packed: Sequence[Packed]
+) -> str:
+    """packed: the models; none: of a run that is being trained. has_time: a model has."""
     cameras = cameras_of(scene, cfg.train.resolution_scale, renders=cfg.evaluate.renders)
-    header = {
-        **page_header(scene, cfg, cameras, kind_of(scene, cfg).motion != "static"),
-        "labels": [label],
-        "facts": f"{label}, in training",
-        "notes": notes([], cameras),
-        "models": [],
-        "live": True,
-    }
-    return page(_title(cfg), header, cameras.data, [])
-
-
-def page_header(scene: Scene, cfg: Config, cameras: Cameras, has_time: bool) -> dict:
-    """What a page needs besides the models: the scene, its cameras, about what to turn. has_time: a model has."""
     seconds = scene.played_seconds or LOOP_SECONDS
     up = -np.mean([view.camera.world_to_cam[1, :3] for view in scene.train], axis=0)
     distances = [np.linalg.norm(view.camera.position) for view in scene.train]
-    return {
+    header = {
         "scene": {
             "name": cfg.scene.name,
             "static": scene.capture == "static",
@@ -90,7 +76,13 @@ def page_header(scene: Scene, cfg: Config, cameras: Cameras, has_time: bool) -> 
             "reference": 0,  # where a free view begins: the first held-out camera
         },
         "truths": cameras.truths,
+        "labels": labels,
+        "facts": facts,
+        "notes": notes(packed, cameras),
+        "models": [one.header for one in packed],
+        "live": not packed,
     }
+    return page(f"{cfg.scene.name} – 4D Gaussians", header, cameras.data, [one.data for one in packed])
 
 
 def notes(packed: Sequence[Packed], cameras: Cameras) -> list[str]:
@@ -111,7 +103,3 @@ def notes(packed: Sequence[Packed], cameras: Cameras) -> list[str]:
     views = sum(len(camera["frames"]) for camera in cameras.header)
     found.append(f"The truth of {len(cameras.truths)} of {views} views is here, as WebP of quality {QUALITY}.")
     return found
-
-
-def _title(cfg: Config) -> str:
-    return f"{cfg.scene.name} – 4D Gaussians"

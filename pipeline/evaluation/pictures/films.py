@@ -6,14 +6,13 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 
 from datasets.files.atomic_write import atomic_file
 from datasets.scene import View
 from pipeline.data.training_views import camera_at, target_of
-from pipeline.evaluation.metrics import MeasuredView
+from pipeline.evaluation.metrics import MeasuredView, SeeView
 from pipeline.evaluation.pictures.camera_path import FRAME_RATE, Ellipse, bullet_time, ellipse_among, median_depth
 from pipeline.evaluation.renderer import Renderer
 from rasterizer import Camera
@@ -78,35 +77,26 @@ def video(path: Path, width: int, height: int, frame_rate: float) -> Iterator[Se
             raise OSError(f"{path}: expected {sent} frames written, found {written}")
 
 
-class HeldOutFilms:
-    """Writes <camera>_render_and_truth.mp4 for each test camera: render left, ground truth right. A context manager.
+@contextmanager
+def held_out_films(folder: Path, frame_rate: float) -> Iterator[SeeView]:
+    """Write <camera>_render_and_truth.mp4 for each test camera: render left, ground truth right.
 
-    Call it with the camera of every test view, camera by camera in the order of time.
+    To be called with the camera of every test view, camera by camera in the order of time.
     """
+    before, send = "", None
+    with ExitStack() as opened:
 
-    def __init__(self, folder: Path, frame_rate: float) -> None:
-        self._folder, self._frame_rate = folder, frame_rate
-        self._camera: str | None = None
-        self._open = ExitStack()  # the video of `_camera`
-        self._send: Send | None = None
+        def show(camera: str, seen: MeasuredView) -> None:
+            nonlocal before, send
+            pair = np.concatenate([seen.image, seen.truth], axis=1)
+            if send is None or camera != before:
+                opened.close()  # finishes the previous camera's video
+                before = camera
+                path = folder / f"{camera}_render_and_truth.mp4"
+                send = opened.enter_context(video(path, pair.shape[1], pair.shape[0], frame_rate))
+            send(pair)
 
-    def __enter__(self) -> HeldOutFilms:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._open.__exit__(kind, error, trace)
-
-    def __call__(self, camera: str, seen: MeasuredView) -> None:
-        pair = np.concatenate([seen.image, seen.truth], axis=1)
-        if camera != self._camera:
-            self._open.close()  # finishes the previous camera's video
-            self._camera = camera
-            path = self._folder / f"{camera}_render_and_truth.mp4"
-            self._send = self._open.enter_context(video(path, pair.shape[1], pair.shape[0], self._frame_rate))
-        assert self._send is not None
-        self._send(pair)
+        yield show
 
 
 def path_of(renderer: Renderer) -> tuple[Ellipse, Camera]:

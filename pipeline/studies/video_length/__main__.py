@@ -13,6 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.presentation.statistics import estimate
+from pipeline.presentation.table import measured
 from pipeline.runs.run_folder import csv_text
 from pipeline.runs.run_identity import FREE_KEYS, flat, read_config
 from pipeline.studies.common import StudyParser, markdown_table, write_results
@@ -64,23 +66,11 @@ def exponent(lengths: Lengths, column: str) -> float:
     return float(np.polyfit(np.log(list(lengths)), np.log(means), 1)[0])
 
 
-def _std(values: np.ndarray) -> float:
-    """Over the seeds; NaN for one."""
-    return float(values.std(ddof=1)) if len(values) > 1 else np.nan
-
-
-def _cell(column: str, values: np.ndarray) -> str:
-    if np.isnan(values.mean()):
-        return "n/a"
-    decimals = 2 if column == "psnr" else 0
-    return f"{values.mean():,.{decimals}f}" + (f" ± {_std(values):,.{decimals}f}" if len(values) > 1 else "")
-
-
 def markdown(lengths: Lengths, heading: str) -> str:
     rows = [
         [
             f"{frames:,}",
-            *(_cell(column, v[column]) for column in COLUMNS),
+            *(measured(estimate(v[column]), 2 if column == "psnr" else 0).text for column in COLUMNS),
             f"{v['alive'].mean() / v['gaussians'].mean():.2f}",
         ]
         for frames, v in lengths.items()

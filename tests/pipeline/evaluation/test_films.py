@@ -16,7 +16,7 @@ from tiny_film import RATE, tiny_film
 
 from pipeline.evaluation.evaluate import evaluate_with_images
 from pipeline.evaluation.metrics import MeasuredView
-from pipeline.evaluation.pictures.films import HeldOutFilms, video
+from pipeline.evaluation.pictures.films import held_out_films, video
 from pipeline.model.initialise import initialise
 
 # Mean error of these small images by H.264 at QUALITY and chroma at half resolution, of 255. Measured: up to 2.4.
@@ -89,7 +89,7 @@ def test_an_encoder_that_exits_early_is_one_line(tmp_path: Path, monkeypatch) ->
 
 
 def test_one_video_per_camera(tmp_path: Path) -> None:
-    with HeldOutFilms(tmp_path, 24.0) as film:
+    with held_out_films(tmp_path, 24.0) as film:
         for camera, frames in (("cam00", 5), ("cam07", 3)):
             for number in range(frames):
                 film(camera, MeasuredView(*(smooth(48, 64, n) for n in (number, 100 + number))))
