@@ -35,7 +35,6 @@ _FULL_ERROR = "HYDRA_FULL_ERROR"
 
 
 def main() -> None:
-    """Entry point of `python -m pipeline`."""
     if {"--help", "-h", "--version"} & set(sys.argv[1:]):
         with quiet_on_closed_pipe():
             print(_version() if "--version" in sys.argv[1:] else help_page().rstrip())

@@ -111,6 +111,10 @@ class Metric:
         """The name and an arrow that points to better numbers."""
         return f"{self.name} {'↑' if self.better == 'higher' else '↓'}" if self.better else self.name
 
+    def column(self, protocol: str) -> str:
+        """In the report's tables: a cost has one for both protocols, final and best_on_test."""
+        return self.key if self.group == "cost" else f"{protocol}.{self.key}"
+
     def text(self, value: float | None) -> str:
         """A number of metrics.json as it is shown."""
         return "–" if value is None else f"{self.scale * value:,.{self.decimals}f}"
@@ -194,7 +198,6 @@ METRICS: dict[str, Metric] = {
 
 
 def measure(view: MeasuredView) -> dict[str, float | None]:
-    """Every metric of one test view."""
     return {key: metric.measure(view) for key, metric in METRICS.items() if metric.measure}
 
 

@@ -100,7 +100,6 @@ def latex(table: Table) -> str:
 
 
 def escape(text: str) -> str:
-    """`text` with LaTeX's special characters escaped."""
     return "".join(_LATEX.get(character, character) for character in text)
 
 

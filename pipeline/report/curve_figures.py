@@ -32,7 +32,6 @@ class CurveFigure:
 
     @property
     def slug(self) -> str:
-        """The title as a file name."""
         return file_name(self.title.replace(": ", "__")).strip("_")
 
 

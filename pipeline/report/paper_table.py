@@ -95,7 +95,6 @@ class PaperTable:
         return Row(cells, "paper" if cells["method"].text == THIS_PAPER else "other", line["note"])
 
     def _ours(self, runs: pd.DataFrame) -> list[Row]:
-        """A `final` and a `best on test` row for each recipe with its changes."""
         rows = []
         for method, of_method in runs.groupby("method", sort=True):
             covered, wanted = of_method["scene"].nunique(), len(self.scenes)

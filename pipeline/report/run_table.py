@@ -49,7 +49,7 @@ class Shown:
     @property
     def column(self) -> str:
         """Of Collection.runs, and of the table."""
-        return self.key if self.metric.group == "cost" else f"{self.protocol}.{self.key}"
+        return self.metric.column(self.protocol)
 
     @property
     def header(self) -> str:
@@ -84,7 +84,6 @@ class Shown:
 
 
 def shown(*groups: str, protocol: str = FINAL) -> tuple[Shown, ...]:
-    """All metrics of these groups, in their order."""
     return tuple(Shown(key, protocol) for key, metric in METRICS.items() if metric.group in groups)
 
 

@@ -136,10 +136,7 @@ def _plain(value: Any) -> str:
 
 def metric_columns() -> list[tuple[str, str]]:
     """(column, key) of every metric of a run: costs once, others for both protocols."""
-    costs = [(key, key) for key, metric in METRICS.items() if metric.group == "cost"]
-    return costs + [
-        (f"{protocol}.{key}", key) for protocol in (FINAL, BEST) for key in METRICS if METRICS[key].group != "cost"
-    ]
+    return list({METRICS[key].column(protocol): key for protocol in (FINAL, BEST) for key in METRICS}.items())
 
 
 def read_metrics(path: Path) -> dict[str, Any]:

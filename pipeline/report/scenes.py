@@ -106,16 +106,11 @@ def other_split(run: dict, collection: Collection) -> str | None:
 
 def on_paper_split(collection: Collection) -> pd.DataFrame:
     """The runs that were evaluated on the paper's views; only these enter its tables."""
-    rows = collection.runs.to_dict("records")
-    return collection.runs.loc[[other_split(row, collection) is None for row in rows]]
+    return collection.runs[[other_split(row, collection) is None for row in collection.runs.to_dict("records")]]
 
 
 def other_split_notes(collection: Collection, among: Iterable[str]) -> list[str]:
     """A sentence on each of the scenes `among` and each schedule with a run on another split."""
-    return list(
-        dict.fromkeys(
-            f"{row['scene']}, {row['method']}: {sentence}"
-            for row in collection.runs.to_dict("records")
-            if row["scene"] in set(among) and (sentence := other_split(row, collection))
-        )
-    )
+    rows = collection.runs[collection.runs["scene"].isin(list(among))].to_dict("records")
+    notes = (f"{row['scene']}, {row['method']}: {found}" for row in rows if (found := other_split(row, collection)))
+    return list(dict.fromkeys(notes))

@@ -31,7 +31,6 @@ class TimeToPsnr:
     scenes with two models or recipes."""
 
     levels: tuple[float, ...] = ()
-    section: str = "comparisons"
 
     def build(self, collection: Collection) -> Table | None:
         curves = collection.curves

@@ -84,7 +84,6 @@ class RunFolder:
     # What grows while a run goes on.
 
     def log(self, row: dict) -> None:
-        """Append a line to log.jsonl, dated."""
         line = json.dumps({"date": now(), **row}) + "\n"
         _append(self.log_file, line)
 

@@ -23,7 +23,6 @@ class StudyParser(CommandParser):
 
 
 def made_by(name: str, arguments: list[str]) -> str:
-    """Machine, date, commit and command of a result."""
     command = shlex.join(["python", "-m", f"pipeline.studies.{name}", *arguments])
     found = provenance(command)
     return f"{found['machine']}; {found['date'][:16]}; commit {found['git_commit'][:10]}; `{command}`"

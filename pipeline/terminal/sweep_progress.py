@@ -44,8 +44,6 @@ def plan_file() -> Path | None:
 
 
 class SweepRun:
-    """A run's part in it."""
-
     def __init__(self, folder: Path, began: float, work: dict[str, float], out: str) -> None:
         self._began, self._work = began, list(work.values())
         self._files = [folder / f"run{index}" for index in range(len(work))]

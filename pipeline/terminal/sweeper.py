@@ -47,8 +47,6 @@ class RunSweeper(Sweeper):
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """One run of a sweep."""
-
     overrides: list[str]  # of the command line, as if the run were given alone
     cfg: DictConfig  # without Hydra's own part
 

@@ -98,8 +98,11 @@ class Column:
     bytes: tuple[int, ...]  # of a number, by component; 0 where all are equal
 
 
-def quantised(name: str, values: np.ndarray, step: float) -> tuple[Column, list[bytes]]:
-    """(column, its planes of bytes) of `values` (N, …), of which a reader gets the nearest multiples of `step`."""
+Packing = tuple[Column, list[bytes]]  # a column and its planes of bytes
+
+
+def quantised(name: str, values: np.ndarray, step: float) -> Packing:
+    """Of `values` (N, …), of which a reader gets the nearest multiples of `step`."""
     rows = np.ascontiguousarray(values.reshape(len(values), math.prod(values.shape[1:])).T)
     counts = np.rint(rows / rows.dtype.type(step)).astype(np.int64 if rows.dtype == np.float64 else np.int32)
     low = counts.min(axis=1) if counts.size else np.zeros(len(counts), counts.dtype)
@@ -118,7 +121,7 @@ class Packed:
 
 def pack(model: Model, scene: Scene, compression: int = COMPRESSION) -> Packed:
     """The Gaussians of `model` that are seen at a time of `scene`, and its environment map."""
-    columns = _Columns()
+    columns: list[Packing] = []
     seen = _columns_of(trajectories(model), scene, columns)
     header: dict = {
         "trained": len(model),
@@ -132,25 +135,11 @@ def pack(model: Model, scene: Scene, compression: int = COMPRESSION) -> Packed:
         if isinstance(environment, CubeMap):  # the page knows one kind of map
             environment = environment.equirectangular(2 * environment.resolution)
         header["environment"] = _environment(environment, columns)
-    header["columns"] = [asdict(column) for column in columns.found]
-    return Packed(header, zlib.compress(b"".join(columns.planes), compression))
+    header["columns"] = [asdict(column) for column, _ in columns]
+    return Packed(header, zlib.compress(b"".join(plane for _, planes in columns for plane in planes), compression))
 
 
-class _Columns:
-    """Columns of one model in the order of their planes."""
-
-    def __init__(self) -> None:
-        self.found: list[Column] = []
-        self.planes: list[bytes] = []
-
-    def add(self, name: str, values: np.ndarray, step: float) -> None:
-        """Appends a column of `values` (N, …), rounded to `step`."""
-        column, planes = quantised(name, values, step)
-        self.found.append(column)
-        self.planes += planes
-
-
-def _columns_of(t: Trajectories, scene: Scene, columns: _Columns) -> int:
+def _columns_of(t: Trajectories, scene: Scene, columns: list[Packing]) -> int:
     """Appends the columns of the Gaussians that are seen; returns how many there are.
 
     Stored is the part of a Gaussian's line where it is seen: its middle, and how far it is from there to its end. The
@@ -159,7 +148,7 @@ def _columns_of(t: Trajectories, scene: Scene, columns: _Columns) -> int:
     length = POSITION_PX * scene.unit / max(max(view.camera.fx, view.camera.fy) for view in scene.train)
     if t.velocity is None or t.mean_t is None or t.sigma_t is None:
         rows = _by_place(t.mean)
-        columns.add("middle", t.mean[rows], length)
+        columns.append(quantised("middle", t.mean[rows], length))
     else:
         shortest = np.quantile(t.sigma_t, 0.01) if len(t.sigma_t) else 0.0
         step = max(TIME_STEP * float(shortest), scene.duration * 2.0**-23)
@@ -170,14 +159,14 @@ def _columns_of(t: Trajectories, scene: Scene, columns: _Columns) -> int:
         middle = t.mean + t.velocity * (0.5 * (first + last) - t.mean_t)[:, None]
         rows = np.flatnonzero(half >= 0)
         rows = rows[_by_place(middle[rows])]
-        columns.add("mean_t", t.mean_t[rows], step)
-        columns.add("log_sigma_t", np.log(t.sigma_t)[rows], LIFETIME_STEP)
-        columns.add("middle", middle[rows], length)
-        columns.add("reach", (t.velocity * half[:, None])[rows], length)
-    columns.add("log_scale", np.log(np.maximum(t.scale[rows], 0.1 * length)), SCALE_STEP)
-    columns.add("rotation", t.rotation[rows], ROTATION_STEP)
-    columns.add("opacity_logit", np.clip(t.opacity_logit[rows], *LOGITS), LOGIT_STEP)
-    columns.add("sh", np.clip(t.sh[rows], -LARGEST_SH * SH_STEP, LARGEST_SH * SH_STEP), SH_STEP)
+        columns.append(quantised("mean_t", t.mean_t[rows], step))
+        columns.append(quantised("log_sigma_t", np.log(t.sigma_t)[rows], LIFETIME_STEP))
+        columns.append(quantised("middle", middle[rows], length))
+        columns.append(quantised("reach", (t.velocity * half[:, None])[rows], length))
+    columns.append(quantised("log_scale", np.log(np.maximum(t.scale[rows], 0.1 * length)), SCALE_STEP))
+    columns.append(quantised("rotation", t.rotation[rows], ROTATION_STEP))
+    columns.append(quantised("opacity_logit", np.clip(t.opacity_logit[rows], *LOGITS), LOGIT_STEP))
+    columns.append(quantised("sh", np.clip(t.sh[rows], -LARGEST_SH * SH_STEP, LARGEST_SH * SH_STEP), SH_STEP))
     return len(rows)
 
 
@@ -200,8 +189,8 @@ def _by_place(points: np.ndarray) -> np.ndarray:
     return np.argsort(key, kind="stable")
 
 
-def _environment(environment: EnvironmentMap, columns: _Columns) -> Sequence[int]:
+def _environment(environment: EnvironmentMap, columns: list[Packing]) -> Sequence[int]:
     """Appends the map as a column of a row a texel; returns its (height, width)."""
     image = environment.image.numpy()
-    columns.add("environment", np.clip(image, -8, 8).reshape(3, -1).T, ENVIRONMENT_STEP)
+    columns.append(quantised("environment", np.clip(image, -8, 8).reshape(3, -1).T, ENVIRONMENT_STEP))
     return image.shape[1:]

@@ -24,8 +24,6 @@ MOST_MODELS = 4  # side by side
 
 @dataclass(frozen=True)
 class Shown:
-    """A model of a page and what is said of it."""
-
     label: str
     model: Model
     psnr: float | None = None  # dB, on the held-out views

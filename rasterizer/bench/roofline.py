@@ -24,8 +24,6 @@ MARKERS = "osD^v"  # of the workloads in the plot
 
 @dataclass(frozen=True)
 class Rates:
-    """Measured throughput of one thread."""
-
     operations: float  # lanes of multiply-adds per second
     bytes: float  # read plus written, per second
 
@@ -73,7 +71,6 @@ def work_of(c: WorkCounts, sh_bytes: int) -> dict[str, Work]:
 
 
 def bound_ms(work: dict[str, Work], rates: Rates) -> float:
-    """Lower bound of the frame's time in milliseconds."""
     return 1e3 * sum(stage.seconds(rates) for stage in work.values())
 
 

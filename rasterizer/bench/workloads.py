@@ -56,8 +56,6 @@ class Columns:
 
 @dataclass(frozen=True)
 class Workload:
-    """A scene and one view of it."""
-
     gaussians: Gaussians
     camera: Camera
     time: float  # in the unit of duration
@@ -73,14 +71,12 @@ class Workload:
         return (torch.rand(3, *size, generator=torch.Generator().manual_seed(99)) - 0.5) / (size[0] * size[1])
 
     def cropped(self, pixels: int) -> Workload:
-        """The same view cropped to the middle `pixels` × `pixels`."""
         c = self.camera
         left, top = (c.width - pixels) // 2, (c.height - pixels) // 2
         return replace(self, camera=replace(c, width=pixels, height=pixels, cx=c.cx - left, cy=c.cy - top))
 
 
 def make_workload(name: str) -> Workload:
-    """The workload of this name, one of WORKLOADS."""
     small = name == "W1"
     count = 100_000 if small else 300_000
     blocks, rng = [], SplitMix64(1234567 if small else 7654321)

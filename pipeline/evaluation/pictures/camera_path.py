@@ -25,8 +25,6 @@ SPREAD_QUANTILE = 0.7
 
 @dataclass(frozen=True)
 class PathFrame:
-    """Camera and time of one frame of the video."""
-
     camera: Camera
     time: float  # in the scene's unit
 

@@ -30,7 +30,6 @@ class NumericalChoices:
         return [f"-DRASTERIZER_{name.upper()}={_in_cpp(value)}" for name, value in changed.items()]
 
     def thresholds(self) -> Thresholds:
-        """The same thresholds for the reference implementation."""
         return Thresholds(self.min_marginal, self.min_alpha, self.min_transmittance)
 
 

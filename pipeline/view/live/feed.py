@@ -83,8 +83,6 @@ class Feed:
 
 
 class TrainingView:
-    """Observes a training."""
-
     def __init__(self, feed: Feed, scene: Scene, iterations: int) -> None:
         self._feed, self._scene, self._iterations = feed, scene, iterations
         self._held_out: float | None = None  # PSNR of the last evaluation
