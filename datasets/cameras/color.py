@@ -20,9 +20,7 @@ class ColorCorrection:
     @classmethod
     def from_arrays(cls, gain: np.ndarray, offset: np.ndarray) -> ColorCorrection:
         """Of two (3,)."""
-        return cls(
-            (float(gain[0]), float(gain[1]), float(gain[2])), (float(offset[0]), float(offset[1]), float(offset[2]))
-        )
+        return cls(tuple(gain.tolist()), tuple(offset.tolist()))
 
     def of(self, colors: np.ndarray) -> np.ndarray:
         """(…, 3) values of 255 -> (…, 3) float64, not rounded, not clipped."""

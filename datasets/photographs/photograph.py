@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from datasets.cameras.lens import Lens, undistort_rgba
 from datasets.files.errors import SceneError
 from datasets.files.image_files import image_size, read_rgba
 from datasets.scene import make_camera
 from rasterizer.camera import Camera
+
+if TYPE_CHECKING:  # imports OpenCV, which few scenes need
+    from datasets.cameras.lens import Lens
 
 # Of a side. colmap image_undistorter makes images whose sizes differ by a few percent where each has a lens of its own.
 LARGEST_CUT = 0.1
@@ -45,8 +48,20 @@ class PosedFile:
         if rgba.shape[:2] != (height, width):
             expected = f"{width} x {height} pixels, as its header says"
             raise SceneError(self.path, expected, "{1} x {0}".format(*rgba.shape))
-        whole = undistort_rgba(rgba, self.lens.maps((width, height))) if self.lens else rgba
-        return whole[: self.camera.height, : self.camera.width]
+        if self.lens:
+            from datasets.cameras.lens import undistort_rgba
+
+            rgba = undistort_rgba(rgba, self.lens.maps((width, height)))
+        return rgba[: self.camera.height, : self.camera.width]
+
+    def imaged(self, reduced: Camera) -> np.ndarray | None:
+        """(h, w) bool: the pixels of the image of `reduced`, the camera at a smaller size, that the lens has imaged;
+        None: all."""
+        if self.lens is None:
+            return None
+        from datasets.cameras.lens import imaged
+
+        return imaged(self.lens, (self.camera.width, self.camera.height), (reduced.width, reduced.height))
 
 
 def of_one_size(photographs: Sequence[PosedFile]) -> tuple[list[PosedFile], tuple[int, int]]:

@@ -14,7 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from datasets.cameras.lens import both, imaged, undistort
+from datasets.cameras.lens import both, undistort
 from datasets.canonical import canonical_space
 from datasets.composition import (
     BLACK,
@@ -107,9 +107,7 @@ def to_scene(
         image.keep = len(photographs) * 3 * small.width * small.height <= KEPT_BYTES
         assert photograph.time is not None
         alpha = coverage(photograph.read(), downscale) if has_alpha(photograph.path) else None
-        name, full = f"{split}/{photograph.name}", photograph.camera
-        seen = imaged(photograph.lens, (full.width, full.height), (small.width, small.height))
-        mask = both(_mask(photograph, downscale), seen)
+        name, mask = f"{split}/{photograph.name}", both(_mask(photograph, downscale), photograph.imaged(small))
         camera_name = f"{photograph.group}" if cameras_film else ""
         views[split].append(View(small, photograph.time, image, name, alpha, mask=mask, filmed_by=camera_name))
     train_cameras = [view.camera for view in views["train"]]

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Hashable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import Any
+
+import numpy as np
 
 from datasets.files.errors import SceneError
 from datasets.plenoptic.decode import Stream
@@ -13,8 +15,6 @@ from datasets.plenoptic.decode import Stream
 # Relative. Accepts 29.97 beside 30 frames a second: over 300 frames they differ by less than half a frame.
 RATE_TOLERANCE = 1.5e-3
 START_TOLERANCE = 0.5  # frames
-
-Value = TypeVar("Value", bound=Hashable)  # of a header
 
 
 def select_cameras(numbers: Sequence[int], root: Path, test: Collection[int], drop: Collection[int]) -> tuple[int, ...]:
@@ -47,31 +47,24 @@ def common_frames(streams: Sequence[Stream], first_frame: int, frames: int, drop
     """
 
     def require_equal(
-        what: str, value: Callable[[Stream], Value], equal: Callable[[Value, Value], bool], show: Callable[[Value], str]
+        what: str, values: list, show: Callable[[Any], str], relative: float = 0.0, absolute: float = 0.0
     ) -> None:
         # In a tie the first value counts: which of two cameras is wrong cannot be known.
-        usual = Counter(value(stream) for stream in streams).most_common(1)[0][0]
-        example = next(stream for stream in streams if value(stream) == usual)
-        for stream in streams:
-            if not equal(value(stream), usual):
+        usual = Counter(values).most_common(1)[0][0]
+        example = streams[values.index(usual)]
+        for stream, value in zip(streams, values):
+            if not np.isclose(value, usual, relative, absolute).all():
                 raise SceneError(
                     stream.path,
                     f"{show(usual)}{what} as {example.path.name}",
-                    f"{show(value(stream))}: unsynchronised; {drop_advice(stream.number, drop)}",
+                    f"{show(value)}: unsynchronised; {drop_advice(stream.number, drop)}",
                 )
 
-    require_equal(" pixels", lambda s: s.size, lambda a, b: a == b, lambda size: "{} x {}".format(*size))
-    require_equal(
-        " frames a second", lambda s: s.rate, lambda a, b: abs(a - b) <= RATE_TOLERANCE * b, lambda r: f"{r:.6g}"
-    )
-    require_equal(
-        " frames",
-        lambda s: s.start,
-        lambda a, b: abs(a - b) <= START_TOLERANCE,
-        lambda start: f"a first frame at {start:g}",
-    )
+    require_equal(" pixels", [s.size for s in streams], lambda size: "{} x {}".format(*size))
+    require_equal(" frames a second", [s.rate for s in streams], "{:.6g}".format, relative=RATE_TOLERANCE)
+    require_equal(" frames", [s.start for s in streams], "a first frame at {:g}".format, absolute=START_TOLERANCE)
     if any(stream.count < first_frame + frames for stream in streams):
-        require_equal(" frames", lambda s: s.count, lambda a, b: a == b, str)
+        require_equal(" frames", [s.count for s in streams], str)
     shortest = min(stream.count for stream in streams)
     if shortest <= first_frame:
         raise SceneError(

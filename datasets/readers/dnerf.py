@@ -21,7 +21,6 @@ from pathlib import Path
 import numpy as np
 
 from datasets.cameras.intrinsics import read_distortion, read_pinhole
-from datasets.cameras.lens import Undistortion, imaged
 from datasets.cameras.transforms import TransformsEntry, read_transforms
 from datasets.canonical import canonical_space
 from datasets.composition import (
@@ -213,14 +212,17 @@ def _refuse_outlier(root: Path, time: float, entry: TransformsEntry, others: lis
 def _photograph(entry: TransformsEntry, size: tuple[int, int]) -> PosedFile:
     camera = read_pinhole(entry.intrinsics, size, entry.cam_to_world, entry.where, entry.file)
     bent = read_distortion(entry.intrinsics, entry.where)
-    lens = Undistortion.of(camera, *bent) if any(bent) else None
+    lens = None
+    if any(bent):
+        from datasets.cameras.lens import Undistortion  # imports OpenCV, which few scenes need
+
+        lens = Undistortion.of(camera, *bent)
     return PosedFile(view_name(entry), entry.image_path, camera, lens, entry.time or 0.0)
 
 
 def _read_view(photograph: PosedFile, downscale: int, background: Color) -> View:
-    path, full, lens = photograph.path, photograph.camera, photograph.lens
-    camera, rgba = make_camera(path, lambda: reduced_camera(full, downscale)), photograph.read()
-    mask = imaged(lens, (full.width, full.height), (camera.width, camera.height))
-    truth = None if lens else truth_beside(path, downscale)  # of undistorted images only
-    alpha, image = coverage(rgba, downscale), compose(rgba, background, downscale)
+    path, rgba = photograph.path, photograph.read()
+    camera = make_camera(path, lambda: reduced_camera(photograph.camera, downscale))
+    truth = None if photograph.lens else truth_beside(path, downscale)  # of undistorted images only
+    alpha, image, mask = coverage(rgba, downscale), compose(rgba, background, downscale), photograph.imaged(camera)
     return View(camera, photograph.time or 0.0, image, photograph.name, alpha, truth, mask=mask)

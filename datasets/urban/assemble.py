@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from PIL import Image
 
-from datasets.cameras.lens import Undistortion, imaged
+from datasets.cameras.lens import Undistortion
 from datasets.composition import BLACK, compose, reduced_camera
 from datasets.files.errors import SceneError
 from datasets.ground_truth import StoredTruth, any_moving
@@ -173,14 +173,15 @@ def _selected(log: DrivingLog, cfg: SceneConfig) -> list[LogImage]:
 
 def _view(image: LogImage, split: str, cfg: SceneConfig) -> View:
     """The image at 1/downscale of its size, undistorted, with its masks."""
-    full, size = image.camera, (image.camera.width, image.camera.height)
+    full = image.camera
     lens = Undistortion.of(full, *image.distortion) if any(image.distortion) else None
-    rgba = PosedFile(image.name, image.path, full, lens).read()
+    file = PosedFile(image.name, image.path, full, lens)
+    rgba = file.read()
     if min(full.width, full.height) < cfg.downscale:
         raise SceneError(image.path, f"at least {cfg.downscale} pixels a side (downscale)", f"{full.width}")
     camera = make_camera(image.path, lambda: reduced_camera(full, cfg.downscale))
     shape = camera.height, camera.width
-    maps = lens.maps(size) if lens else None
+    maps = lens.maps((full.width, full.height)) if lens else None
     sky = moving = None
     if image.sky is not None and cfg.sky_masks in ("auto", "files"):
         sky = majority(_mask(image.sky, full, maps), *shape, cfg.downscale)
@@ -198,7 +199,7 @@ def _view(image: LogImage, split: str, cfg: SceneConfig) -> View:
         frame=image.frame,
         sky=sky,
         moving=moving,
-        mask=imaged(lens, size, (camera.width, camera.height)),
+        mask=file.imaged(camera),
         filmed_by=f"{image.number}",
     )
 

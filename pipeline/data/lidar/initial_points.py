@@ -3,7 +3,6 @@ for what no LiDAR reaches, drawn along the rays of pixels above its beams."""
 
 from __future__ import annotations
 
-from collections import defaultdict
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,12 +45,11 @@ def initial_points(scene: Scene, budget: int, rng: np.random.Generator, velociti
 def coloured_points(scene: Scene, rng: np.random.Generator, velocities: bool = True) -> TimedPoints:
     """The LiDAR points of the training frames that a camera of their frame sees, in its colour. Of points that several
     see the colour is the first camera's."""
-    views = views_by_frame(scene)
     found: list[TimedPoints] = []
     moving = sweep_velocities(scene) if velocities else [np.zeros_like(sweep.points) for sweep in scene.sweeps]
     for sweep, velocity in zip(scene.sweeps, moving):
         left = np.ones(len(sweep.points), dtype=bool)
-        for view in views[sweep.frame]:
+        for view in (view for view in scene.train if view.frame == sweep.frame):
             index, column, row, _ = seen(sweep.points, view.camera)
             new = left[index]
             index, column, row = index[new], column[new].astype(int), row[new].astype(int)
@@ -147,15 +145,6 @@ def highest_beam(depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     nearest = columns[np.abs(np.arange(width)[:, None] - columns).argmin(axis=1)]
     top = (depth > 0).argmax(axis=0)[nearest]
     return top, depth[top, nearest]
-
-
-def views_by_frame(scene: Scene) -> dict[int, list[View]]:
-    """The training views of each frame."""
-    found: dict[int, list[View]] = defaultdict(list)
-    for view in scene.train:
-        if view.frame is not None:
-            found[view.frame].append(view)
-    return found
 
 
 def joined(parts: list[TimedPoints]) -> TimedPoints:
