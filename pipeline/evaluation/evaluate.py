@@ -19,8 +19,7 @@ from datasets.scene import Scene, Sweep
 from datasets.urban.projection import depth_image
 from pipeline.config.schema import Config
 from pipeline.data.training_views import Target, camera_at, evenly_spaced, target_of
-from pipeline.evaluation.flicker import FlickerMeter
-from pipeline.evaluation.image_metrics import MS_SSIM_SMALLEST_SIDE, SSIM_SMALLEST_SIDE
+from pipeline.evaluation.image_metrics import MS_SSIM_SMALLEST_SIDE, SSIM_SMALLEST_SIDE, FlickerMeter
 from pipeline.evaluation.lpips import Perceptual
 from pipeline.evaluation.metrics import MeasuredView, SeeView, means, measure
 from pipeline.evaluation.moving_pixels import MovingPixels

@@ -1,4 +1,4 @@
-"""Metrics of images, depth and optical flow as plain functions of arrays (docs/method.md 4). metrics.py lists them.
+"""Metrics of images, depth, optical flow and films as functions of arrays (docs/method.md 4). metrics.py lists them.
 
 Images are (H, W, 3) float32 in [0, 1], masks (H, W) bool. A number is None where what it compares with is unknown.
 """
@@ -11,11 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 from skimage.metrics import structural_similarity
 
+from datasets.scene import View
+
 SSIM_SMALLEST_SIDE = 11  # its window
 # MS-SSIM halves the image four times; its 11-pixel window must fit into the smallest: 10 · 2⁴ < side.
 MS_SSIM_SMALLEST_SIDE = 161
 # Lower bound of the MSE, 100 dB: equal images would have infinite PSNR, and so would any mean with one of them.
 SMALLEST_MSE = 1e-10
+SPACING_TOLERANCE = 0.1  # frames, between consecutive ones; covers the rounding of times
 
 
 @dataclass(frozen=True)
@@ -94,3 +97,31 @@ def lidar_errors(depth: np.ndarray, lidar: np.ndarray, metre: float) -> dict[str
         "lidar_error_mean": relative["depth_error_mean"],
         "lidar_rmse": float(np.sqrt(np.mean(difference**2))),
     }
+
+
+class FlickerMeter:
+    """Flicker: the mean absolute change of the error between consecutive frames of a video.
+
+    With the residual r_t = render_t - truth_t, images (H, W, 3) in [0, 1], flicker is the mean of |r_{t+1} - r_t| over
+    pixels, channels and pairs of consecutive frames. Motion that the render reproduces cancels. A constant error does
+    not count, however large; PSNR measures that, but is independent of the order of frames. Only the previous residual
+    is kept.
+    """
+
+    def __init__(self, frame_rate: float | None) -> None:
+        """frame_rate: frames per unit of the scene's time; None for photographs, which have no flicker."""
+        self._frame_rate = frame_rate
+        self._before: tuple[View, np.ndarray] | None = None  # the previous view and its residual
+
+    def next(self, view: View, image: np.ndarray, truth: np.ndarray) -> float | None:
+        """Mean |r_t - r_{t-1}| of this frame; None unless the previous call was for the previous frame."""
+        if self._frame_rate is None:
+            return None
+        now, before = np.subtract(image, truth, dtype=np.float32), self._before
+        self._before = (view, now)
+        if before is None or before[0].filmed_by != view.filmed_by:
+            return None
+        if abs((view.time - before[0].time) * self._frame_rate - 1.0) >= SPACING_TOLERANCE:
+            return None
+        change = np.subtract(now, before[1], out=before[1])  # reuses its memory
+        return float(np.mean(np.abs(change, out=change), dtype=np.float64))

@@ -41,7 +41,7 @@ class MeasuredView:
     known: GroundTruth | None = None
     lidar: np.ndarray | None = None  # (H, W) depths of held-out LiDAR points; 0: none
     metre: float = 1.0  # units of the scene
-    flicker: float | None = None  # flicker.FlickerMeter; None: no previous frame
+    flicker: float | None = None  # image_metrics.FlickerMeter; None: no previous frame
     lpips: Callable[[str], float | None] = lambda net: None  # by a network, `alex` or `vgg`
 
     def __post_init__(self) -> None:

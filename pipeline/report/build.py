@@ -19,10 +19,9 @@ from pipeline.report import tables
 from pipeline.report.content import Content, CurvePlot, report_markdown, terminal_text
 from pipeline.report.curve_figures import curve_figures
 from pipeline.report.plots import plot, recoloured
-from pipeline.report.run_figures import run_figures
 from pipeline.report.runs import Collection, collect
 from pipeline.report.sfm import sfm_section
-from pipeline.report.strips import RunFigure, Strip, make_strips
+from pipeline.report.strips import RunFigure, Strip, make_strips, run_figures
 from pipeline.report.time_to_psnr import TimeToPsnr
 
 

@@ -3,7 +3,8 @@
 Per scene one recipe: the one with the best mean final PSNR of `full`. Shown are the median and the worst view of `full`
 and, where the dynamic region is known, the view with the largest: render and truth with its outline, and both enlarged
 there, since a moving object that a model has lost is a small part of an image. Of the ablation that the scene was made
-for the same median view, and that of motion. Other models are compared in tables.
+for the same median view, and that of motion. Other models are compared in tables. The figures that a run folder holds
+are shown as they are.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import pandas as pd
 from PIL import Image
 from scipy.ndimage import binary_dilation, find_objects, label
 
-from datasets.files.errors import clear
+from datasets.files.errors import DataError, clear, read_json
 from pipeline.report import scenes
 from pipeline.report.curve_figures import file_name
 from pipeline.report.runs import read_view_psnr
@@ -28,6 +29,8 @@ _MAX_SIDE = 512  # pixels of a view, to limit the size of the page
 _GAP = 6  # pixels between the parts
 _QUALITY = 90  # of WebP; the exact images are in the run's renders/
 DIFFERENCE_GAIN = 4  # of the difference images that pipeline/evaluation/pictures/view_pictures.py writes
+FOLDER, INDEX = "figures", "figures.json"  # of a run folder, as pipeline/figures writes them
+_MAX_FIGURE_SIDE = 1200  # pixels
 OUTLINE = (255, 0, 200)  # RGB; rare in photographs
 _MARGIN = 0.15  # of the enlarged object's size, on every side
 _SMALLEST = 24  # pixels, side of what is enlarged
@@ -115,6 +118,44 @@ def shown_experiment(runs: pd.DataFrame) -> tuple[str, str]:
     if full.empty:
         full = runs[runs["model"] == scenes.models_in_order(runs["model"])[0]]
     return full.groupby(["recipe_label", "model"], sort=True)["final.psnr"].mean().idxmax()
+
+
+def run_figures(runs: pd.DataFrame, no_pictures: tuple[str, ...] = ()) -> tuple[list[RunFigure], list[str]]:
+    """What `python -m pipeline.figures` drew of one run a scene, and a warning for each that could not be read.
+
+    The run is of the recipe and the model whose views are shown too, or else the first with figures.
+    """
+    found, warnings = [], []
+    for scene in scenes.in_order(runs["scene"]):
+        of_scene = runs[runs["scene"] == scene]
+        with_figures = of_scene[[(Path(folder) / FOLDER / INDEX).is_file() for folder in of_scene["folder"]]]
+        if with_figures.empty or scenes.is_excluded(scene, no_pictures):
+            continue
+        recipe, model = shown_experiment(of_scene)
+        preferred = with_figures[(with_figures["recipe_label"] == recipe) & (with_figures["model"] == model)]
+        run = (with_figures if preferred.empty else preferred).sort_values("seed").iloc[0]
+        try:
+            found += _figures(scene, run["run"], Path(run["folder"]) / FOLDER)
+        except Exception as error:  # PIL raises many types for damaged files
+            warnings.append(f"{run['run']}: no figures: {clear(error)}")
+    return found, warnings
+
+
+def _figures(scene: str, run: str, folder: Path) -> list[RunFigure]:
+    """Raises whatever PIL raises for missing and damaged images, and DataError."""
+    listed = read_json(folder / INDEX)
+    if not isinstance(listed, list):
+        raise DataError(folder / INDEX, "a list of figures", type(listed).__name__)
+    figures = []
+    for row in listed:
+        keys = ("file", "title", "seen")
+        if not isinstance(row, dict) or not all(isinstance(row.get(key), str) for key in keys):
+            raise DataError(folder / INDEX, "file, title and seen of each figure", f"{row}")
+        name = Path(row["file"]).name
+        filename = webp_name(scene, FOLDER, Path(name).stem)
+        webp = compose([opened(folder / name)], _MAX_FIGURE_SIDE)
+        figures.append(RunFigure(scene, run, clear(row["title"]), clear(row["seen"]), filename, webp))
+    return figures
 
 
 def _strip(run: pd.Series, choice: str, view: str, chosen_for: str) -> Strip:

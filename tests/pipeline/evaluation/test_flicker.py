@@ -7,7 +7,7 @@ import pytest
 from tiny import tiny_scene
 
 from datasets.scene import View
-from pipeline.evaluation.flicker import FlickerMeter
+from pipeline.evaluation.image_metrics import FlickerMeter
 from pipeline.evaluation.metrics import METRICS, mean
 
 CAMERA = tiny_scene().test[0].camera

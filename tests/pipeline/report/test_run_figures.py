@@ -9,8 +9,8 @@ from PIL import Image
 from report_runs import write_run
 
 from pipeline.report.build import build_report
-from pipeline.report.run_figures import run_figures
 from pipeline.report.runs import collect
+from pipeline.report.strips import run_figures
 
 
 def write_figures(folder: Path, seen: str = "It moves.") -> Path:
