@@ -108,18 +108,6 @@ class StoredTruth:
         )
 
 
-def truth_beside(image: Path, downscale: int) -> StoredTruth | None:
-    """The ground truth of an image of the D-NeRF layout; None without its file."""
-    path = image.with_suffix(".npz")
-    return StoredTruth(path, downscale=downscale) if path.is_file() else None
-
-
-def film_truth_file(folder: Path, camera: str) -> Path | None:
-    """The ground truth of a camera's video; None without one."""
-    path = folder / "truth" / f"{camera}.npz"
-    return path if path.is_file() else None
-
-
 def any_moving(moving: np.ndarray, width: int, height: int) -> np.ndarray:
     """(height, width) bool: whether any of the pixels of `moving` (H, W) that a new pixel covers is True."""
     if moving.shape == (height, width):

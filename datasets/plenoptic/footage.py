@@ -15,7 +15,7 @@ from datasets.cameras.lens import Undistortion, imaged, undistort
 from datasets.canonical import FRAMES_PER_UNIT
 from datasets.composition import BLACK, background_color, reduced_camera
 from datasets.files.errors import SceneError
-from datasets.ground_truth import StoredTruth, film_truth_file
+from datasets.ground_truth import StoredTruth
 from datasets.plenoptic.decode import Decoding, Stream, decode
 from datasets.plenoptic.images import ImageSequence
 from datasets.plenoptic.sync import drop_advice
@@ -136,11 +136,11 @@ class Footage:
 
     def _truth(self, stream: Stream, estimated: bool) -> list[StoredTruth] | None:
         """The ground truth of a camera's frames in use; None without one, and where frames are scaled or cropped."""
-        file, first = film_truth_file(self.source, stream.name), self.cfg.first_frame
+        file, first = self.source / "truth" / f"{stream.name}.npz", self.cfg.first_frame
         numbers: Sequence[int] = range(first, first + self.count)
         if isinstance(stream, AlignedStream):
-            file, numbers = file if stream.video.size == stream.size else None, stream.indices
-        if file is None:
+            numbers = stream.indices if stream.video.size == stream.size else ()
+        if not numbers or not file.is_file():
             return None
         return [StoredTruth(file, number, self.cfg.downscale, has_depth=not estimated) for number in numbers]
 

@@ -35,7 +35,7 @@ from datasets.composition import (
 )
 from datasets.files.errors import SceneError, read_json
 from datasets.files.image_files import common_size
-from datasets.ground_truth import truth_beside
+from datasets.ground_truth import StoredTruth
 from datasets.photographs.photograph import PosedFile
 from datasets.scene import Scene, View, camera_extent, capture_of, make_camera, validate_scene
 from datasets.settings import SceneConfig
@@ -223,6 +223,7 @@ def _photograph(entry: TransformsEntry, size: tuple[int, int]) -> PosedFile:
 def _read_view(photograph: PosedFile, downscale: int, background: Color) -> View:
     path, rgba = photograph.path, photograph.read()
     camera = make_camera(path, lambda: reduced_camera(photograph.camera, downscale))
-    truth = None if photograph.lens else truth_beside(path, downscale)  # of undistorted images only
+    known = path.with_suffix(".npz").is_file() and not photograph.lens  # the truth is of the image as stored
+    truth = StoredTruth(path.with_suffix(".npz"), downscale=downscale) if known else None
     alpha, image, mask = coverage(rgba, downscale), compose(rgba, background, downscale), photograph.imaged(camera)
     return View(camera, photograph.time or 0.0, image, photograph.name, alpha, truth, mask=mask)

@@ -28,7 +28,7 @@ from datasets.scene import make_camera
 from datasets.settings import SceneConfig
 from datasets.source import Log, Source, data_folder
 from datasets.urban.assemble import DriveSource
-from datasets.urban.log import DrivingLog, LogImage, check_times, log_sweeps, numbered_files
+from datasets.urban.log import DrivingLog, LogImage, check_times, log_sweeps, numbered_files, require_frames
 from datasets.urban.number_files import entry, read_calibration, read_lines, read_rows, read_sweep, rigid, rigid_entry
 from rasterizer.camera import Camera
 
@@ -103,9 +103,7 @@ def _open_raw(path: Path) -> DrivingLog:
     calibration = Calibration(projections, velo_to_camera, _rectified_sizes(values, file))
     images, sky, numbers = _images(calibration, lambda kind, n: path / f"{kind}_{n:02d}" / "data", path)
     oxts = numbered_files(path / "oxts" / "data", (".txt",))
-    missing = [n for n in numbers if n not in oxts]
-    if missing:
-        raise SceneError(path / "oxts" / "data", f"a file of frame {missing[0]}", "none")
+    require_frames(path / "oxts" / "data", oxts, numbers)
     rows = np.concatenate([read_rows(oxts[n], 30)[:1] for n in numbers])
     imu_to_world = poses_of_oxts(rows, path / "oxts")
     rectified_to_world = [pose @ np.linalg.inv(imu_to_rectified) for pose in imu_to_world]

@@ -100,6 +100,12 @@ def check_times(times: Sequence[float], where: str | Path) -> None:
             )
 
 
+def require_frames(folder: Path, files: Mapping[int, Path], numbers: Sequence[int]) -> None:
+    """SceneError unless there is a file of each number."""
+    if missing := [number for number in numbers if number not in files]:
+        raise SceneError(folder, f"a file of frame {missing[0]}", "none")
+
+
 def numbered_files(folder: Path, suffixes: Sequence[str]) -> dict[int, Path]:
     """The files of a folder whose names are whole numbers, by number, ascending; empty without the folder."""
     if not folder.is_dir():

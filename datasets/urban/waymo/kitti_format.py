@@ -22,7 +22,7 @@ import numpy as np
 from datasets.files.errors import SceneError
 from datasets.files.image_files import image_size
 from datasets.scene import make_camera
-from datasets.urban.log import DrivingLog, LogImage, check_times, log_sweeps, numbered_files
+from datasets.urban.log import DrivingLog, LogImage, check_times, log_sweeps, numbered_files, require_frames
 from datasets.urban.number_files import entry, read_calibration, read_matrix, read_rows, read_sweep, rigid_entry
 from rasterizer.camera import Camera
 
@@ -44,9 +44,7 @@ def open_kitti_format(path: Path) -> DrivingLog:
     calibrations, poses = (numbered_files(path / name, (".txt",)) for name in ("calib", "pose"))
     sweeps = numbered_files(path / "velodyne", (".bin",))
     for folder, files in (("calib", calibrations), ("pose", poses)):
-        missing = [number for number in numbers if number not in files]
-        if missing:
-            raise SceneError(path / folder, f"a file of frame {missing[0]}", "none")
+        require_frames(path / folder, files, numbers)
     times = [frame / RATE for frame in range(len(numbers))]
     if (file := path / "timestamps.txt").is_file():
         times = read_rows(file, 1)[:, 0].tolist()
