@@ -75,9 +75,9 @@ def logit(alpha: Tensor) -> Tensor:
     return torch.clamp(torch.log(alpha) - torch.log1p(-alpha), -MAX_LOGIT, MAX_LOGIT)
 
 
-def colours(sh: Tensor) -> Tensor:
-    """(N, 3) RGB of degree 0 alone, in [0, 1]: for formats without spherical harmonics."""
-    return (0.5 + sh[:, 0] / math.sqrt(4 * math.pi)).clamp(0.0, 1.0)
+def colours(sh: Tensor, alpha: Tensor) -> Tensor:
+    """(N, 4) RGBA of degree 0 alone, in [0, 1]: for formats without spherical harmonics."""
+    return torch.cat([(0.5 + sh[:, 0] / math.sqrt(4 * math.pi)).clamp(0.0, 1.0), alpha[:, None]], dim=1)
 
 
 def unit_quaternions(quat: Tensor) -> Tensor:

@@ -32,8 +32,7 @@ def splat_bytes(model: Model) -> bytes:
     rows = np.zeros(len(model), SPLAT_ROW)
     rows["mean"] = p["mean"][order]
     rows["scale"] = p["log_scale"][order].double().exp()
-    rgba = torch.cat([colours(p["sh"].double()), alpha[:, None]], dim=1)[order]
-    rows["rgba"] = np.round(255 * rgba.numpy())
+    rows["rgba"] = np.round(255 * colours(p["sh"].double(), alpha)[order].numpy())
     rows["quat"] = np.clip(np.round(128 + 128 * unit_quaternions(p["quat_left"])[order].numpy()), 0, 255)
     return rows.tobytes()
 
@@ -152,7 +151,6 @@ def glb_bytes(model: Model) -> bytes:
 def _attributes(model: Model) -> dict[str, np.ndarray]:
     p = model.parameters
     alpha = torch.sigmoid(p["opacity_logit"].double())
-    rgba = torch.cat([colours(p["sh"].double()), alpha[:, None]], dim=1)
     found = {
         "POSITION": p["mean"],
         f"{EXTENSION}:ROTATION": unit_quaternions(p["quat_left"]).roll(-1, dims=1),  # xyzw
@@ -163,7 +161,7 @@ def _attributes(model: Model) -> dict[str, np.ndarray]:
         for index in range(2 * degree + 1):
             found[f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{index}"] = p["sh"][:, degree**2 + index]
     arrays = {name: np.ascontiguousarray(tensor.numpy(), dtype="<f4") for name, tensor in found.items()}
-    return arrays | {"COLOR_0": np.round(255 * rgba.numpy()).astype(np.uint8)}
+    return arrays | {"COLOR_0": np.round(255 * colours(p["sh"].double(), alpha).numpy()).astype(np.uint8)}
 
 
 def _padded(data: bytes, filler: bytes) -> bytes:

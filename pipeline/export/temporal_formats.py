@@ -97,14 +97,13 @@ def splatv_bytes(moving: MovingGaussians, line: Timeline) -> bytes:
     Half precision: beyond ± 65,504 values become the largest, and times near 1 are multiples of 1/2048.
     """
     order = torch.argsort(-moving.opacity * moving.log_scale.sum(dim=1).exp(), stable=True)
-    rgba = torch.cat([colours(moving.sh), moving.opacity[:, None]], dim=1)
     height = -(-4 * len(moving) // TEXTURE_WIDTH)
     rows = np.zeros(height * TEXTURE_WIDTH // 4, SPLATV_ROW)  # the rest of the texture is transparent
     used = rows[: len(moving)]
     used["mean"] = moving.mean[order]
     used["quat"] = moving.quat[order]
     used["scale"][:, :3] = moving.log_scale[order].exp()
-    used["rgba"] = np.round(255 * rgba[order].numpy())
+    used["rgba"] = np.round(255 * colours(moving.sh, moving.opacity)[order].numpy())
     used["motion"][:, :3] = _half((moving.velocity * line.duration)[order])
     used["centre"] = _half(((moving.time - line.start) / line.duration)[order])
     used["width"] = _half((2**0.5 * moving.sigma / line.duration)[order])
@@ -157,12 +156,11 @@ def fourdgs_bytes(moving: MovingGaussians, line: Timeline) -> bytes:
     rate = line.seconds / line.duration
     rest = _channel_major(moving.sh)
     code = np.clip(np.round((rest.numpy() - SH_LOW) * 255 / (SH_HIGH - SH_LOW)), 0, 255).astype(np.uint8)
-    colour = np.concatenate([colours(moving.sh).numpy(), moving.opacity[:, None].numpy()], axis=1)
     gaussians = fourdgs.GaussianSet(
         positions=moving.mean.numpy().astype(np.float32),
         scales=moving.log_scale.exp().numpy().astype(np.float32),
         rotations=moving.quat.roll(-1, dims=1).numpy().astype(np.float32),  # xyzw
-        colors=colour.astype(np.float32),
+        colors=colours(moving.sh, moving.opacity).numpy().astype(np.float32),
         motions=(moving.velocity / rate).numpy().astype(np.float32),
         mu_t=((moving.time - line.start) * rate).numpy().astype(np.float32),
         sigma_t=(moving.sigma * rate).numpy().astype(np.float32),
