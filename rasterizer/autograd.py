@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -17,17 +16,18 @@ from rasterizer.rasterizer import Rasterizer
 from rasterizer.request import OUTPUT_NAMES, RenderOutput, Request
 from rasterizer.validation import check_finite, check_layout
 
-_FIELDS = tuple(Gaussians.__dataclass_fields__)
-
 
 class _Rasterize(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, request: Request, threads: int, *tensors: Tensor | None) -> tuple[Tensor, ...]:
-        detached: list[Any] = [None if tensor is None else tensor.detach() for tensor in tensors]
-        gaussians = Gaussians(*detached)
+    def forward(
+        ctx, request: Request, threads: int, span: tuple[float, float], names: tuple[str, ...], *tensors: Tensor
+    ) -> tuple[Tensor, ...]:
+        """names: of the fields that the tensors are. span: of the trajectories."""
+        gaussians = Gaussians.from_tensors(dict(zip(names, (t.detach() for t in tensors), strict=True)), span)
         rasterizer = Rasterizer(threads)
         out = rasterizer.render(gaussians, request, differentiable=any(ctx.needs_input_grad))
         ctx.rasterizer, ctx.outputs = rasterizer, tuple(request.outputs)
+        ctx.names, ctx.span = names, span
         ctx.save_for_backward(*tensors)  # of which autograd refuses those that were changed in place since
         ctx.set_materialize_grads(False)
         images = {name: getattr(out, name) for name in ctx.outputs}
@@ -37,7 +37,8 @@ class _Rasterize(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx, *image_gradients: Tensor | None) -> tuple[Tensor | None, ...]:
-        gradients = Gradients.zeros_like(Gaussians(*ctx.saved_tensors))
+        saved = dict(zip(ctx.names, ctx.saved_tensors, strict=True))
+        gradients = Gradients.zeros_like(Gaussians.from_tensors(saved, ctx.span))
         threads = ctx.rasterizer.threads
         d_images = {f"d_{name}": gradient for name, gradient in zip(ctx.outputs, image_gradients, strict=True)}
         ctx.rasterizer.backward(gradients, **d_images)
@@ -47,7 +48,7 @@ class _Rasterize(torch.autograd.Function):
             "with these Gaussians and image gradients",
             threads,
         )
-        return None, None, *(named.get(name) for name in _FIELDS)
+        return None, None, None, None, *(named[name] for name in ctx.names)
 
 
 def _check_no_overflow(tensors: dict[str, Tensor], given: str, threads: int) -> None:
@@ -90,9 +91,9 @@ def rasterize(
     request = Request(*view, flow_camera)
     check_layout(gaussians)
     check_finite(gaussians)
-    tensors = [getattr(gaussians, name) for name in _FIELDS]
+    tensors = gaussians.tensors()
     if not torch.is_grad_enabled():  # inside `apply` it never is: what only the backward pass needs is not computed
-        tensors = [None if tensor is None else tensor.detach() for tensor in tensors]
-    images = _Rasterize.apply(request, threads, *tensors)
+        tensors = {name: tensor.detach() for name, tensor in tensors.items()}
+    images = _Rasterize.apply(request, threads, gaussians.span, tuple(tensors), *tensors.values())
     rendered = dict(zip(request.outputs, images, strict=True))
     return RenderOutput(**{name: rendered.get(name) for name in OUTPUT_NAMES})

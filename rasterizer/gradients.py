@@ -96,6 +96,8 @@ class Gradients:
     sh_shape: torch.Size
     quat_right: Tensor | None = None
     velocity: Tensor | None = None
+    weights: Tensor | None = None
+    trajectories: Tensor | None = None  # of the control points
     views: list[ViewColors] = field(default_factory=list)
 
     @classmethod

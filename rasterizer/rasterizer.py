@@ -19,6 +19,7 @@ from rasterizer.gaussians import OPTIONAL, SH_LAYOUTS, Gaussians
 from rasterizer.gradients import Gradients, ViewColors, ViewGradient
 from rasterizer.kernel_loader import kernel
 from rasterizer.request import OUTPUT_CHANNELS, RenderOutput, Request
+from rasterizer.trajectories import COLUMNS, Trajectories
 from rasterizer.validation import as_float, check_array, check_layout, plain
 
 # In the order of `enum Stage` in src/view_state.hpp: four of the forward pass, two of the backward pass.
@@ -42,6 +43,7 @@ class Rasterizer:
             None  # the Gaussians as the kernel sees them; None before the first view, or if one failed
         )
         self._differentiable = False
+        self._trajectories: Trajectories | None = None
 
     def render(self, gaussians: Gaussians, request: Request, differentiable: bool = True) -> RenderOutput:
         """Render one view. The Gaussians must be contiguous and of the kernel's type, float32; else ValueError.
@@ -56,8 +58,11 @@ class Rasterizer:
         coefficients, orders = SH_LAYOUTS[gaussians.sh.shape[1]]
         detached = {name: tensor.detach() for name, tensor in gaussians.tensors().items()}
         self._gaussians = None  # should this view fail, there is nothing to go backward from
-        stored = self._kernel.Gaussians(**{**MISSING, **detached}, coefficients=coefficients, stored_order=orders - 1)
         self._shapes = {name: tensor.shape for name, tensor in detached.items()}
+        self._request, self._trajectories = request, gaussians.trajectories
+        if gaussians.trajectories is not None:
+            detached["trajectories"] = gaussians.trajectories.table(request.time, _flow_dt(request))
+        stored = self._kernel.Gaussians(**{**MISSING, **detached}, coefficients=coefficients, stored_order=orders - 1)
         self._set_view(request)
         size = request.camera.height, request.camera.width
         images = {name: self._empty(OUTPUT_CHANNELS[name], *size) for name in request.outputs}
@@ -70,8 +75,8 @@ class Rasterizer:
         return RenderOutput(**{name: images.get(name) for name in OUTPUT_CHANNELS})
 
     def _set_view(self, request: Request) -> None:
-        has_flow = "flow" in request.outputs
-        later = request.flow_camera if has_flow else None
+        flow_dt = _flow_dt(request)
+        later = None if flow_dt is None else request.flow_camera
         self._state.set_view(
             camera=self._camera(request.camera),
             flow_camera=None if later is None else self._camera(later),
@@ -80,7 +85,7 @@ class Rasterizer:
             duration=request.duration,
             near=request.near,
             background=list(request.background),
-            flow_dt=as_float(request.flow_dt) if has_flow else 0.0,
+            flow_dt=flow_dt or 0.0,
             sh_degree=self.sh_degree,
             fourier_order=self.fourier_order,
             extras=tuple(name in request.outputs for name in _EXTRAS),
@@ -127,10 +132,13 @@ class Rasterizer:
             torch.empty(visible, dtype=torch.int32), self._empty(visible, 2), *(self._empty(visible) for _ in range(3))
         )
         colors = ViewColors(out.visible, self._empty(visible, 8), self.sh_degree, self.fourier_order)
+        dense = gradients.dense()
+        if self._trajectories is not None:
+            dense["trajectories"] = torch.zeros(len(self._trajectories), COLUMNS, dtype=self.dtype)
         self._state.backward(
             self._gaussians,
             **d_images,
-            **{**MISSING, **gradients.dense()},
+            **{**MISSING, **dense},
             visible=out.visible,
             mean2d=out.mean2d,
             mean_t=out.mean_t,
@@ -139,6 +147,9 @@ class Rasterizer:
             color_gradient=colors.gradient,
         )
         gradients.views.append(colors)
+        if self._trajectories is not None and gradients.trajectories is not None:
+            at = self._request.time, _flow_dt(self._request)
+            self._trajectories.add_gradient(gradients.trajectories, dense["trajectories"], *at)
         return out
 
     def _check_gradients(self, gradients: Gradients) -> None:
@@ -189,3 +200,8 @@ class Rasterizer:
     def stage_ms(self) -> dict[str, float]:
         """Wall-clock milliseconds by stage: of the last view, and of the last backward pass, which may be older."""
         return dict(zip(STAGES, self._state.stage_ms, strict=True))
+
+
+def _flow_dt(request: Request) -> float | None:
+    """δ of the optical flow; None if it is not requested."""
+    return as_float(request.flow_dt) if "flow" in request.outputs else None

@@ -28,7 +28,6 @@ from pipeline.runs.provenance import memory_gb
 from rasterizer.bench.frame_time import time_frame, time_iteration
 from rasterizer.bench.workloads import Workload, make_workload
 from rasterizer.cores import thread_count
-from rasterizer.gaussians import Gaussians
 
 # float32 values per Gaussian of the full model in training: parameters, Adam's two moments and the best model so far,
 # stored gradients (17) and statistics (7); and 9 for each view of a batch.
@@ -143,8 +142,7 @@ def workload_of(gaussians: int, size: Size) -> Workload:
     """The benchmark's forward-facing scene with this number of Gaussians and image size."""
     whole = make_workload("W2")
     rows = torch.arange(gaussians) % len(whole.gaussians)
-    tensors = {name: tensor[rows] for name, tensor in whole.gaussians.tensors().items()}
-    return replace(whole, gaussians=Gaussians(**tensors), camera=whole.camera.resized(size.width, size.height))
+    return replace(whole, gaussians=whole.gaussians.rows(rows), camera=whole.camera.resized(size.width, size.height))
 
 
 def duration(seconds: float) -> str:

@@ -62,7 +62,7 @@ def time_reference(workload: Workload, pixels: int) -> tuple[Time, Time]:
     """
     crop = workload.cropped(pixels)
     d_color = crop.image_gradient()
-    leaves = Gaussians(**{name: p.clone().requires_grad_() for name, p in crop.gaussians.tensors().items()})
+    leaves = Gaussians.from_tensors({name: p.clone().requires_grad_() for name, p in crop.gaussians.tensors().items()})
     start = time.process_time()
     image = reference_rasterize(leaves, crop.camera, crop.time, duration=crop.duration).color
     assert image is not None

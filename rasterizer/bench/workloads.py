@@ -92,7 +92,7 @@ def make_workload(name: str) -> Workload:
         camera = Camera(676, 507, 550, 550, 338, 253.5, world_to_cam)
     else:
         camera = Camera(1352, 1014, 1100, 1100, 676, 507, world_to_cam)
-    return Workload(Gaussians(**fields), camera, time=0.5, duration=1.0)
+    return Workload(Gaussians.from_tensors(fields), camera, time=0.5, duration=1.0)
 
 
 def _rows(draw: Columns, small: bool) -> dict[str, np.ndarray]:

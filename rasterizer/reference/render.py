@@ -8,7 +8,7 @@ Notation: N Gaussians, V of them in view; μ mean, s scale, R rotation, M = R di
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -43,14 +43,16 @@ class Slice:
     variance_t: Tensor | None  # (N,) Σtt; None for a static model
 
 
-def slice_in_time(gaussians: Gaussians, time: float, marginal_offset: float = 0.0) -> Slice:
+def slice_in_time(gaussians: Gaussians, time: float, marginal_offset: float = 0.0, flow_dt: float = 0.0) -> Slice:
     """Condition the 4D Gaussians on the time (docs/method.md 1.1).
 
     p(t) = exp(-½ (t-μt)²/Σtt) and μ(t) = μ_xyz + Σ_xyz,t Σtt⁻¹ (t-μt). The textbook form of the conditional
     covariance, Σ_xyz - Σ_xyz,t Σtt⁻¹ Σ_t,xyz, cancels catastrophically for fast motion. With m_t the time row of M and
     v = m_t/|m_t| it equals A Aᵀ with A = M_xyz (I - v vᵀ), which is positive semi-definite by construction.
-    marginal_offset: p alone is that of time + this (docs/method.md 5.5).
+    marginal_offset: p alone is that of time + this (docs/method.md 5.5). flow_dt: the velocity along trajectories is
+    the mean one until time + this.
     """
+    gaussians, drift = moved(gaussians, time, flow_dt)
     axes = scaled_axes(gaussians)
     if gaussians.motion == "static":
         ones = torch.ones_like(gaussians.opacity_logit)
@@ -65,9 +67,40 @@ def slice_in_time(gaussians: Gaussians, time: float, marginal_offset: float = 0.
         mean=gaussians.mean[:, :3] + velocity * elapsed[:, None],
         factor=space - along_v[:, :, None] * v[:, None, :],
         marginal=torch.exp(-0.5 * ((elapsed + marginal_offset) / sigma_t) ** 2),
-        velocity=velocity,
+        velocity=velocity + drift,
         variance_t=sigma_t**2,
     )
+
+
+def moved(gaussians: Gaussians, time: float, flow_dt: float = 0.0) -> tuple[Gaussians, Tensor]:
+    """The Gaussians displaced and turned along the shared trajectories, and how fast these move them, (N, 3)."""
+    if gaussians.trajectories is None or gaussians.weights is None:
+        return gaussians, torch.zeros_like(gaussians.mean[:, :3])
+    displacement, turn = (gaussians.weights @ gaussians.trajectories.values(time)).split(3, dim=1)
+    place = replace(
+        gaussians,
+        mean=gaussians.mean + F.pad(displacement, (0, 1)),
+        quat_left=quaternion_product(turning(turn), gaussians.quat_left),
+        weights=None,
+        trajectories=None,
+    )
+    return place, gaussians.weights @ gaussians.trajectories.drift(time, flow_dt)
+
+
+def turning(turn: Tensor) -> Tensor:
+    """Unit quaternions (N, 4), w first, that turn by the angle |r| about r (N, 3): (cos(|r|/2), sin(|r|/2)/|r| r)."""
+    half = 0.5 * (turn * turn).sum(dim=1, keepdim=True).clamp_min(1e-24).sqrt()  # clamped: its root has a gradient
+    return torch.cat([half.cos(), 0.5 * (half.sin() / half) * turn], dim=1)
+
+
+def quaternion_product(a: Tensor, b: Tensor) -> Tensor:
+    """Hamilton products (N, 4) of quaternions, w first."""
+    aw, ax, ay, az = a.unbind(-1)
+    bw, bx, by, bz = b.unbind(-1)
+    return torch.stack([
+        aw * bw - ax * bx - ay * by - az * bz, aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx, aw * bz + ax * by - ay * bx + az * bw,
+    ], dim=-1)  # fmt: skip
 
 
 # ---- Projection --------------------------------------------------------------------------------------------
@@ -177,7 +210,8 @@ def make_splats(gaussians: Gaussians, request: Request, min_marginal: float = MI
     """Slice, project and colour the Gaussians in view; features: the requested ones, in the order of FEATURES."""
     index = blending_order(gaussians, request, min_marginal)
     gaussians = gaussians.rows(index)
-    sliced = slice_in_time(gaussians, request.time, request.marginal_offset)
+    flow_dt = as_float(request.flow_dt) if "flow" in request.outputs else 0.0
+    sliced = slice_in_time(gaussians, request.time, request.marginal_offset, flow_dt)
     mean_cam = world_to_camera(sliced.mean, request.camera)
     features = [mean_cam[:, :0]]  # no channels: torch.cat needs a tensor even if only alpha is requested
     if "color" in request.outputs:

@@ -62,7 +62,7 @@ T* pointer(const std::optional<Array<T>>& a) {
 // The stored parameters; keeps its arrays alive.
 struct Gaussians {
     In mean, log_scale, quat_left;
-    std::optional<In> quat_right, velocity;
+    std::optional<In> quat_right, velocity, weights, trajectories;
     In opacity_logit;
     Array<const splat::ShStored> sh;
     int coefficients, stored_order;
@@ -81,7 +81,10 @@ struct Gaussians {
                 opacity_logit.data(),
                 sh.data(),
                 coefficients,
-                stored_order};
+                stored_order,
+                pointer(weights),
+                pointer(trajectories),
+                trajectories ? static_cast<int>(trajectories->shape(0)) : 0};
     }
 };
 
@@ -147,14 +150,16 @@ public:
     void backward(const Gaussians& gaussians, std::optional<In> color, std::optional<In> alpha,
                   std::optional<In> depth, std::optional<In> flow, std::optional<In> stats, Out mean,
                   Out log_scale, Out quat_left, std::optional<Out> quat_right, std::optional<Out> velocity,
-                  Out opacity_logit, Array<int32_t> visible, Out mean2d, Out mean_t, Out radius,
-                  Out unoccluded, Out color_gradient) {
+                  std::optional<Out> weights, std::optional<Out> trajectories, Out opacity_logit,
+                  Array<int32_t> visible, Out mean2d, Out mean_t, Out radius, Out unoccluded,
+                  Out color_gradient) {
         const splat::InputPlanes d{pointer(color), pointer(alpha), pointer(depth), pointer(flow),
                                    pointer(stats)};
         const splat::InputPlanes rendered{pointer(rendered_[0]), pointer(rendered_[1]), pointer(rendered_[2]),
                                           pointer(rendered_[3]), pointer(rendered_[4])};
-        const splat::ParameterGradients out{mean.data(),         log_scale.data(),  quat_left.data(),
-                                            pointer(quat_right), pointer(velocity), opacity_logit.data()};
+        const splat::ParameterGradients out{mean.data(),         log_scale.data(),     quat_left.data(),
+                                            pointer(quat_right), pointer(velocity),    opacity_logit.data(),
+                                            pointer(weights),    pointer(trajectories)};
         const splat::ViewGradient view{
             visible.data(),    mean2d.data(),
             mean_t.data(),     radius.data(),
@@ -255,11 +260,11 @@ NB_MODULE(KERNEL_MODULE_NAME, m) {
     // Autograd graphs that exist when the interpreter ends hold rasterizers; that is no leak.
     nb::set_leak_warnings(false);
     nb::class_<Gaussians>(m, "Gaussians")
-        .def(nb::init<In, In, In, std::optional<In>, std::optional<In>, In, Array<const splat::ShStored>, int,
-                      int>(),
+        .def(nb::init<In, In, In, std::optional<In>, std::optional<In>, std::optional<In>, std::optional<In>,
+                      In, Array<const splat::ShStored>, int, int>(),
              nb::arg("mean"), nb::arg("log_scale"), nb::arg("quat_left"), nb::arg("quat_right").none(),
-             nb::arg("velocity").none(), nb::arg("opacity_logit"), nb::arg("sh"), nb::arg("coefficients"),
-             nb::arg("stored_order"));
+             nb::arg("velocity").none(), nb::arg("weights").none(), nb::arg("trajectories").none(),
+             nb::arg("opacity_logit"), nb::arg("sh"), nb::arg("coefficients"), nb::arg("stored_order"));
     nb::class_<CameraDouble>(m, "Camera").def_static("make", &camera_from);
     nb::class_<Rasterizer>(m, "Rasterizer")
         .def(nb::init<>())
@@ -273,9 +278,9 @@ NB_MODULE(KERNEL_MODULE_NAME, m) {
         .def("backward", &Rasterizer::backward, nb::arg("gaussians"), nb::arg("d_color").none(),
              nb::arg("d_alpha").none(), nb::arg("d_depth").none(), nb::arg("d_flow").none(),
              nb::arg("d_stats").none(), written("mean"), written("log_scale"), written("quat_left"),
-             written("quat_right").none(), written("velocity").none(), written("opacity_logit"),
-             written("visible"), written("mean2d"), written("mean_t"), written("radius"),
-             written("unoccluded"), written("color_gradient"))
+             written("quat_right").none(), written("velocity").none(), written("weights").none(),
+             written("trajectories").none(), written("opacity_logit"), written("visible"), written("mean2d"),
+             written("mean_t"), written("radius"), written("unoccluded"), written("color_gradient"))
         .def_prop_ro("visible", &Rasterizer::visible)
         .def_prop_ro("alive", &Rasterizer::alive)
         .def_prop_ro("intersections", &Rasterizer::intersections)

@@ -25,6 +25,10 @@ enum class Motion {
     kFull,       // 4D rotation, which makes Gaussians move
 };
 
+// A trajectory at the time of a view: displacement [3], rotation vector [3], drift [3], and zeros up to a
+// vector's width.
+inline constexpr int kTrajectoryValues = 9, kTrajectoryColumns = 16;
+
 // The stored parameters (before activation), row-major.
 struct Parameters {
     uint32_t count;
@@ -37,6 +41,9 @@ struct Parameters {
     const ShStored* sh;           // [N, (stored_order + 1) · coefficients, 3]
     int coefficients;             // per Fourier order: 1, 4, 9 or 16
     int stored_order;             // highest Fourier order stored
+    const scalar* weights;        // [N, K] of the shared trajectories, separable motion; null: there are none
+    const scalar* trajectories;   // [K, kTrajectoryColumns] at the time of the view (shared_motion.hpp)
+    int trajectory_count;         // K
 };
 
 // The camera at the later time of the optical flow, relative to that of the view.
@@ -178,6 +185,8 @@ struct ParameterGradients {
     scalar* quat_right;
     scalar* velocity;
     scalar* opacity_logit;
+    scalar* weights;
+    scalar* trajectories;  // [K, kTrajectoryColumns]
 };
 
 }  // namespace splat

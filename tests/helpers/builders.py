@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import torch
@@ -13,8 +14,9 @@ from torch import Tensor
 from rasterizer.camera import Camera
 from rasterizer.gaussians import Gaussians, Motion
 from rasterizer.request import OUTPUT_CHANNELS, OUTPUT_NAMES, RenderOutput, Request
+from rasterizer.trajectories import Trajectories
 
-MOTIONS = ("full", "velocity", "separable", "static")
+MOTIONS = ("full", "velocity", "shared", "separable", "static")
 
 
 def outputs_of(motion: Motion) -> tuple[str, ...]:
@@ -32,7 +34,7 @@ def uniform(shape: Sequence[int], low: float, high: float, rng: torch.Generator)
 
 def random_gaussians(
     n: int,
-    motion: Motion,
+    motion: Motion | Literal["shared"],
     rng: torch.Generator,
     sh_degree: int = 3,
     fourier_order: int = 2,
@@ -42,8 +44,8 @@ def random_gaussians(
     """n Gaussians in the cube [-1, 1]³ with μt in [-0.1, 1.1]: float64 tensors of float32 values.
 
     log_scale, opacity_logit: ranges. Quaternions are not normalised. In the full model qr is near the conjugate of ql,
-    so that speeds are about 1, as those of the velocity model. A static model has Fourier order 0 whatever
-    `fourier_order` is.
+    so that speeds are about 1, as those of the velocity model. The shared model has velocities and five trajectories. A
+    static model has Fourier order 0 whatever `fourier_order` is.
     """
     fourier_order = 0 if motion == "static" else fourier_order
     normal = lambda *shape: torch.randn(shape, generator=rng, dtype=torch.float64)  # noqa: E731
@@ -57,8 +59,11 @@ def random_gaussians(
         right = left * torch.tensor([1, -1, -1, -1]) + 0.3 * normal(n, 4)
     sh = normal(n, fourier_order + 1, (sh_degree + 1) ** 2, 3) * 0.2
     sh[:, 0, 0] *= 4
-    velocity = normal(n, 3) if motion == "velocity" else None
+    velocity = normal(n, 3) if motion in ("velocity", "shared") else None
     gaussians = Gaussians(mean, scale, left, right, uniform((n,), *opacity_logit, rng), sh.flatten(1, 2), velocity)
+    if motion == "shared":
+        trajectories = Trajectories(0.2 * normal(12, 5, 6), span=(-0.05, 0.85))
+        gaussians = replace(gaussians, weights=0.7 * normal(n, 5), trajectories=trajectories)
     return gaussians.to(torch.float32).to(torch.float64)
 
 
@@ -111,7 +116,7 @@ def render_and_gradients(
 ) -> tuple[RenderOutput, dict[str, Tensor]]:
     """The images, and ∂L/∂parameter by name, for L = Σ weights · images."""
     leaves = {name: tensor.detach().clone().requires_grad_() for name, tensor in gaussians.tensors().items()}
-    out = render(rasterize, Gaussians.from_tensors(leaves), request)
+    out = render(rasterize, Gaussians.from_tensors(leaves, gaussians.span), request)
     loss = sum((getattr(out, name) * weight.to(gaussians.mean.dtype)).sum() for name, weight in weights.items())
     found = torch.autograd.grad(loss, list(leaves.values()), allow_unused=True)
     return out, {
@@ -160,4 +165,7 @@ def rotated_world(gaussians: Gaussians, camera: Camera, left: Tensor) -> tuple[G
         quat_right = None
     velocity = None if gaussians.velocity is None else gaussians.velocity @ rotation[:3, :3].T.to(mean.dtype)
     rotated = replace(gaussians, mean=mean, quat_left=quat_left, quat_right=quat_right, velocity=velocity)
+    if gaussians.trajectories is not None:
+        points = gaussians.trajectories.control_points.unflatten(2, (2, 3)) @ rotation[:3, :3].T.to(mean.dtype)
+        rotated = replace(rotated, trajectories=Trajectories(points.flatten(2), gaussians.span))
     return rotated, replace(camera, world_to_cam=camera.world_to_cam @ rotation.T.numpy())

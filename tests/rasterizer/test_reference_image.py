@@ -202,14 +202,14 @@ def test_gradients_match_finite_differences(motion: str):
 
     step = 1e-6
     for name, gradient in gradients.items():
-        flat = getattr(gaussians, name)
+        flat = gaussians.tensors()[name]
         expected = torch.zeros_like(gradient)
         for index in np.ndindex(*flat.shape):
             values = []
             for side in (step, -step):
                 moved = flat.clone()
                 moved[index] += side
-                values.append(loss(replace(gaussians, **{name: moved})))
+                values.append(loss(Gaussians.from_tensors(gaussians.tensors() | {name: moved}, gaussians.span)))
             expected[index] = (values[0] - values[1]) / (2 * step)
         # Losses of about 100 round at 1e-14, so quotients at 1e-8; the truncation error is smaller.
         torch.testing.assert_close(gradient, expected, rtol=1e-5, atol=1e-6 * expected.abs().max().item())

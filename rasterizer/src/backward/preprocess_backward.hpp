@@ -6,6 +6,7 @@
 #pragma once
 
 #include "backward/project_backward.hpp"
+#include "backward/shared_motion_backward.hpp"
 #include "forward/preprocess.hpp"
 #include "view_state.hpp"
 
@@ -54,7 +55,8 @@ SPLAT_INLINE void sum_intersection_gradients(const ViewState& view, uint32_t spl
 template <Motion motion, int order>
 inline void preprocess_backward_lanes(const ViewState& view, const Parameters& p, uint32_t splat_index,
                                       int count, uint32_t first_row, const ParameterGradients& out,
-                                      const ViewGradient& view_out) {
+                                      const ViewGradient& view_out, const scalar* trajectory_columns,
+                                      scalar* d_trajectories) {
     const Settings& s = view.settings;
     const Splat* splats = &view.splats[splat_index];
     uint32_t ids[kLanes];
@@ -103,7 +105,10 @@ inline void preprocess_backward_lanes(const ViewState& view, const Parameters& p
         d_stored.quat_left[k] = d_gaussian.value[d_gaussian.kLeft + k];
         d_stored.quat_right[k] = d_gaussian.value[d_gaussian.kRight + k];
     }
-    for (int k = 0; k < 3; ++k) d_stored.velocity[k] = d_gaussian.value[d_gaussian.kVelocity + k];
+    for (int k = 0; k < 3; ++k) {
+        d_stored.velocity[k] = d_gaussian.value[d_gaussian.kVelocity + k];
+        d_stored.drift[k] = d_gaussian.value[d_gaussian.kDrift + k];
+    }
     const Float d_mean2d[2] = {d_gaussian.value[d_gaussian.kMean2d],
                                d_gaussian.value[d_gaussian.kMean2d + 1]};
     const Float offset[3] = {d_gaussian.value[d_gaussian.kOffset], d_gaussian.value[d_gaussian.kOffset + 1],
@@ -122,6 +127,14 @@ inline void preprocess_backward_lanes(const ViewState& view, const Parameters& p
         add_to_rows4(out.mean, ids, count, d_stored.mean);
         add_to_rows4(out.log_scale, ids, count, d_stored.log_scale);
     }
+    if constexpr (motion == Motion::kSeparable)
+        if (out.weights) {
+            Float before[4], d_turn[3];
+            load_rows4(p.quat_left, ids, before);
+            turn_quaternion_backward(shared_motion(p, ids), before, d_stored.quat_left, d_turn);
+            shared_motion_backward(p, ids, count, trajectory_columns, d_stored.mean, d_turn, d_stored.drift,
+                                   out.weights, d_trajectories);
+        }
     add_to_rows4(out.quat_left, ids, count, d_stored.quat_left);
     if constexpr (motion == Motion::kFull) add_to_rows4(out.quat_right, ids, count, d_stored.quat_right);
     if constexpr (motion == Motion::kSeparable)
@@ -167,14 +180,23 @@ inline void preprocess_backward(ViewState& view, const Parameters& p, const Para
                                 const ViewGradient& view_out) {
     StageTimer timer(view, kStagePreprocessBackward);
     const int chunks = static_cast<int>(view.chunk_count.size());
+    // Every chunk sums the gradient of the trajectories on its own, so that the order is that of the
+    // Gaussians.
+    const int values = out.weights ? kTrajectoryColumns * p.trajectory_count : 0;
+    std::vector<scalar> d_trajectories(static_cast<size_t>(chunks) * values), columns;
+    for (int c = 0; c < kTrajectoryValues && values; ++c)
+        for (int k = 0; k < p.trajectory_count; ++k)
+            columns.push_back(p.trajectories[kTrajectoryColumns * k + c]);
 #pragma omp parallel for schedule(dynamic, 1) num_threads(view.settings.threads)
     for (int c = 0; c < chunks; ++c) {
         const uint32_t splat_index = static_cast<uint32_t>(c) * kChunk, count = view.chunk_count[c];
         for (uint32_t i = 0; i < count; i += kLanes)
             preprocess_backward_lanes<motion, order>(view, p, splat_index + i,
                                                      static_cast<int>(std::min<uint32_t>(kLanes, count - i)),
-                                                     view.chunk_first[c] + i, out, view_out);
+                                                     view.chunk_first[c] + i, out, view_out, columns.data(),
+                                                     d_trajectories.data() + static_cast<size_t>(c) * values);
     }
+    for (size_t i = 0; i < d_trajectories.size(); ++i) out.trajectories[i % values] += d_trajectories[i];
 }
 
 }  // namespace splat

@@ -24,9 +24,10 @@ struct GaussianGradient {
         kLeft = 8,
         kRight = 12,
         kVelocity = 16,
-        kMean2d = 19,
-        kOffset = 21,
-        kFields = 24
+        kDrift = 19,
+        kMean2d = 22,
+        kOffset = 24,
+        kFields = 27
     };
     Real value[kFields];
 };
@@ -79,7 +80,10 @@ SPLAT_INLINE GaussianGradient<Real> project_backward(const Slice<motion, Real>& 
         if constexpr (motion == Motion::kFull) out.value[out.kRight + i] = stored.quat_right[i];
     }
     for (int i = 0; i < 3; ++i) {
-        if constexpr (motion == Motion::kSeparable) out.value[out.kVelocity + i] = stored.velocity[i];
+        if constexpr (motion == Motion::kSeparable) {
+            out.value[out.kVelocity + i] = stored.velocity[i];
+            out.value[out.kDrift + i] = stored.drift[i];
+        }
         out.value[out.kOffset + i] = g.offset[i];
     }
     return out;

@@ -22,6 +22,7 @@ struct SliceGradient {
 template <Motion motion, class Real>
 struct StoredGradient {
     Real mean[4], log_scale[4], quat_left[4], quat_right[4], velocity[3];
+    Real drift[3];  // of separable motion
 };
 
 template <Motion motion, class Real>
@@ -78,6 +79,7 @@ SPLAT_INLINE StoredGradient<motion, Real> slice_in_time_backward(const Slice<mot
             for (int i = 0; i < 3; ++i) {  // μ(t) = μ + h dt
                 d_dt += d.mean[i] * g.velocity[i];
                 out.velocity[i] = d.mean[i] * g.dt + d.velocity[i];
+                out.drift[i] = d.velocity[i];
             }
             out.mean[3] = -d_dt;
             Real d_var = d.var_t + d.log_marginal * Real(0.5f) * relative * relative;

@@ -113,8 +113,8 @@ SPLAT_INLINE Flow<Real> flow_of(const Slice<motion, Real>& g, const EwaProjectio
     for (int i = 0; i < 3; ++i) {
         later[i] = g.offset[i];
         if constexpr (kMoves<motion>) {
-            later[i] += g.velocity[i] * Real(flow_dt);
-            speed += abs(g.velocity[i]);
+            later[i] += g.flow_velocity[i] * Real(flow_dt);
+            speed += abs(g.flow_velocity[i]);
         }
         later[i] += Real(c.flow_camera.shift[i]);
     }

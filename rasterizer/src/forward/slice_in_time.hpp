@@ -9,6 +9,7 @@
 #pragma once
 
 #include "forward/quaternion.hpp"
+#include "forward/shared_motion.hpp"
 
 namespace splat {
 
@@ -20,10 +21,11 @@ inline constexpr int kAxes = motion == Motion::kFull ? 4 : 3;
 template <Motion motion>
 inline constexpr bool kMoves = motion != Motion::kStatic;
 
-// The stored parameters of sixteen Gaussians, or of one in double.
+// The stored parameters of sixteen Gaussians, or of one in double, moved along the shared trajectories.
 template <Motion motion, class Real>
 struct Stored {
     Real mean[4], log_scale[4], quat_left[4], quat_right[4], velocity[3], opacity_logit;
+    Real drift[3];  // of separable motion: what the shared trajectories add to the velocity of the flow
 
     SPLAT_INLINE static Stored load(const Parameters& p, const uint32_t* ids) {
         Stored s;
@@ -41,8 +43,15 @@ struct Stored {
         }
         load_rows4(p.quat_left, ids, s.quat_left);
         if constexpr (motion == Motion::kFull) load_rows4(p.quat_right, ids, s.quat_right);
-        if constexpr (motion == Motion::kSeparable)
+        if constexpr (motion == Motion::kSeparable) {
             for (int i = 0; i < 3; ++i) s.velocity[i] = p.velocity ? gather(p.velocity, 3, i) : Float(0.f);
+            for (Float& d : s.drift) d = 0.f;
+            if (p.weights) {
+                const SharedMotion shared = shared_motion(p, ids);
+                for (int i = 0; i < 3; ++i) s.mean[i] += shared.displacement[i], s.drift[i] = shared.drift[i];
+                turn_quaternion(shared, s.quat_left);
+            }
+        }
         s.opacity_logit = gather(p.opacity_logit, 1, 0);
         return s;
     }
@@ -57,7 +66,8 @@ struct Stored {
             if constexpr (motion == Motion::kFull) s.quat_right[i] = lane_of(quat_right[i], l);
         }
         if constexpr (motion == Motion::kSeparable)
-            for (int i = 0; i < 3; ++i) s.velocity[i] = lane_of(velocity[i], l);
+            for (int i = 0; i < 3; ++i)
+                s.velocity[i] = lane_of(velocity[i], l), s.drift[i] = lane_of(drift[i], l);
         return s;
     }
 };
@@ -73,6 +83,7 @@ struct Slice {
     Real var_t, inverse_var;        // Σtt and its inverse
     Real log2_marginal;             // log2 p(t)
     Real velocity[3];               // h; not of static motion
+    Real flow_velocity[3];          // the same with the drift
     Real offset[3];                 // μ(t) - camera position
     Real factor[3][kAxes<motion>];  // A
 };
@@ -135,6 +146,7 @@ SPLAT_INLINE Slice<motion, Real> slice_in_time(const Stored<motion, Real>& s,
         if constexpr (motion == Motion::kFull) {
             const Real(&m_t)[4] = g.axes[3];
             g.velocity[i] = (m[0] * m_t[0] + m[1] * m_t[1] + m[2] * m_t[2] + m[3] * m_t[3]) * g.inverse_var;
+            g.flow_velocity[i] = g.velocity[i];
             g.offset[i] += g.velocity[i] * g.dt;
             // (I - v vᵀ) with 1 - v_k² as the sum of the other squares, which does not cancel for a huge st.
             for (int k = 0; k < 4; ++k) {
@@ -149,6 +161,7 @@ SPLAT_INLINE Slice<motion, Real> slice_in_time(const Stored<motion, Real>& s,
         } else {
             if constexpr (motion == Motion::kSeparable) {
                 g.velocity[i] = s.velocity[i];
+                g.flow_velocity[i] = s.velocity[i] + s.drift[i];
                 g.offset[i] += g.velocity[i] * g.dt;
             }
             for (int j = 0; j < 3; ++j) g.factor[i][j] = m[j];
