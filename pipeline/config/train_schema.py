@@ -28,6 +28,7 @@ class LearningRates:
     scale: float = 5e-3  # of the log scales, all four
     rotation: float = 1e-3  # of both quaternions
     velocity: float = 1.0  # with `explicit_velocity`: of what a Gaussian moves in one st; × the rate of μ_xyz
+    trajectories: float = 1.0  # × those of the control points of shared trajectories; weights: × its square root
     final_factor: float = 1.0  # every learning rate × this at the end (pipeline/training/schedule.py)
 
     def __post_init__(self) -> None:
@@ -105,6 +106,7 @@ class RegularizationConfig:
     reference_views: float = 0.0  # `motion` and `opacity` are × this / number of training views; 0: they are as given
     opacity_views: float = 0.0  # one camera: `opacity` is weaker where more views than this share a lifetime; 0: never
     rigid: float = 0.0  # towards neighbours that move alike
+    rigid_neighbours: float = 0.0  # towards neighbours that move along the shared trajectories as a rigid body
     rigid_released: bool = False  # the rigid loss in the form of the released program, the same for all views
     still_lifetime: float = 0.0  # Gaussians of a larger st do not move (still_gaussians.py); × duration; 0: all may
     flow: float = 0.0  # towards the optical flow measured in videos: × mean error, image widths
@@ -147,12 +149,16 @@ class TrainConfig:
     optimiser: str = "adam"  # adam (dense, the paper's) | sparse_adam (Gaussians of the batch's views only)
     separate_tilt: bool = False  # Adam's coordinates of 4D rotations: spatial rotation and tilt, not both quaternions
     explicit_velocity: bool = False  # train velocities, spatial covariances and lifetimes instead of 4D rotations
+    trajectories: int = 0  # that the Gaussians share, with `explicit_velocity`; 0: none
     sh_degree_every: int = 1000  # iterations between increases of the SH degree, up to 3; 0: 3 from the start
     # Iterations from which Fourier order 1 and 2 are trained; empty: from the start
     fourier_at: list[int] = field(default_factory=lambda: [4000, 5000])
     # Selection of time-varying colour by validation (pipeline/stages/decide.py): two trainings, each this fraction
     # of the schedule. 0: none, time-varying colour is kept. Without effect under a time budget
     select_time_colour: float = 0.0
+    # Shared motion by validation, for one moving camera that films each moment once: two trainings, each this fraction
+    # of its schedule. 0: none, no shared motion. Without effect under a time budget
+    select_shared_motion: float = 0.0
     # Static or dynamic by validation, for one moving camera (pipeline/stages/decide.py): two trainings,
     # each this fraction of the schedule. 0: none, dynamic where the views have times. Without effect under a time
     # budget
@@ -177,7 +183,9 @@ class TrainConfig:
             "eval_every": positive_count(),
             "eval_views": positive_count(),
             "checkpoint_every": positive_count(),
-            **dict.fromkeys(("select_time_colour", "select_motion"), between("[0, 1)", 0, 1).but("0: none")),
+            **dict.fromkeys(
+                ("select_time_colour", "select_shared_motion", "select_motion"), between("[0, 1)", 0, 1).but("0: none")
+            ),
             "init_time_scale": above(0),
             "init_time_margin": at_least(0),
             "init_points": positive_count(),
@@ -185,6 +193,7 @@ class TrainConfig:
             "dropout_until": between("[0, 1]", 0, 1),
             "dropout_lifetime": at_least(0).but("0: none"),
             "marginal_jitter": at_least(0).but("0: none"),
+            "trajectories": at_least(0).but("0: none"),
             "sh_degree_every": at_least(0).but("0: all at once"),
             "fourier_at": Range("at most two iterations in ascending order",
                                 lambda value: value == sorted(value) and len(value) <= 2),

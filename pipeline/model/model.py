@@ -2,14 +2,16 @@
 
 `ModelKind` determines which tensors there are and their shapes: a static model stores no time, a model without 4D
 rotation no right quaternion, a model without Fourier orders no coefficients for them. With motion "velocity" there are
-velocities in place of a 4D rotation (velocities.py). With a background model there is
+velocities in place of a 4D rotation (transformed.py), and there may be trajectories that Gaussians share, with a
+weight of each Gaussian for each (rasterizer/trajectories.py). With a background model there is
 also the label of the Gaussians on the sphere around the scene (sphere.py), the environment map (environment_map.py) or,
 in its place, the cube map (cube_map.py).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -19,9 +21,10 @@ from pipeline.config.schema import Config
 from pipeline.model.cube_map import CubeMap
 from pipeline.model.environment_map import EnvironmentMap
 from rasterizer.gaussians import Gaussians, Motion
+from rasterizer.trajectories import Trajectories
 
 BackgroundMap = EnvironmentMap | CubeMap
-GLOBAL_TENSORS = ("environment",)  # of `Model.state()`: not one row per Gaussian
+GLOBAL_TENSORS = ("environment", "trajectories", "span")  # of `Model.state()`: not one row per Gaussian
 
 
 @dataclass(frozen=True)
@@ -31,6 +34,7 @@ class ModelKind:
     motion: Motion  # static: 3D; separable: 4D without rotation into time; full: 4D; velocity: the same, in training
     fourier_order: int  # 0 to 2; 0 when static
     sh_degree: int  # 0 to 3
+    trajectories: int = 0  # how many Gaussians share, with motion "velocity"
 
     @property
     def dims(self) -> int:
@@ -61,6 +65,8 @@ class ModelKind:
             del shapes["quat_right"]
         if self.motion == "velocity":
             shapes["velocity"] = (3,)
+        if self.trajectories:
+            shapes["weights"] = (self.trajectories,)
         return shapes
 
 
@@ -93,6 +99,7 @@ class Model:
         parameters: dict[str, Tensor],
         sphere: Tensor | None = None,
         environment_map: BackgroundMap | None = None,
+        trajectories: Trajectories | None = None,
     ) -> None:
         """sphere: (N,) bool, which Gaussians are on the sphere around the scene; None without a sphere.
 
@@ -108,19 +115,28 @@ class Model:
                 raise ValueError(f"{name}: expected float32 {[n, *row]}, found {tensor.dtype} {list(tensor.shape)}")
         if sphere is not None and (sphere.dtype != torch.bool or tuple(sphere.shape) != (n,)):
             raise ValueError(f"sphere: expected bool {[n]}, found {sphere.dtype} {list(sphere.shape)}")
+        if (0 if trajectories is None else len(trajectories)) != kind.trajectories:
+            raise ValueError(f"trajectories: expected {kind.trajectories}, found {trajectories and len(trajectories)}")
         self.kind = kind
         self.parameters = {name: parameters[name].contiguous() for name in shapes}
         self.sphere = sphere
         self.environment_map = environment_map
+        self.trajectories = trajectories
 
     @classmethod
     def from_gaussians(cls, gaussians: Gaussians) -> Model:
         kind = ModelKind(gaussians.motion, gaussians.fourier_order, gaussians.sh_degree)
         return cls(kind, gaussians.tensors())
 
+    def with_parameters(self, parameters: dict[str, Tensor], motion: Motion | None = None) -> Model:
+        """The same model with other values of its fields, and if given another motion. It shares all else."""
+        kind = self.kind if motion is None else replace(self.kind, motion=motion)
+        return Model(kind, parameters, self.sphere, self.environment_map, self.trajectories)
+
     def gaussians(self) -> Gaussians:
         """The rasterizer's input; it shares the tensors."""
-        return Gaussians.from_tensors(self.parameters)
+        fields: dict[str, Any] = {"quat_right": None, **self.parameters}
+        return Gaussians(**fields, trajectories=self.trajectories)
 
     def copy(self) -> Model:
         return Model.restored(self.kind, {name: tensor.clone() for name, tensor in self.state().items()})
@@ -132,6 +148,9 @@ class Model:
             state["sphere"] = self.sphere
         if self.environment_map is not None:
             state["environment"] = self.environment_map.image
+        if self.trajectories is not None:
+            state["trajectories"] = self.trajectories.control_points
+            state["span"] = torch.tensor(self.trajectories.span, dtype=torch.float64)
         return state
 
     @classmethod
@@ -139,7 +158,11 @@ class Model:
         """The model whose `state()` this is."""
         parameters = {name: tensor for name, tensor in state.items() if name not in ("sphere", *GLOBAL_TENSORS)}
         environment_map = background_map(state["environment"]) if "environment" in state else None
-        return cls(kind, parameters, state.get("sphere"), environment_map)
+        trajectories = None
+        if "trajectories" in state:
+            start, end = state["span"].tolist()
+            trajectories = Trajectories(state["trajectories"], (start, end))
+        return cls(kind, parameters, state.get("sphere"), environment_map, trajectories)
 
     def checked(self) -> Model:
         """The model itself. Raises ValueError for a NaN or Inf and for Gaussians that the rasterizer refuses."""
@@ -149,6 +172,8 @@ class Model:
             image = self.environment_map.image
             if image.numel() == 0 or not torch.isfinite(image).all():
                 raise ValueError("environment map: expected finite pixels, found NaN, Inf or none")
+        if self.trajectories is not None and not torch.isfinite(self.trajectories.control_points).all():
+            raise ValueError("trajectories: expected finite control points, found NaN or Inf")
         self.gaussians()
         return self
 
@@ -165,7 +190,10 @@ class Model:
     @property
     def bytes(self) -> int:
         """Size of the parameters, environment map included; with Adam's two moments three times as much."""
-        gaussians = sum(tensor.numel() * tensor.element_size() for tensor in self.parameters.values())
+        tensors = list(self.parameters.values())
+        if self.trajectories is not None:
+            tensors.append(self.trajectories.control_points)
+        gaussians = sum(tensor.numel() * tensor.element_size() for tensor in tensors)
         return gaussians + (self.environment_map.bytes if self.environment_map else 0)
 
     def first_non_finite(self) -> tuple[str, int] | None:

@@ -9,8 +9,6 @@ Parameters: velocities instead of 4D rotations.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
@@ -19,6 +17,7 @@ from torch import Tensor
 from datasets.canonical import Canonical
 from pipeline.model.model import Model
 from rasterizer.covariance import rotation_4d, scaled_axes
+from rasterizer.trajectories import Trajectories
 
 
 def in_canonical(model: Model, canonical: Canonical) -> Model:
@@ -42,7 +41,13 @@ def in_canonical(model: Model, canonical: Canonical) -> Model:
         p["log_scale"] = (p["log_scale"].double() + scales.log()).to(torch.float32)
     if model.kind.motion == "velocity":
         p["velocity"] = (p["velocity"].double() * (canonical.scale / canonical.time_scale)).to(torch.float32)
-    return Model(model.kind, p, model.sphere, model.environment_map)
+    moved = model.with_parameters(p)
+    if model.trajectories is not None:
+        points = model.trajectories.control_points.clone()
+        points[:, :, :3] *= canonical.scale
+        start, end = ((time - canonical.time_origin) * canonical.time_scale for time in model.trajectories.span)
+        moved.trajectories = Trajectories(points, (start, end))
+    return moved
 
 
 def rotations_of(factor: Tensor) -> dict[str, Tensor]:
@@ -100,16 +105,17 @@ def in_velocities(model: Model) -> Model:
     p["log_scale"] = torch.cat([scale.log(), deviation.log()[:, None]], dim=1).float()
     p["quat_left"] = _quaternions(directions)
     p["velocity"] = (along / deviation[:, None]).float()
-    return Model(replace(model.kind, motion="velocity"), p, model.sphere, model.environment_map)
+    return model.with_parameters(p, "velocity")
 
 
 def in_rotations(model: Model) -> Model:
-    """The Gaussians of a "velocity" model, each with its 4D rotation; any other model as it is. Up to float32."""
-    if model.kind.motion != "velocity":
+    """The Gaussians of a "velocity" model, each with its 4D rotation; any other model as it is, and one with shared
+    trajectories, which turn Gaussians in space. Up to float32."""
+    if model.kind.motion != "velocity" or model.kind.trajectories:
         return model
     p = model.parameters | rotations_of(scaled_axes(model.gaussians().to(torch.float64)))
     del p["velocity"]
-    return Model(replace(model.kind, motion="full"), p, model.sphere, model.environment_map)
+    return model.with_parameters(p, "full")
 
 
 def _quaternions(directions: Tensor) -> Tensor:

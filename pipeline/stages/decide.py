@@ -33,14 +33,16 @@ from rasterizer.cores import thread_count
 
 VALIDATION_EVERY = 4  # every fourth pose is a validation pose
 RESOLUTION = 0.5  # × the schedule's
-TIME_STANDARD_ERRORS = 2.0  # of the gain by time, which must be larger
+STANDARD_ERRORS = 2.0  # of the gain by time, or by shared motion, which must be larger
+FIT_LOSS = 1.0  # dB of the training views that shared motion may lose
+MOTION_RATE = 4.0  # × the learning rate of trajectories, which would hardly move in so few iterations
 # dB, and standard errors, of the gain by time-varying colour. Leaving out colours that do change costs more than
 # keeping coefficients that have no use.
 COLOUR_GAIN, COLOUR_STANDARD_ERRORS = 0.1, 1.0
 # × the learning rates of 4DSH's time coefficients, which would hardly leave zero in so few iterations. 1 decides
 # wrongly on one of two scenes with changing colours; 10 makes the model worse than one without.
 COLOUR_RATE = 3.0
-FEWEST_VIEWS = {"time": 3, "colour": 2}  # of validation; a single view has no standard error
+FEWEST_VIEWS = {"time": 3, "motion": 3, "colour": 2}  # of validation; a single view has no standard error
 
 
 @dataclass(frozen=True)
@@ -51,19 +53,26 @@ class Comparison:
     psnr_without: float
     gain: float  # dB, mean over the poses
     standard_error: float  # dB, of the gain
+    fit_gain: float  # dB, of the mean PSNR of training views
     views: int
     seconds: float  # of both trainings
 
     def __str__(self) -> str:
         return (
             f"on {self.views} validation views {self.psnr_with:.2f} dB with, {self.psnr_without:.2f} dB without "
-            f"({self.gain:+.2f} ± {self.standard_error:.2f})"
+            f"({self.gain:+.2f} ± {self.standard_error:.2f}; on training views {self.fit_gain:+.2f})"
         )
 
     @property
-    def keeps_time(self) -> bool:
+    def beyond_chance(self) -> bool:
         """Time is kept where it gains more than chance."""
-        return self.gain > TIME_STANDARD_ERRORS * self.standard_error
+        return self.gain > STANDARD_ERRORS * self.standard_error
+
+    @property
+    def takes_shared_motion(self) -> bool:
+        """Shared motion is taken where it gains more than chance and follows what moves: without that it does not fit
+        the training views either, however long it is trained, and brief Gaussians do."""
+        return self.beyond_chance and self.fit_gain > -FIT_LOSS
 
     @property
     def keeps_colour(self) -> bool:
@@ -95,6 +104,29 @@ def compare_time(cfg: Config, scene: Scene, cloud: Reconstruction | None, log: C
     return _compared("time", without_time_colour(short), without_time(short), scene, cloud, log)
 
 
+def shared_motion_is_open(cfg: Config, scene: Scene) -> bool:
+    """Whether validation decides on shared motion: the schedule asks for it, one camera filmed from everywhere, and the
+    model has 4D rotations."""
+    if cfg.train.select_shared_motion == 0 or cfg.train.time_budget_s is not None or not cfg.ablation.shared_motion:
+        return False
+    possible = scene.capture == "monocular" and kind_of(scene, cfg).motion == "full"
+    return possible and _has_validation(scene, FEWEST_VIEWS["motion"])
+
+
+def compare_shared_motion(
+    cfg: Config, shared: Config, scene: Scene, cloud: Reconstruction | None, log: Callable[[str], None]
+) -> Comparison:
+    """Gaussians that share trajectories, by the settings `shared`, and those of the paper, by `cfg`; in colours
+    constant in time."""
+    share = cfg.train.select_shared_motion
+    with_it, without = (
+        replace(without_time_colour(one), train=short_schedule(one.train, share), resume=False) for one in (shared, cfg)
+    )
+    rates = replace(with_it.train.lr, trajectories=MOTION_RATE)
+    with_it = replace(with_it, train=replace(with_it.train, lr=rates))
+    return _compared("shared motion", with_it, without, scene, cloud, log)
+
+
 def compare_colour(cfg: Config, scene: Scene, cloud: Reconstruction | None, log: Callable[[str], None]) -> Comparison:
     """With time-varying colour and without."""
     schedule = _faster_colour(short_schedule(cfg.train, cfg.train.select_time_colour))
@@ -122,16 +154,19 @@ def _compared(
 ) -> Comparison:
     """Train both on `scene.train`. Deterministic in scene, configuration and seed, except for the seconds."""
     started, split = time.perf_counter(), hold_out_poses(scene, VALIDATION_EVERY)
-    psnr = []
+    psnr, fit = [], []
     for cfg, label in ((with_part, "with"), (without, "without")):
         log(
             f"settle: {label} {part}, {cfg.train.iterations} iterations; {len(split.train)} training views, "
             f"{len(split.test)} validation views"
         )
-        psnr.append(trained_psnr(split, cfg, cloud))
+        held_out, fitted = trained_psnr(split, cfg, cloud)
+        psnr.append(held_out)
+        fit.append(fitted)
     gain, error = mean_and_error(psnr[0] - psnr[1], [view.camera.world_to_cam.tobytes() for view in split.test])
     seconds = time.perf_counter() - started
-    return Comparison(float(psnr[0].mean()), float(psnr[1].mean()), gain, error, len(split.test), seconds)
+    means = float(psnr[0].mean()), float(psnr[1].mean())
+    return Comparison(*means, gain, error, fit[0] - fit[1], len(split.test), seconds)
 
 
 def _has_validation(scene: Scene, views: int) -> bool:
@@ -169,8 +204,9 @@ def mean_and_error(gains: np.ndarray, poses: Sequence[Hashable]) -> tuple[float,
     return float(samples.mean()), float(samples.std(ddof=1) / len(samples) ** 0.5)
 
 
-def trained_psnr(split: Scene, cfg: Config, cloud: Reconstruction | None) -> np.ndarray:
-    """(test views,) dB, of a model trained on `split.train`, with smaller batches if it has fewer views than one."""
+def trained_psnr(split: Scene, cfg: Config, cloud: Reconstruction | None) -> tuple[np.ndarray, float]:
+    """Of a model trained on `split.train`, with smaller batches if it has fewer views than one: (test views,) dB, and
+    the mean over about as many training views."""
     cfg = replace(cfg, train=replace(cfg.train, batch=min(cfg.train.batch, len(split.train))))
     threads = thread_count(cfg.threads)
 
@@ -180,7 +216,8 @@ def trained_psnr(split: Scene, cfg: Config, cloud: Reconstruction | None) -> np.
     initial = initialise(split, cfg, stream(cfg.seed, Stream.INIT), cloud)
     with temporary_run() as run, TrainingProgress(cfg.train.iterations, None) as bar:
         model = train(initial, split, cfg, run, evaluate_fn, observers=[bar]).model
-    return held_out_psnr(model, split, cfg, threads)
+    fitted = replace(split, test=split.train[:: -(-len(split.train) // len(split.test))])
+    return held_out_psnr(model, split, cfg, threads), float(held_out_psnr(model, fitted, cfg, threads).mean())
 
 
 def _faster_colour(cfg: TrainConfig) -> TrainConfig:

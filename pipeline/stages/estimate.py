@@ -111,7 +111,9 @@ def _estimate(cfg: Config, size: Size, threads: int, stored_bytes: int = 0, deco
     if cfg.train.time_budget_s is not None:
         train = min(train, cfg.train.time_budget_s)
     else:
-        selections = cfg.train.select_motion + (cfg.train.select_time_colour if cfg.ablation.fourier_order else 0)
+        shared = cfg.train.select_shared_motion if cfg.ablation.shared_motion else 0
+        colour = cfg.train.select_time_colour if cfg.ablation.fourier_order else 0
+        selections = cfg.train.select_motion + shared + colour
         train *= 1 + 2 * selections  # an upper bound: at half resolution, and not in static scenes
     view = time_frame(workload, threads, TIMED_ITERATIONS).forward.minimum / 1e3
     image = np.random.default_rng(0).random((size.height, size.width, 3), dtype=np.float32)

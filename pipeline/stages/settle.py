@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
+from types import MappingProxyType
 from typing import Any
 
 from datasets.scene import Scene
@@ -19,31 +20,45 @@ from pipeline.config.schema import Config
 from pipeline.data.prepare import Prepared
 from pipeline.model.model import kind_of
 from pipeline.runs.run_identity import FREE_KEYS, flat
-from pipeline.stages.decide import colour_is_open, compare_colour, compare_time, time_is_open
+from pipeline.stages.decide import (
+    colour_is_open,
+    compare_colour,
+    compare_shared_motion,
+    compare_time,
+    shared_motion_is_open,
+    time_is_open,
+)
 
-Decided = Mapping[str, Any]  # what validation decided: {"static": bool, "fourier_order": 0}; both may be missing
+Decided = Mapping[
+    str, Any
+]  # what validation decided: {"static": bool, "shared_motion": True, "fourier_order": 0}; each may be missing
 # What decides nothing about the result, or is a column of its own in every table.
 NOT_CHANGES = (*FREE_KEYS, "seed", "scene.path", "scene.name", "ablation.name", "train.name", "train.checkpoint_every")
 
 
 def for_scene(command: Command, data: Prepared, decided: Decided | None = None) -> Config:
     """The command's configuration for these data. decided: None where validation has not decided yet."""
-    cfg, scene = command.config(), data.scene
-    cfg = command.config(schedule_kind(cfg, scene, found_static=bool(decided and decided.get("static"))))
-    read = replace(data.settings or cfg.scene, background=list(scene.background))
-    cfg = replace(cfg, scene=read, init=replace(cfg.init, source=data.points))
-    return cfg if decided is None else _closed(cfg, scene, decided)
+    cfg = _of_kind(command, data, schedule_kind(command.config(), data.scene, decided or {}))
+    return cfg if decided is None else _closed(cfg, data.scene, decided)
 
 
-def schedule_kind(cfg: Config, scene: Scene, found_static: bool = False) -> str:
-    """Which of a schedule's files applies: static, static_clip, multi_view, clip or unknown (none of them)."""
-    if found_static:
+def _of_kind(command: Command, data: Prepared, kind: str) -> Config:
+    cfg = command.config(kind)
+    read = replace(data.settings or cfg.scene, background=list(data.scene.background))
+    return replace(cfg, scene=read, init=replace(cfg.init, source=data.points))
+
+
+def schedule_kind(cfg: Config, scene: Scene, decided: Decided = MappingProxyType({})) -> str:
+    """Which of a schedule's files applies: static, static_clip, multi_view, clip, shared or unknown (none of them)."""
+    if decided.get("static"):
         return "static_clip" if scene.capture == "clip" else "static"
     if kind_of(scene, cfg).motion == "static":
         return "static"
     if scene.several_cameras:
         return "multi_view"
-    return "clip" if scene.capture == "clip" else "unknown"
+    if scene.capture == "clip":
+        return "clip"
+    return "shared" if decided.get("shared_motion") else "unknown"
 
 
 def decide(command: Command, data: Prepared, log: Callable[[str], None]) -> dict[str, Any]:
@@ -53,10 +68,17 @@ def decide(command: Command, data: Prepared, log: Callable[[str], None]) -> dict
     compared: dict[str, Any] = {}
     if time_is_open(cfg, scene):
         found = compare_time(cfg, scene, data.cloud, log)
-        decided["static"] = not found.keeps_time
+        decided["static"] = not found.beyond_chance
         compared["time"] = asdict(found)
-        kept = "dynamic" if found.keeps_time else "static"
+        kept = "dynamic" if found.beyond_chance else "static"
         log(f"settle: {kept}: time, {found}; ablation.static=true or false decides otherwise")
+    if not decided.get("static") and shared_motion_is_open(cfg, scene):
+        shared = _of_kind(command, data, "shared")
+        found = compare_shared_motion(cfg, shared, scene, data.cloud, log)
+        if found.takes_shared_motion:
+            decided["shared_motion"], cfg = True, shared
+        compared["shared_motion"] = asdict(found)
+        log(f"settle: shared motion {'taken' if found.takes_shared_motion else 'left out'}: {found}")
     if not decided.get("static") and colour_is_open(cfg, scene):
         found = compare_colour(cfg, scene, data.cloud, log)
         if not found.keeps_colour:
@@ -82,5 +104,5 @@ def _closed(cfg: Config, scene: Scene, decided: Decided) -> Config:
     return replace(
         cfg,
         ablation=replace(cfg.ablation, static=kind.motion == "static", fourier_order=order),
-        train=replace(cfg.train, select_motion=0.0, select_time_colour=0.0),
+        train=replace(cfg.train, select_motion=0.0, select_shared_motion=0.0, select_time_colour=0.0),
     )

@@ -28,6 +28,7 @@ from pipeline.config.schema import MAX_SEED
 from pipeline.model.model import Model, ModelKind
 from pipeline.model.transformed import in_rotations
 from pipeline.training.density.statistics import Statistics
+from pipeline.training.optimiser import shared_tensors
 from rasterizer.gaussians import MAX_FOURIER_ORDER, SH_DEGREES, Motion
 
 FILE_NAME = "checkpoint.safetensors"
@@ -44,7 +45,7 @@ class Checkpoint:
     model: Model
     step_count: int  # of Adam
     moments: tuple[dict[str, Tensor], dict[str, Tensor]]  # of Adam
-    environment_map_moments: tuple[Tensor, Tensor] | None  # likewise; None without an environment map
+    shared_moments: dict[str, tuple[Tensor, Tensor]]  # likewise, of optimiser.shared_tensors
     statistics: dict[str, Tensor]  # density.statistics.Statistics.state()
     sampler: dict  # sampling.BatchSampler.state()
     split_rng: Tensor  # torch.Generator.get_state()
@@ -58,8 +59,8 @@ def save(path: Path, checkpoint: Checkpoint) -> None:
     tensors = {f"model.{name}": t for name, t in c.model.state().items()}
     for order, moments in zip(("first", "second"), c.moments):
         tensors |= {f"{order}.{name}": t for name, t in moments.items()}
-    for order, moment in zip(("first", "second"), c.environment_map_moments or ()):
-        tensors[f"environment.{order}"] = moment
+    for name, of_name in c.shared_moments.items():
+        tensors |= {f"{name}.{order}": moment for order, moment in zip(("first", "second"), of_name)}
     tensors |= {f"statistics.{name}": t for name, t in c.statistics.items()}
     if c.best_model is not None:
         tensors |= {f"best.{name}": t for name, t in c.best_model.state().items()}
@@ -112,10 +113,10 @@ def _assemble(header: dict, tensors: dict[str, Tensor]) -> Checkpoint:
     moments = (groups["first"], groups["second"])
     for moment in moments:
         _require_floats(moment, rows)
-    map_moments = groups.get("environment")
-    if map_moments is not None:
-        image = model.environment_map.image.shape if model.environment_map is not None else None
-        _require_floats(map_moments, {"first": image, "second": image})
+    shared_moments = {}
+    for name, tensor in shared_tensors(model).items():
+        _require_floats(groups[name], dict.fromkeys(("first", "second"), tensor.shape))
+        shared_moments[name] = (groups[name]["first"], groups[name]["second"])
     _require_floats(groups["statistics"], dict.fromkeys(Statistics.FIELDS, torch.Size([len(model)])))
     sampler = dict(header["sampler"], order=tensors["sampler.order"].numpy())
     order = sampler["order"]
@@ -135,7 +136,7 @@ def _assemble(header: dict, tensors: dict[str, Tensor]) -> Checkpoint:
         model=model,
         step_count=_integer("step_count", header["step_count"]),
         moments=moments,
-        environment_map_moments=(map_moments["first"], map_moments["second"]) if map_moments else None,
+        shared_moments=shared_moments,
         statistics=groups["statistics"],
         sampler=sampler,
         split_rng=tensors["split_generator"],
@@ -150,7 +151,8 @@ def _model(header: dict, state: dict[str, Tensor]) -> Model:
         raise ValueError(f"kind: expected one of {', '.join(get_args(Motion))}, found {motion!r}")
     _integer("kind: Fourier order", fourier_order, 0 if motion == "static" else MAX_FOURIER_ORDER)
     _integer("kind: SH degree", sh_degree, max(SH_DEGREES.values()))
-    return Model.restored(ModelKind(motion, fourier_order, sh_degree), state).checked()
+    trajectories = state["trajectories"].shape[1] if "trajectories" in state else 0
+    return Model.restored(ModelKind(motion, fourier_order, sh_degree, trajectories), state).checked()
 
 
 def _require_floats(tensors: dict[str, Tensor], shapes: Mapping[str, torch.Size | None]) -> None:

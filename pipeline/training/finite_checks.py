@@ -84,6 +84,8 @@ def _non_finite_parameter(model: Model) -> str | None:
         return f"{found[0]} of Gaussian {found[1]}"
     if model.environment_map is not None and not torch.isfinite(model.environment_map.image).all():
         return "the environment map"
+    if model.trajectories is not None and not torch.isfinite(model.trajectories.control_points).all():
+        return "the trajectories"
     return None
 
 

@@ -19,6 +19,11 @@ QUATERNIONS = ("quat_left", "quat_right")
 SMALLEST_SCALE = 1e-6  # units of time, a divisor: steps of velocities stay finite
 
 
+def shared_tensors(model: Model) -> dict[str, Tensor]:
+    """Those that are trained and do not have a row for each Gaussian, by their names in Model.state."""
+    return {name: tensor for name, tensor in model.state().items() if name in ("environment", "trajectories")}
+
+
 class Adam:
     """Adam (Kingma & Ba 2015) with 3DGS's β = (0.9, 0.999), ε = 1e-15 (the kernel's defaults) over all fields of
     `model` and its environment map.
@@ -41,10 +46,10 @@ class Adam:
         self.step_count = 0
         self.first = {name: torch.zeros_like(p) for name, p in model.parameters.items()}
         self.second = {name: torch.zeros_like(p) for name, p in model.parameters.items()}
-        self.environment_map_moments: tuple[Tensor, Tensor] | None = None
-        if model.environment_map is not None:
-            image = model.environment_map.image
-            self.environment_map_moments = torch.zeros_like(image), torch.zeros_like(image)
+        # Of what is not a row of each Gaussian, by name: "environment" and "trajectories", as in Model.state.
+        self.shared_moments = {
+            name: (torch.zeros_like(tensor), torch.zeros_like(tensor)) for name, tensor in shared_tensors(model).items()
+        }
 
     def step(
         self,
@@ -75,12 +80,13 @@ class Adam:
                 parameter += stepped / self.model.parameters["log_scale"][:, 3:].exp().clamp_min(SMALLEST_SCALE)
         if self.separate_tilt:
             self._rotate(gradients, learning_rates, rows)
-        if d_environment_map is not None:
-            assert self.model.environment_map is not None and self.environment_map_moments is not None
-            image, rate = self.model.environment_map.image, learning_rates["environment_map"]
-            first, second = (moment.view(-1) for moment in self.environment_map_moments)
-            gradient = d_environment_map.view(-1)
-            adam_step(image.view(-1), gradient, first, second, rate, self.step_count, threads=self.threads)
+        for name, gradient in (("environment", d_environment_map), ("trajectories", gradients.trajectories)):
+            if gradient is None:
+                continue
+            tensors = (shared_tensors(self.model)[name], gradient, *self.shared_moments[name])
+            parameter, gradient, first, second = (tensor.view(-1) for tensor in tensors)
+            rate = learning_rates[name]
+            adam_step(parameter, gradient, first, second, rate, self.step_count, threads=self.threads)
 
     def _rotate(self, gradients: Gradients, learning_rates: dict[str, LearningRate], rows: Tensor | None) -> None:
         """The step of both quaternions, in the coordinates spatial rotation and tilt."""
@@ -122,5 +128,6 @@ class Adam:
     @property
     def bytes(self) -> int:
         """Size of the moments."""
-        tensors = [*self.first.values(), *self.second.values(), *(self.environment_map_moments or ())]
+        shared = [moment for moments in self.shared_moments.values() for moment in moments]
+        tensors = [*self.first.values(), *self.second.values(), *shared]
         return sum(t.numel() * t.element_size() for t in tensors)

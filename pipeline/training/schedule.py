@@ -15,6 +15,7 @@ SPHERE_FREEZE_AFTER = 10_000  # iterations for which the background sphere is tr
 MAP_UNTIL = 5000  # iterations for which the environment map or the cube map is trained
 MAP_LEARNING_RATE = 2.5e-3  # of their texels: that of the constant coefficients in 3DGS
 DECAY_START = 0.7  # fraction of the schedule after which the decay to `final_factor` begins
+WEIGHTS_RATE, TRAJECTORY_RATE = (5e-3, 5e-4), (3.2e-4, 3.2e-6)  # first and last; of control points × extent
 DEPTH_DECAY = 0.267  # weights of the depth loss: × exp(-fraction / this), as in the urban program of the authors
 
 LearningRate = float | tuple[float, ...]  # one for the field, or one per column
@@ -25,7 +26,7 @@ class Phase:
     """The settings of one iteration."""
 
     clock: float  # position in the schedule, in iterations
-    lr: dict[str, LearningRate]  # by field, and "environment_map"; "sh" as rasterizer.adam.sh_adam_step takes it
+    lr: dict[str, LearningRate]  # by field, and "environment"; "sh" as rasterizer.adam.sh_adam_step takes it
     sh_degree: int
     fourier_order: int
     resolution: float  # × the image size of the scene
@@ -108,7 +109,9 @@ def learning_rates(clock: float, fraction: float, cfg: LearningRates, extent: fl
         "velocity": cfg.velocity * xyz,
         "opacity_logit": cfg.opacity * decay,
         "sh": tuple(rate * decay for rate in sh_learning_rates(cfg)),
-        "environment_map": MAP_LEARNING_RATE * decay,
+        "weights": math.sqrt(cfg.trajectories) * log_linear(*WEIGHTS_RATE, fraction) * decay,
+        "trajectories": cfg.trajectories * log_linear(*TRAJECTORY_RATE, fraction) * extent * decay,
+        "environment": MAP_LEARNING_RATE * decay,
     }
 
 

@@ -16,6 +16,7 @@ from pipeline.config.train_schema import TrainConfig
 from pipeline.model.cube_map import CubeMap
 from pipeline.model.environment_map import EnvironmentMap
 from pipeline.model.model import Model
+from pipeline.model.shared_motion import with_trajectories
 from pipeline.model.transformed import in_velocities
 from pipeline.training import checkpoint as checkpoints
 from pipeline.training import finite_checks
@@ -105,6 +106,8 @@ def start(model: Model, scene: Scene, cfg: Config, run: RunLog, start_seconds: f
     saved = checkpoints.load(path) if path.exists() else None
     if cfg.train.explicit_velocity:
         model = in_velocities(model)
+    if cfg.train.trajectories > 0 and model.kind.motion == "velocity":
+        model = with_trajectories(model, scene, cfg.train)
     if model.environment_map is None:  # a new model: init.ply has none
         if cfg.scene.background_model == "envmap":
             model.environment_map = EnvironmentMap.grey(MAP_HEIGHT)
@@ -148,7 +151,7 @@ def save(state: TrainState, run: RunLog) -> None:
             model=state.model,
             step_count=optimiser.step_count,
             moments=(optimiser.first, optimiser.second),
-            environment_map_moments=optimiser.environment_map_moments,
+            shared_moments=optimiser.shared_moments,
             statistics=state.statistics.state(),
             sampler=state.sampler.state(),
             split_rng=state.split_rng.get_state(),
@@ -163,7 +166,7 @@ def _restore(state: TrainState, saved: checkpoints.Checkpoint) -> None:
     state.iteration, state.best, state.best_model = saved.iteration, saved.best, saved.best_model
     state.stopwatch = Stopwatch(saved.train_seconds)
     state.optimiser.first, state.optimiser.second = saved.moments
-    state.optimiser.environment_map_moments = saved.environment_map_moments
+    state.optimiser.shared_moments = saved.shared_moments
     state.optimiser.step_count = saved.step_count
     state.statistics = Statistics.restored(saved.statistics)
     state.sampler.restore(saved.sampler)

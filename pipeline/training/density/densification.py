@@ -126,7 +126,7 @@ def split_rows(model: Model, mask: Tensor, time_split: bool, rng: torch.Generato
     rows = {name: p[mask].repeat(SPLIT_COUNT, *([1] * (p.dim() - 1))) for name, p in model.parameters.items()}
     dims = model.kind.dims
     noise = torch.randn(len(rows["mean"]), dims, generator=rng)
-    axes = scaled_axes(Model(model.kind, rows).gaussians())  # M = R diag(s), (n, dims, dims)
+    axes = scaled_axes(model.gaussians().rows(mask.nonzero()[:, 0].repeat(SPLIT_COUNT)))  # M, (n, dims, dims)
     if dims == 3 or time_split:
         rows["mean"] = rows["mean"] + (axes @ noise[:, :, None])[:, :, 0]
         shrunk = dims

@@ -71,9 +71,8 @@ def image_sensitivity(
     """
     rasterizer, change = Rasterizer(threads=threads), torch.zeros(len(model))
     limit = float(np.log(OPAQUE / (1 - OPAQUE)))
-    clamped = Model.restored(
-        model.kind, {**model.state(), "opacity_logit": model.parameters["opacity_logit"].clamp(max=limit)}
-    )
+    logit = model.parameters["opacity_logit"].clamp(max=limit)
+    clamped = model.with_parameters({**model.parameters, "opacity_logit": logit})
     gradients = Gradients.zeros_like(clamped.gaussians())
     transparency = torch.sigmoid(-clamped.parameters["opacity_logit"])
     for view in views:

@@ -36,4 +36,4 @@ def without(model: Model, dropped: Tensor) -> Model:
     """`model` with the Gaussians `dropped` (N,) bool invisible. It shares every tensor but the opacities, so that
     gradients of the others are those of `model`."""
     logit = model.parameters["opacity_logit"].masked_fill(dropped, DROPPED_LOGIT)
-    return Model(model.kind, {**model.parameters, "opacity_logit": logit}, model.sphere, model.environment_map)
+    return model.with_parameters({**model.parameters, "opacity_logit": logit})

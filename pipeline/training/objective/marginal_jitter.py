@@ -13,10 +13,10 @@ what they show is too fast to be followed from one image to the next, and nothin
 from __future__ import annotations
 
 import numpy as np
+import torch
 
 from datasets.scene import Scene
 from pipeline.model.model import Model
-from rasterizer import Gaussians
 from rasterizer.covariance import temporal_deviation
 
 # With the jitter a quarter to a third of the Gaussians live so short on synthetic/burst, which it harms, 0.09 on wheel
@@ -29,7 +29,7 @@ def short_lived_share(model: Model, scene: Scene) -> float:
     """The share of Gaussians with √Σtt < the mean spacing of the training times; of about SAMPLE of them, evenly
     spread over the rows."""
     every = max(1, len(model) // SAMPLE)
-    sample = Gaussians.from_tensors({name: tensor[::every] for name, tensor in model.gaussians().tensors().items()})
+    sample = model.gaussians().rows(torch.arange(0, len(model), every))
     return (temporal_deviation(sample) < scene.frame_spacing).float().mean().item()
 
 

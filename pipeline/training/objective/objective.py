@@ -38,7 +38,7 @@ class Objective:
         self._scene, self._near = scene, cfg.scene.near * scene.unit
         self._rasterizer = Rasterizer(threads=threads)
         self._image_terms = image_terms(cfg.train, scene, threads)
-        self._model_terms = model_terms(self.regularization, scene, threads)
+        self._model_terms = model_terms(self.regularization, scene, threads, cfg.seed)
 
     def backward(
         self, model: Model, view: DrawnView, gradients: Gradients, d_environment_map: Tensor | None = None

@@ -36,7 +36,7 @@ def example() -> Files:
         model=model,
         step_count=7,
         moments=moments,
-        environment_map_moments=(torch.zeros(3, 2, 4), torch.ones(3, 2, 4)),
+        shared_moments={"environment": (torch.zeros(3, 2, 4), torch.ones(3, 2, 4))},
         statistics={name: torch.ones(ROWS) for name in Statistics.FIELDS},
         sampler={
             "order": np.array([2, 0, 1]),

@@ -32,7 +32,7 @@ def example(iteration: int = 7, **changes) -> Checkpoint:
         model=model,
         step_count=iteration,
         moments=moments,
-        environment_map_moments=None,
+        shared_moments={},
         statistics={name: torch.rand(7) for name in Statistics.FIELDS},
         sampler={"order": np.arange(5)[::-1].copy(), "position": 2, "generator": RNG_STATE},
         split_rng=torch.Generator().manual_seed(5).get_state(),
@@ -72,11 +72,13 @@ def test_round_trip_of_background_models(tmp_path) -> None:
     for model in models:
         model.sphere, model.environment_map = torch.rand(7) < 0.5, EnvironmentMap(torch.rand(3, 4, 8))
     moments = torch.rand(3, 4, 8), torch.rand(3, 4, 8)
-    checkpoint.save(tmp_path / "c", example(model=models[0], best_model=models[1], environment_map_moments=moments))
+    checkpoint.save(
+        tmp_path / "c", example(model=models[0], best_model=models[1], shared_moments={"environment": moments})
+    )
     loaded = checkpoint.load(tmp_path / "c")
     assert_same(loaded.model.state(), models[0].state())
     assert_same(loaded.best_model.state(), models[1].state())
-    assert all(map(torch.equal, loaded.environment_map_moments, moments))
+    assert all(map(torch.equal, loaded.shared_moments["environment"], moments))
     assert_same(checkpoint.load_model(tmp_path / "c").state(), models[0].state())
 
 
@@ -92,7 +94,7 @@ def test_round_trip_without_best(tmp_path) -> None:
     checkpoint.save(tmp_path / "c", example(best=None, best_model=None))
     loaded = checkpoint.load(tmp_path / "c")
     assert loaded.best is None and loaded.best_model is None
-    assert loaded.environment_map_moments is None and loaded.model.background_model == "none"
+    assert loaded.shared_moments == {} and loaded.model.background_model == "none"
 
 
 def test_load_model(tmp_path) -> None:

@@ -29,7 +29,9 @@ def assert_same_state(a: Path, b: Path) -> None:
     """Equal checkpoints, bit for bit, except for the seconds."""
     one, two = (checkpoint.load(path / checkpoint.FILE_NAME) for path in (a, b))
     assert (one.iteration, one.step_count, one.best) == (two.iteration, two.step_count, two.best)
-    moments = [dict(enumerate(saved.environment_map_moments or ())) for saved in (one, two)]
+    moments = [
+        {(n, i): m for n, pair in saved.shared_moments.items() for i, m in enumerate(pair)} for saved in (one, two)
+    ]
     pairs = [
         (one.model.state(), two.model.state()),
         (one.best_model.state(), two.best_model.state()),

@@ -55,7 +55,7 @@ def test_a_frozen_environment_map_does_not_change(tmp_path) -> None:
         train_tiny(tmp_path / str(iterations), tiny_config(iterations, "envmap"))
     at_20, at_60 = (final(tmp_path / run) for run in ("20", "60"))
     assert torch.equal(at_20.model.environment_map.image, at_60.model.environment_map.image)
-    assert all(map(torch.equal, at_20.environment_map_moments, at_60.environment_map_moments))
+    assert all(map(torch.equal, at_20.shared_moments["environment"], at_60.shared_moments["environment"]))
     assert at_20.model.environment_map.image.min() < 0.5, "trained on a black background before it was frozen"
     assert at_60.best_model.environment_map is not None
 

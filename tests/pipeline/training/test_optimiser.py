@@ -21,9 +21,9 @@ RATES = {
     "velocity": 4e-3,
     "opacity_logit": 5e-2,
     "sh": (2.5e-3, 1.25e-4, 5e-4, 6e-5),
-    "environment_map": 0.02,
+    "environment": 0.02,
 }
-FIELDS = RATES.keys() - {"sh", "environment_map", "velocity"}  # of KIND
+FIELDS = RATES.keys() - {"sh", "environment", "velocity"}  # of KIND
 
 
 def random_gradients(model: Model, rng: torch.Generator) -> Gradients:
@@ -142,7 +142,7 @@ def test_the_environment_map_is_updated_only_with_a_gradient() -> None:
     model, rng = random_model(KIND, 5), torch.Generator().manual_seed(0)
     model.environment_map = EnvironmentMap(torch.rand(3, 4, 8, generator=rng))
     reference = model.environment_map.image.double().requires_grad_()
-    optimiser, reference_adam = Adam(model), torch.optim.Adam([reference], lr=RATES["environment_map"], eps=1e-15)
+    optimiser, reference_adam = Adam(model), torch.optim.Adam([reference], lr=RATES["environment"], eps=1e-15)
     for _ in range(5):
         d_environment_map = torch.randn(3, 4, 8, generator=rng)
         optimiser.step(random_gradients(model, rng), RATES, d_environment_map=d_environment_map)
@@ -150,9 +150,12 @@ def test_the_environment_map_is_updated_only_with_a_gradient() -> None:
         reference_adam.step()
     # five float32 updates of values up to 1: rounding of 6e-8 each, and about 1e-6 of the rate
     torch.testing.assert_close(model.environment_map.image.double(), reference.detach(), rtol=0, atol=1e-6)
-    before = [model.environment_map.image.clone(), *(moment.clone() for moment in optimiser.environment_map_moments)]
+    before = [
+        model.environment_map.image.clone(),
+        *(moment.clone() for moment in optimiser.shared_moments["environment"]),
+    ]
     optimiser.step(random_gradients(model, rng), RATES)
-    assert all(map(torch.equal, before, (model.environment_map.image, *optimiser.environment_map_moments)))
+    assert all(map(torch.equal, before, (model.environment_map.image, *optimiser.shared_moments["environment"])))
     assert optimiser.bytes == 2 * model.bytes
 
 
