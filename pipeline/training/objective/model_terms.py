@@ -17,17 +17,15 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from datasets.scene import Scene
-from pipeline.config.random_streams import Stream, stream
 from pipeline.config.train_schema import RegularizationConfig
 from pipeline.data.covered_share import covered_share
 from pipeline.model.model import Model
 from pipeline.model.tilt import UNTILTED
+from pipeline.training.objective.rigid_neighbours import RigidNeighbours
 from pipeline.training.objective.terms import DrawnView, ModelTerm
 from rasterizer import Gradients
-from rasterizer.covariance import rotation_3d, rotation_4d, time_row
-from rasterizer.reference.render import turning
+from rasterizer.covariance import rotation_4d, time_row
 
-PAIRS = 2000  # of neighbours, in an iteration
 NEIGHBOURS = 8  # nearest Gaussians that a Gaussian is compared with
 RELEASED_NEIGHBOURS = 20  # the same in the released form
 RIGID_EVERY = 32  # `rigid_loss` is that of every such training view, × this, for run time; the release's of every step
@@ -117,45 +115,6 @@ class Transparency:
             value=self.weight * (1.0 / len(model)),
         )
         return 0.0
-
-
-class RigidNeighbours:
-    """`weight` × the mean of |(x_j - x_i) - R_i (μ_j - μ_i)|² / (|μ_j - μ_i|² + s²) over PAIRS random pairs of near
-    neighbours: x and R at a random time, along the shared trajectories. s: the median distance to the fourth neighbour.
-    """
-
-    def __init__(self, weight: float, scene: Scene, seed: int) -> None:
-        self.weight, self._scene, self._seed = weight, scene, seed
-        self._count, self._neighbours, self._scale = -1, torch.empty(0), 0.0
-
-    def add(self, gradients: Gradients, model: Model, view: DrawnView) -> float:
-        if model.trajectories is None or view.place != 0 or not model.parameters["weights"].any():
-            return 0.0
-        mean = model.parameters["mean"][:, :3]
-        if self._count != len(model):
-            distance, self._neighbours = _nearest(mean, NEIGHBOURS, 1)
-            self._count, self._scale = len(model), float(distance[:, 3].median()) ** 2
-        rng = stream(self._seed, Stream.RIGID, view.number)
-        first = torch.from_numpy(rng.integers(0, len(model), PAIRS))
-        second = self._neighbours[first, torch.from_numpy(rng.integers(0, NEIGHBOURS, PAIRS))]
-        time = self._scene.time_start + self._scene.duration * rng.random()
-        basis = model.trajectories.basis(time).float()
-        weights = model.parameters["weights"]
-        a, b = (weights[rows].requires_grad_() for rows in (first, second))
-        points = model.trajectories.control_points.detach().requires_grad_()
-        apart = mean[second] - mean[first]
-        with torch.enable_grad():
-            values = torch.einsum("c,ckv->kv", basis, points)
-            moved_a, moved_b = a @ values, b @ values[:, :3]
-            rotation = rotation_3d(turning(moved_a[:, 3:]))
-            error = apart + moved_b - moved_a[:, :3] - (rotation @ apart[:, :, None])[:, :, 0]
-            loss = self.weight * (error.square().sum(1) / (apart.square().sum(1) + self._scale)).mean()
-        d_a, d_b, d_points = torch.autograd.grad(loss, (a, b, points))
-        assert gradients.weights is not None and gradients.trajectories is not None
-        gradients.weights.index_add_(0, first, d_a)
-        gradients.weights.index_add_(0, second, d_b)
-        gradients.trajectories += d_points
-        return view.batch * loss.item()
 
 
 def model_terms(rules: RegularizationConfig, scene: Scene, threads: int, seed: int) -> list[ModelTerm]:

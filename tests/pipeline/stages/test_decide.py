@@ -16,8 +16,10 @@ from pipeline.stages.decide import (
     Comparison,
     colour_is_open,
     compare_colour,
+    compare_shared_motion,
     compare_time,
     mean_and_error,
+    shared_motion_is_open,
     time_is_open,
     without_time_colour,
 )
@@ -150,3 +152,35 @@ def test_colour_is_open_where_the_model_has_it() -> None:
     assert not colour_is_open(cfg, replace(scene, train=scene.train[:4])), "a single validation view"
     two = tuple(replace(view, camera=scene.train[i % 2].camera) for i, view in enumerate(scene.train))
     assert not colour_is_open(cfg, replace(scene, train=two)), "with two poses none can be held out"
+
+
+def test_shared_motion_must_gain_and_fit_the_training_views() -> None:
+    taken = [replace(compared(0.5, 0.2), fit_gain=fit).takes_shared_motion for fit in (2.0, -0.9)]
+    assert all(taken) and not replace(compared(0.5, 0.2), fit_gain=-1.1).takes_shared_motion
+    assert not replace(compared(0.3, 0.2), fit_gain=2.0).takes_shared_motion
+
+
+def test_shared_motion_is_open_for_one_camera_that_films_from_everywhere() -> None:
+    scene, cfg = replace(one_camera(changes=True), capture="monocular"), config(select_shared_motion=0.5)
+    assert shared_motion_is_open(cfg, scene)
+    assert not shared_motion_is_open(config(), scene)
+    for capture in ("clip", "multi_view", "drive", "static"):
+        assert not shared_motion_is_open(cfg, replace(scene, capture=capture)), capture
+    for ablation in (
+        AblationConfig(shared_motion=False),
+        AblationConfig(rotation_4d=False),
+        AblationConfig(static=True),
+    ):
+        assert not shared_motion_is_open(replace(cfg, ablation=ablation), scene), ablation
+    assert not shared_motion_is_open(replace(cfg, train=replace(cfg.train, time_budget_s=9.0)), scene)
+
+
+def test_shared_motion_is_compared_by_its_own_settings() -> None:
+    """Both without colours that change in time; the same comparison twice."""
+    scene, lines = one_camera(changes=True), []
+    shared = config(40, trajectories=2, explicit_velocity=True, init_time_scale=1000)
+    found, again = (
+        compare_shared_motion(config(60, select_shared_motion=0.5), shared, scene, None, lines.append) for _ in range(2)
+    )
+    assert replace(again, seconds=found.seconds) == found and found.views == VIEWS // 4
+    assert lines[0].startswith("settle: with shared motion, 20 iterations") and "30 iterations" in lines[1]

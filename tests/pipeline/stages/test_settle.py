@@ -91,3 +91,12 @@ def test_validation_takes_its_part_out() -> None:
 )
 def test_a_run_says_what_its_command_changed(overrides: tuple[str, ...], found: dict) -> None:
     assert changes(Command((*WHEEL, *overrides)), MOVING) == found
+
+
+def test_shared_motion_has_a_file_of_its_own() -> None:
+    found = settled(MOVING, decided={"shared_motion": True})
+    assert (found["train.trajectories"], found["train.dropout"]) == (32, 0.0)
+    assert settled(MOVING)["train.trajectories"] == 0
+    for scene in (FILM, CLIP, STATIC):  # it is not compared there
+        assert settled(scene)["train.trajectories"] == 0
+    assert settled(MOVING, "train.iterations=77", decided={"shared_motion": True})["train.iterations"] == 77
