@@ -125,8 +125,9 @@ class Model:
 
     @classmethod
     def from_gaussians(cls, gaussians: Gaussians) -> Model:
-        kind = ModelKind(gaussians.motion, gaussians.fourier_order, gaussians.sh_degree)
-        return cls(kind, gaussians.tensors())
+        shared = 0 if gaussians.trajectories is None else len(gaussians.trajectories)
+        kind = ModelKind(gaussians.motion, gaussians.fourier_order, gaussians.sh_degree, shared)
+        return cls(kind, gaussians.row_tensors(), trajectories=gaussians.trajectories)
 
     def with_parameters(self, parameters: dict[str, Tensor], motion: Motion | None = None) -> Model:
         """The same model with other values of its fields, and if given another motion. It shares all else."""

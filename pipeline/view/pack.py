@@ -6,11 +6,15 @@ Conditioned on time a 4D Gaussian is a 3D one. With Σ = M Mᵀ as in docs/metho
     covariance       A Aᵀ, constant in time       = R diag(scale²) Rᵀ
     opacity at t     opacity · exp(-½ (t - μt)²/Σtt), zero where the exponential is below 0.05
 
+Shared trajectories (rasterizer/trajectories.py) displace and turn it besides. Of these the weights are quantised, and
+the control points, which are few, stored in float32.
+
 What is lost, at most, in units of the picture:
 
     position   POSITION_PX pixels at a depth of one normalised unit, over the whole time in which the Gaussian is seen
-    scale      SCALE_STEP / 2 of itself;   lifetime: LIFETIME_STEP / 2;   rotation: ROTATION_STEP / 2 radians
-    opacity    LOGIT_STEP / 8 at most;     time: TIME_STEP of the shortest lifetimes
+    scale      SCALE_STEP / 2 of itself;   lifetime: LIFETIME_STEP / 2
+    rotation   ROTATION_STEP / 2 radians, and as much along shared trajectories
+    opacity    LOGIT_STEP / 8 at most;     time: TIME_STEP of the shortest lifetimes, and of the duration
     colour     SH_STEP / 2 a coefficient, which makes a standard deviation of 0.003 of a Gaussian's colour
 
 Each number is a whole number of steps, in as few bytes as its column needs. A column of C components is stored
@@ -20,10 +24,11 @@ Neighbours in space are neighbours in a column, so the higher bytes hardly chang
 
 from __future__ import annotations
 
+import base64
 import math
 import zlib
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 import torch
@@ -36,6 +41,7 @@ from pipeline.model.model import Model
 from rasterizer.gaussians import SH_LAYOUTS
 from rasterizer.reference.blend import MIN_ALPHA, MIN_MARGINAL
 from rasterizer.reference.render import slice_in_time
+from rasterizer.trajectories import CONTROL_POINTS, Trajectories
 
 LIFETIME = math.sqrt(-2 * math.log(MIN_MARGINAL))  # half of it, in standard deviations: 2.45
 POSITION_PX = 0.05
@@ -51,8 +57,8 @@ COMPRESSION = 3  # of zlib; 6 would take three times as long for 5 % less
 
 
 @dataclass(frozen=True)
-class Trajectories:
-    """N Gaussians; float64 arrays. In a static model velocity, mean_t and sigma_t are None."""
+class Lines:
+    """N Gaussians on lines; float64 arrays. In a static model velocity, mean_t and sigma_t are None."""
 
     mean: np.ndarray  # (N, 3) at the time mean_t
     scale: np.ndarray  # (N, 3) standard deviations along the axes of `rotation`
@@ -62,23 +68,24 @@ class Trajectories:
     velocity: np.ndarray | None  # (N, 3) units of length a unit of time
     mean_t: np.ndarray | None  # (N,)
     sigma_t: np.ndarray | None  # (N,)
+    weights: np.ndarray | None = None  # (N, K) of the shared trajectories, which displace and turn them besides
 
 
-def trajectories(model: Model) -> Trajectories:
+def lines_of(model: Model) -> Lines:
     """The Gaussians of `model` that reach an alpha of 1/255 at some time; nothing else is ever drawn."""
     gaussians = model.gaussians()
     gaussians = gaussians.rows(gaussians.opacity_logit > math.log(MIN_ALPHA / (1 - MIN_ALPHA)))
     coefficients, orders = SH_LAYOUTS[gaussians.sh.shape[1]]
     sh = gaussians.sh.reshape(-1, orders, coefficients, 3).numpy()
     gaussians = gaussians.to(torch.float64)
-    sliced = slice_in_time(gaussians, 0.0)
+    weights = None if gaussians.weights is None else gaussians.weights.numpy()
+    sliced = slice_in_time(replace(gaussians, weights=None, trajectories=None), 0.0)
     mean, logit = gaussians.mean.numpy(), gaussians.opacity_logit.numpy()
     axes = _axes(sliced.factor.numpy())
     if sliced.variance_t is None:
-        return Trajectories(mean, *axes, logit, sh, None, None, None)
-    return Trajectories(
-        mean[:, :3], *axes, logit, sh, sliced.velocity.numpy(), mean[:, 3], sliced.variance_t.sqrt().numpy()
-    )
+        return Lines(mean, *axes, logit, sh, None, None, None)
+    velocity, sigma_t = sliced.velocity.numpy(), sliced.variance_t.sqrt().numpy()
+    return Lines(mean[:, :3], *axes, logit, sh, velocity, mean[:, 3], sigma_t, weights)
 
 
 def _axes(factor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -122,7 +129,13 @@ class Packed:
 def pack(model: Model, scene: Scene, compression: int = COMPRESSION) -> Packed:
     """The Gaussians of `model` that are seen at a time of `scene`, and its environment map."""
     columns: list[Packing] = []
-    seen = _columns_of(trajectories(model), scene, columns)
+    lines = lines_of(model)
+    length = POSITION_PX * scene.unit / max(max(view.camera.fx, view.camera.fy) for view in scene.train)
+    shared: dict = {}
+    if model.trajectories is not None and lines.weights is not None:
+        shared["trajectories"], furthest = _shared(model.trajectories, length)
+        lines = replace(lines, weights=lines.weights * furthest)
+    seen = _columns_of(lines, scene, length, columns)
     header: dict = {
         "trained": len(model),
         "count": seen,
@@ -130,6 +143,7 @@ def pack(model: Model, scene: Scene, compression: int = COMPRESSION) -> Packed:
         "orders": model.kind.fourier_order + 1,
         "coefficients": (model.kind.sh_degree + 1) ** 2,
         "float32_bytes": model.bytes,
+        **shared,
     }
     if (environment := model.environment_map) is not None:
         if isinstance(environment, CubeMap):  # the page knows one kind of map
@@ -139,19 +153,34 @@ def pack(model: Model, scene: Scene, compression: int = COMPRESSION) -> Packed:
     return Packed(header, zlib.compress(b"".join(plane for _, planes in columns for plane in planes), compression))
 
 
-def _columns_of(t: Trajectories, scene: Scene, columns: list[Packing]) -> int:
-    """Appends the columns of the Gaussians that are seen; returns how many there are.
+def _shared(trajectories: Trajectories, length: float) -> tuple[dict, np.ndarray]:
+    """The trajectories for the page, each divided by how far it goes, and how far that is, (K,).
+
+    Units are the errors allowed, `length` and ROTATION_STEP, whichever of them it goes further by. A level of B-splines
+    goes no further than the furthest of its control points.
+    """
+    points = trajectories.control_points.double().numpy()
+    ends = np.cumsum([2**level + 3 for level in range(1, CONTROL_POINTS[len(points)])])
+    reached = sum(np.abs(level).max(axis=0) for level in np.split(points, ends)) / np.repeat([length, ROTATION_STEP], 3)
+    furthest = np.maximum(reached.max(axis=1), np.finfo(np.float32).tiny)
+    stored = base64.b64encode((points / furthest[:, None]).astype("<f4").tobytes()).decode()
+    return {"count": len(trajectories), "span": trajectories.span, "control_points": stored}, furthest
+
+
+def _columns_of(t: Lines, scene: Scene, length: float, columns: list[Packing]) -> int:
+    """Appends the columns of the Gaussians that are seen; returns how many there are. length: largest error of a place.
 
     Stored is the part of a Gaussian's line where it is seen: its middle, and how far it is from there to its end. The
-    error of a place is then the same at all times.
+    error of a place is then the same at all times. Where there are trajectories, half of it is that of the K weights,
+    each of which is rounded by 1/(2K).
     """
-    length = POSITION_PX * scene.unit / max(max(view.camera.fx, view.camera.fy) for view in scene.train)
+    step_xyz = length if t.weights is None else length / 2  # two numbers are rounded by half of it
     if t.velocity is None or t.mean_t is None or t.sigma_t is None:
         rows = _by_place(t.mean)
-        columns.append(quantised("middle", t.mean[rows], length))
+        columns.append(quantised("middle", t.mean[rows], step_xyz))
     else:
         shortest = np.quantile(t.sigma_t, 0.01) if len(t.sigma_t) else 0.0
-        step = max(TIME_STEP * float(shortest), scene.duration * 2.0**-23)
+        step = max(TIME_STEP * min(float(shortest), scene.duration), scene.duration * 2.0**-23)
         sigma = np.exp(np.rint(np.log(t.sigma_t) / LIFETIME_STEP) * LIFETIME_STEP)
         mean_t = np.rint(t.mean_t / step) * step
         first, last = seen_from_to(mean_t, sigma, scene.time_start, scene.time_end)
@@ -161,8 +190,10 @@ def _columns_of(t: Trajectories, scene: Scene, columns: list[Packing]) -> int:
         rows = rows[_by_place(middle[rows])]
         columns.append(quantised("mean_t", t.mean_t[rows], step))
         columns.append(quantised("log_sigma_t", np.log(t.sigma_t)[rows], LIFETIME_STEP))
-        columns.append(quantised("middle", middle[rows], length))
-        columns.append(quantised("reach", (t.velocity * half[:, None])[rows], length))
+        columns.append(quantised("middle", middle[rows], step_xyz))
+        columns.append(quantised("reach", (t.velocity * half[:, None])[rows], step_xyz))
+    if t.weights is not None:
+        columns.append(quantised("weights", t.weights[rows], 1 / t.weights.shape[1]))
     columns.append(quantised("log_scale", np.log(np.maximum(t.scale[rows], 0.1 * length)), SCALE_STEP))
     columns.append(quantised("rotation", t.rotation[rows], ROTATION_STEP))
     columns.append(quantised("opacity_logit", np.clip(t.opacity_logit[rows], *LOGITS), LOGIT_STEP))

@@ -1,18 +1,23 @@
 // One model: unpacks what pack.py packed (deflate, then columns of whole numbers) into the arrays that the worker and
 // the textures take.
 
+import { meanSpeeds } from "./trajectories.js";
+
 // seen: { start, end } of the scene's time; lifetime: half of a Gaussian's, in standard deviations.
 export async function readModel(header, packed, scene) {
     const columns = unpackColumns(header, await inflated(packed));
     const motion = motionOf(header, columns, scene);
+    const shared = header.trajectories ? sharedOf(header, columns.weights) : null;
+    const speed = shared ? meanSpeeds(shared, motion.velocity, scene) : motion.speed;
     return {
         header,
         motion,
+        shared,
         geometry: geometryOf(header.count, columns, motion),
         sh: shOf(header, columns.sh),
         shStep: columns.sh.step,
         environment: header.environment ? environmentOf(header, columns.environment) : null,
-        ranges: { lifetime: quantiles(motion.sigma, Math.log), speed: quantiles(motion.speed, (x) => x) },
+        ranges: { lifetime: quantiles(motion.sigma, Math.log), speed: quantiles(speed, (x) => x) },
     };
 }
 
@@ -45,6 +50,15 @@ function motionOf(header, columns, scene) {
         speed[i] = Math.hypot(velocity[3 * i], velocity[3 * i + 1], velocity[3 * i + 2]);
     }
     return { mean, velocity, meanT, sigma, lifetime, speed };
+}
+
+function sharedOf({ trajectories, count: n }, column) {
+    const { count, span, control_points: points } = trajectories;
+    const weights = new Float32Array(count * n);
+    column.components.forEach((numbers, k) => {
+        for (let i = 0; i < n; ++i) weights[count * i + k] = numbers[i] * column.step;
+    });
+    return { count, span, points: new Float32Array(bytesOfBase64(points).buffer), weights };
 }
 
 // Four texels a Gaussian: mean and mean of time; velocity and 1/σt; scale and opacity; rotation as a quaternion (x, y, z, w).

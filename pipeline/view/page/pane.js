@@ -2,6 +2,7 @@
 
 import { dot } from "./camera.js";
 import { Renderer, slotsFor } from "./renderer.js";
+import { displacedAlong } from "./trajectories.js";
 
 // A figure with a canvas and a caption, at the end of `parent`.
 export function figureOn(parent, caption) {
@@ -27,7 +28,8 @@ export class Pane {
         const { mean, velocity, meanT, lifetime } = model.motion;
         this.renderer.setModel(model);
         this.order = new Uint32Array(slotsFor(model.header.count));
-        this.worker.postMessage({ gaussians: { mean, velocity, meanT, lifetime } });
+        const weights = model.shared?.weights;
+        this.worker.postMessage({ gaussians: { mean, velocity, meanT, lifetime, weights } });
     }
 
     get model() {
@@ -39,7 +41,9 @@ export class Pane {
         const forward = camera.rotation.slice(6, 9);
         const offset = -dot(forward, camera.position);
         const order = this.order;
-        this.worker.postMessage({ time, forward, offset, near: scene.near, order }, [order.buffer]);
+        const { shared } = this.model;
+        const along = shared ? displacedAlong(shared, time, forward) : [];
+        this.worker.postMessage({ time, forward, offset, along, near: scene.near, order }, [order.buffer]);
         return new Promise((resolve) => {
             this.waiting = resolve;
         });

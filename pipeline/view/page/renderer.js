@@ -1,6 +1,7 @@
 // Draws one model into one canvas, in the kernel's stages: preprocess, (sort, in the worker), blend, compose.
 
 import { contextOf, dataTexture, filtered, Program, targetOf } from "./textures.js";
+import { tableAt } from "./trajectories.js";
 
 export const COLOUR_BY = ["colour", "lifetime", "speed", "depth"];
 export const COMPARE = ["render", "truth", "wipe", "difference"];
@@ -38,6 +39,11 @@ export class Renderer {
         this.model = model;
         this.geometry = own(dataTexture(gl, float, WIDE, 4, model.geometry));
         this.sh = own(dataTexture(gl, [gl.RGBA16I, gl.RGBA_INTEGER, gl.SHORT], WIDE, 4, model.sh));
+        this.weights = this.table = this.nothing;
+        if (model.shared) {
+            this.weights = own(dataTexture(gl, [gl.R32F, gl.RED, gl.FLOAT], WIDE, 1, model.shared.weights));
+            this.table = own(dataTexture(gl, float, 3, 4, null, model.shared.count));
+        }
         const order = [gl.R32UI, gl.RED_INTEGER, gl.UNSIGNED_INT];
         this.order = own(dataTexture(gl, order, SLOTS, 1, null, rows));
         this.splats = Array.from({ length: 3 }, () => own(dataTexture(gl, float, SLOTS, 4, null, rows)));
@@ -66,6 +72,11 @@ export class Renderer {
         const rows = rowsFor(sorted.count);
         gl.bindTexture(gl.TEXTURE_2D, this.order);
         gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, SLOTS, rows, gl.RED_INTEGER, gl.UNSIGNED_INT, sorted.order);
+        if (model.shared) {
+            const table = tableAt(model.shared, view.time);
+            gl.bindTexture(gl.TEXTURE_2D, this.table);
+            gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, 3, model.shared.count, gl.RGBA, gl.FLOAT, table);
+        }
         gl.bindFramebuffer(gl.FRAMEBUFFER, this.splatTarget);
         gl.viewport(0, 0, SLOTS, rows);
         gl.disable(gl.BLEND);
@@ -74,6 +85,9 @@ export class Renderer {
             order: this.order,
             geometry: this.geometry,
             sh: this.sh,
+            weights: this.weights,
+            table: this.table,
+            trajectories: model.shared?.count ?? 0,
             count: sorted.count,
             shStep: model.shStep,
             coefficients: model.header.coefficients,

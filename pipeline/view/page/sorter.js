@@ -1,7 +1,8 @@
 // A worker: which Gaussians are in view at a time, nearest first. The rules are the kernel's: p(t) >= 0.05, in front of
 // the near plane, ordered by the depth of the mean in float32.
 
-let gaussians = null; // mean (3 N), velocity (3 N), meanT, lifetime (N): time from meanT at which p(t) is 0.05
+// mean (3 N), velocity (3 N), meanT, lifetime (N): time from meanT at which p(t) is 0.05, weights (N K) if shared
+let gaussians = null;
 let ids, depths, keys, sorted, counts;
 
 self.onmessage = ({ data }) => {
@@ -17,9 +18,11 @@ function load(loaded) {
     counts = new Uint32Array(1 << 16);
 }
 
-// view: { time, forward [3], offset, near, order }. Depth is forward · x + offset. `order` is written and sent back.
+// view: { time, forward [3], offset, along [K], near, order }. Depth is forward · x + offset + weights · along. `order`
+// is written and sent back.
 function sort(view) {
-    const { mean, velocity, meanT, lifetime } = gaussians;
+    const { mean, velocity, meanT, lifetime, weights } = gaussians;
+    const { along } = view;
     const [fx, fy, fz] = view.forward;
     let count = 0;
     let alive = 0;
@@ -31,7 +34,8 @@ function sort(view) {
         const x = mean[k] + velocity[k] * elapsed;
         const y = mean[k + 1] + velocity[k + 1] * elapsed;
         const z = mean[k + 2] + velocity[k + 2] * elapsed;
-        const depth = fx * x + fy * y + fz * z + view.offset;
+        let depth = fx * x + fy * y + fz * z + view.offset;
+        for (let j = 0; j < along.length; ++j) depth += weights[along.length * i + j] * along[j];
         if (!(depth > view.near)) continue;
         depths[count] = depth;
         ids[count++] = i;

@@ -1,7 +1,8 @@
-"""What a viewer's data hold: trajectories against the reference implementation, rounding against its bounds."""
+"""What a viewer's data hold: motion against the reference implementation, rounding against its bounds."""
 
 from __future__ import annotations
 
+import base64
 import json
 import math
 import zlib
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
-from viewed import over_environment_map, viewed_model, viewed_scene
+from viewed import always_there, over_environment_map, viewed_model, viewed_scene
 
 from pipeline.model.model import Model
 from pipeline.view.pack import (
@@ -18,22 +19,24 @@ from pipeline.view.pack import (
     LIFETIME,
     LOGIT_STEP,
     POSITION_PX,
+    ROTATION_STEP,
     SCALE_STEP,
     SH_STEP,
     Packed,
+    lines_of,
     pack,
     quantised,
-    trajectories,
 )
 from rasterizer.reference.render import slice_in_time
+from rasterizer.trajectories import Trajectories
 
 
 @pytest.mark.parametrize("motion", ["static", "separable", "full"])
 @pytest.mark.parametrize("time", [-0.2, 0.45, 1.3])
-def test_trajectories_are_the_gaussians_conditioned_on_time(motion, time: float) -> None:
-    """slice_in_time conditions in float64 at each time; a trajectory is computed once for all of them."""
+def test_lines_are_the_gaussians_conditioned_on_time(motion, time: float) -> None:
+    """slice_in_time conditions in float64 at each time; a line is computed once for all of them."""
     model = viewed_model(motion)
-    found = trajectories(model)
+    found = lines_of(model)
     wanted = slice_in_time(model.gaussians().to(torch.float64), time)
     mean, marginal = found.mean, np.ones(len(found.mean))
     if found.velocity is not None and found.mean_t is not None and found.sigma_t is not None:
@@ -79,7 +82,7 @@ def unpacked(packed: Packed) -> dict[str, np.ndarray]:
 def test_what_is_read_back_is_within_the_stated_errors() -> None:
     model, scene = over_environment_map(viewed_model("full", fourier_order=1)), viewed_scene()
     found = unpacked(pack(model, scene))
-    t = trajectories(model)
+    t = lines_of(model)
     assert t.velocity is not None and t.mean_t is not None
     centre, sigma = found["mean_t"][:, 0], np.exp(found["log_sigma_t"][:, 0])
     first, last = np.maximum(0, centre - LIFETIME * sigma), np.minimum(1, centre + LIFETIME * sigma)
@@ -98,6 +101,49 @@ def test_what_is_read_back_is_within_the_stated_errors() -> None:
         assert np.abs(found["middle"] + share * found["reach"] - wanted).max() <= step
     image = model.environment_map.image.numpy().reshape(3, -1).T
     assert np.abs(found["environment"] - image).max() <= ENVIRONMENT_STEP / 2 + 1e-6
+
+
+@pytest.mark.parametrize("still_there", [False, True])
+def test_shared_motion_that_is_read_back_is_within_the_stated_errors(still_there: bool) -> None:
+    """Against moved Gaussians, conditioned on time in float64, also before and after the span of the trajectories."""
+    model, scene = viewed_model("shared"), viewed_scene()
+    model = always_there(model) if still_there else model
+    packed = pack(model, scene)
+    found, stored = unpacked(packed), packed.header["trajectories"]
+    points = np.frombuffer(base64.b64decode(stored["control_points"]), "<f4").reshape(-1, stored["count"], 6)
+    shared = Trajectories(torch.from_numpy(points.astype(np.float64)), tuple(stored["span"]))
+    gaussians = model.gaussians().to(torch.float64)
+    colours = gaussians.sh.flatten(1).numpy()
+    row = [int(np.abs(colours - one).max(axis=1).argmin()) for one in found["sh"]]
+    assert len(set(row)) == len(row)
+    centre, sigma = found["mean_t"][:, 0], np.exp(found["log_sigma_t"][:, 0])
+    first, last = np.maximum(0, centre - LIFETIME * sigma), np.minimum(1, centre + LIFETIME * sigma)
+    step = POSITION_PX * scene.unit / max(view.camera.fy for view in scene.train)
+    for time in (0.0, 0.13, 0.5, 0.85, 0.97):
+        seen = (first <= time) & (time <= last)
+        assert seen.sum() > 10
+        share = (time - 0.5 * (first + last)) / np.maximum(0.5 * (last - first), 1e-9)
+        displacement, turn = np.split(found["weights"] @ shared.values(time).numpy(), 2, axis=1)
+        place = found["middle"] + share[:, None] * found["reach"] + displacement
+        wanted = slice_in_time(gaussians, time)
+        # Control points of float32 lose five digits less than this.
+        assert np.abs(place - wanted.mean.numpy()[row])[seen].max() <= step * (1 + 1e-5)
+        # Turned as the wanted covariance is: rounding turns a Gaussian by at most half a step about an axis for each of
+        # two rotation vectors, and changes its scales by half a step.
+        axes = (Rotation.from_rotvec(turn) * Rotation.from_rotvec(found["rotation"])).as_matrix()
+        scale = np.exp(found["log_scale"])
+        covariance = np.einsum("nij,nj,nkj->nik", axes, scale**2, axes)
+        factor = wanted.factor.numpy()[row]
+        error = np.abs(covariance - factor @ factor.transpose(0, 2, 1)).max(axis=(1, 2))
+        turned = 2 * math.sqrt(3) * ROTATION_STEP / 2
+        assert np.max(error / (scale**2).max(axis=1)) <= 2 * turned + 1.01 * SCALE_STEP
+
+
+def test_trajectories_that_stand_still_take_no_bytes() -> None:
+    model, scene = viewed_model("shared"), viewed_scene()
+    still = Trajectories.still(5, 2, (0.0, 1.0))
+    packed = pack(Model(model.kind, model.parameters, trajectories=still), scene)
+    assert {tuple(column["bytes"]) for column in packed.header["columns"] if column["name"] == "weights"} == {(0,) * 5}
 
 
 def test_columns_take_the_bytes_they_need() -> None:

@@ -10,7 +10,7 @@ import pytest
 from builders import camera_looking_at
 from playwright.sync_api import Browser
 from tiny import tiny_config
-from viewed import SIZE, opened, over_environment_map, picture, viewed_model, viewed_scene, write_page
+from viewed import SIZE, always_there, opened, over_environment_map, picture, viewed_model, viewed_scene, write_page
 
 from pipeline.evaluation.renderer import Renderer
 from pipeline.model.model import Model
@@ -25,6 +25,8 @@ KINDS = {
     "separable": viewed_model("separable", fourier_order=1),
     "moving": viewed_model("full"),
     "4DSH": viewed_model("full", fourier_order=2),
+    "shared motion": viewed_model("shared"),
+    "shared motion, always there, 4DSH": always_there(viewed_model("shared", fourier_order=2)),
     "environment map": over_environment_map(viewed_model("full")),
 }
 

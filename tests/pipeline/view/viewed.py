@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -40,9 +41,15 @@ def viewed_scene(static: bool = False, views: int = 6) -> Scene:
     return replace(tiny_scene(), train=tuple(made), test=test, extent=extent, background=(0.1, 0.2, 0.3))
 
 
-def viewed_model(motion: Motion, fourier_order: int = 0, count: int = 300) -> Model:
+def viewed_model(motion: Motion | Literal["shared"], fourier_order: int = 0, count: int = 300) -> Model:
     """Gaussians that fade, move and change their colour as strongly as trained ones, or more."""
     return Model.from_gaussians(random_gaussians(count, motion, generator(3), 3, fourier_order).to(torch.float32))
+
+
+def always_there(model: Model) -> Model:
+    """The same Gaussians for a thousand times as long, as those that share trajectories are trained."""
+    log_scale = model.parameters["log_scale"] + torch.tensor([0.0, 0.0, 0.0, 7.0])
+    return model.with_parameters({**model.parameters, "log_scale": log_scale})
 
 
 def over_environment_map(model: Model) -> Model:

@@ -10,6 +10,9 @@ precision highp usampler2D;
 uniform usampler2D order;    // rows of the Gaussians in view
 uniform sampler2D geometry;  // four texels a Gaussian
 uniform isampler2D sh;       // coefficients × orders texels a Gaussian
+uniform sampler2D weights;   // a texel a trajectory and Gaussian
+uniform sampler2D table;     // three texels a trajectory: displacement, rotation vector, velocity
+uniform int trajectories;    // that Gaussians share
 uniform int count;           // Gaussians in view
 uniform float shStep;        // value of one step of sh
 uniform int coefficients, orders;
@@ -41,6 +44,11 @@ mat3 rotationOf(vec4 q) {  // (x, y, z, w)
     return mat3(1.0 - d.y - d.z, xy + w.z, xz - w.y,
                 xy - w.z, 1.0 - d.x - d.z, yz + w.x,
                 xz + w.y, yz - w.x, 1.0 - d.x - d.y);
+}
+
+vec4 turning(vec3 r) {  // quaternion of the rotation by |r| about r
+    float angle = length(r);
+    return vec4((angle > 0.0 ? sin(0.5 * angle) / angle : 0.5) * r, cos(0.5 * angle));
 }
 
 vec3 coefficient(int gaussian, int index) {
@@ -89,7 +97,14 @@ void main() {
 
     // Slice in time. motion.w is 1/σt, 0 in a static model.
     float elapsed = time - meanTime.w, deviations = elapsed * motion.w;
-    vec3 offset = meanTime.xyz - position + motion.xyz * elapsed;
+    vec3 displacement = vec3(0.0), turn = vec3(0.0), velocity = motion.xyz;
+    for (int k = 0; k < trajectories; ++k) {
+        float weight = row(weights, gaussian * trajectories + k).r;
+        displacement += weight * texelFetch(table, ivec2(0, k), 0).xyz;
+        turn += weight * texelFetch(table, ivec2(1, k), 0).xyz;
+        velocity += weight * texelFetch(table, ivec2(2, k), 0).xyz;
+    }
+    vec3 offset = meanTime.xyz - position + motion.xyz * elapsed + displacement;
     float opacity = scaleOpacity.w * exp(-0.5 * deviations * deviations);
 
     // Project: B = J W A, Σ2d = B Bᵀ + dilation, its determinant from the minors of B.
@@ -100,6 +115,7 @@ void main() {
     vec3 jw0 = focal.x / cam.z * (rows[0] - clamped.x * rows[2]);
     vec3 jw1 = focal.y / cam.z * (rows[1] - clamped.y * rows[2]);
     mat3 axes = rotationOf(row(geometry, 4 * gaussian + 3));
+    if (trajectories > 0) axes = rotationOf(turning(turn)) * axes;
     vec3 b0 = (jw0 * axes) * scaleOpacity.xyz, b1 = (jw1 * axes) * scaleOpacity.xyz;
     vec3 minors = cross(b0, b1);
     float norm0 = dot(b0, b0), norm1 = dot(b1, b1);
@@ -114,7 +130,7 @@ void main() {
     } else if (colourBy == 1) {
         colour.rgb = scaleOfColours((-log(motion.w) - range.x) / (range.y - range.x));
     } else if (colourBy == 2) {
-        colour.rgb = scaleOfColours((length(motion.xyz) - range.x) / (range.y - range.x));
+        colour.rgb = scaleOfColours((length(velocity) - range.x) / (range.y - range.x));
     } else {
         colour.rgb = vec3(cam.z, 0.0, 0.0);
     }
