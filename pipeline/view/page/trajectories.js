@@ -32,8 +32,9 @@ export function tableAt({ count, span: [start, end], points }, time) {
 // How much each trajectory takes a Gaussian of weight 1 along `direction`, at a time.
 export function displacedAlong(shared, time, [x, y, z]) {
     const table = tableAt(shared, time);
-    return Float64Array.from({ length: shared.count }, (_, k) =>
-        x * table[12 * k] + y * table[12 * k + 1] + z * table[12 * k + 2],
+    return Float64Array.from(
+        { length: shared.count },
+        (_, k) => x * table[12 * k] + y * table[12 * k + 1] + z * table[12 * k + 2],
     );
 }
 

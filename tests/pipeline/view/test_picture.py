@@ -14,6 +14,10 @@ from viewed import SIZE, always_there, opened, over_environment_map, picture, vi
 
 from pipeline.evaluation.renderer import Renderer
 from pipeline.model.model import Model
+from pipeline.view.live.feed import Feed
+from pipeline.view.live.server import Address, LiveServer
+from pipeline.view.pack import lines_of, pack, seen_from_to
+from pipeline.view.viewer import live_page
 from rasterizer import Rasterizer
 
 # 8-bit pixels alone leave 58.9 dB. Quantisation and half floats leave 52 to 57 dB of these random colours, and 46 among
@@ -47,6 +51,36 @@ def test_picture_is_the_kernels(browser: Browser, tmp_path: Path, kind: str) -> 
             wanted = renderer.image(camera, time)
             assert wanted.std() > 0.05  # something is to be seen
             assert psnr(picture(page, camera, time), wanted) > LEAST_DB
+
+
+def test_a_page_of_a_run_in_training_shows_models_of_either_kind(browser: Browser) -> None:
+    """The page replaces a model that shares trajectories by one that does not, and the reverse."""
+    scene, feed = viewed_scene(), Feed()
+    feed.offer(0, pack(KINDS["moving"], scene))
+    camera = scene.test[1].camera
+    page_text = live_page("live", scene, tiny_config())
+    with LiveServer(Address("127.0.0.1", 0), page_text, feed) as server, opened(browser, server.url) as page:
+        for iteration, kind in enumerate(("shared motion", "moving", "shared motion"), 1):
+            feed.offer(iteration, pack(KINDS[kind], scene))
+            page.wait_for_function("n => viewer.stage.panes[0].model.header.iteration === n", arg=iteration)
+            renderer = Renderer(KINDS[kind], scene, tiny_config(), Rasterizer(threads=1))
+            assert psnr(picture(page, camera, 0.41), renderer.image(camera, 0.41)) > LEAST_DB
+        feed.end()
+
+
+def test_speeds_are_those_along_trajectories_too(browser: Browser, tmp_path: Path) -> None:
+    """The range that is coloured: quantiles over Gaussians of the mean speed at eight times."""
+    scene, model = viewed_scene(), KINDS["shared motion"]
+    lines, trajectories = lines_of(model), model.trajectories
+    assert lines.velocity is not None and lines.weights is not None and trajectories is not None
+    times = (np.arange(8) + 0.5) / 8
+    moving = [lines.velocity + lines.weights @ trajectories.drift(time, 0.0).double().numpy() for time in times]
+    speed = np.mean([np.linalg.norm(one, axis=1) for one in moving], axis=0)
+    first, last = seen_from_to(lines.mean_t, lines.sigma_t, scene.time_start, scene.time_end)
+    with opened(browser, write_page(tmp_path / "viewer.html", scene, model)) as page:
+        found = page.evaluate("viewer.stage.panes[0].model.ranges.speed")
+    # Rounding of what a Gaussian is seen for little time changes its speed.
+    assert found == pytest.approx(np.quantile(speed[first <= last], [0.05, 0.95]), rel=0.02)
 
 
 def test_near_plane_and_background_are_the_scenes(browser: Browser, tmp_path: Path) -> None:
