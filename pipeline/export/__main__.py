@@ -14,6 +14,7 @@ import textwrap
 from pathlib import Path
 
 import numpy as np
+import torch
 
 from pipeline.export.formats import FORMATS, MODEL, write_files
 from pipeline.export.source import Source, open_source
@@ -30,10 +31,11 @@ def main(arguments: list[str]) -> int:
         parser.require(0 < duration < math.inf, "--duration", "a positive time", f"{duration:g}")
     if (start := options.start) is not None:
         parser.require(math.isfinite(start), "--start", "a finite time", f"{start:g}")
+    torch.set_num_threads(1)  # many small products, which more threads make slower
     source = open_source(options.model, options.start, options.duration, log)
     folder = options.out or source.folder
     for name in options.formats:
-        paths = list(write_files(name, source, _times(options.times, source), folder, options.world))
+        paths = list(write_files(name, source, _times(options.times, source), folder, options.world, log))
         size = sum(path.stat().st_size for path in paths)
         files = f"{paths[0].name} … {paths[-1].name}" if len(paths) > 1 else paths[0].name
         lost = FORMATS[name].loses

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from datasets.files.atomic_write import atomic_file
+from pipeline.export.pieces import film_of
 from pipeline.export.source import Source
-from pipeline.export.splats import frame_at, moving_gaussians
+from pipeline.export.splats import frame_at
 from pipeline.export.static_formats import glb_bytes, splat_bytes, spz_bytes
 from pipeline.export.temporal_formats import fourdgs_bytes, ftgs_bytes, splatv_bytes
 from pipeline.model.ply import ply_bytes
@@ -26,6 +27,7 @@ class Format:
     read_by: str
     loses: str
     content: Callable[..., bytes]
+    windows: bool = False  # of a FILM: its Gaussians have windows in time
 
 
 _NO_4DSH = "colours that change with time (their mean is kept)"
@@ -56,6 +58,7 @@ FORMATS = {
         "fourdgs and its players",
         f"{_NO_4DSH}; SH have 8 bits, all else an error bound that the file states",
         fourdgs_bytes,
+        windows=True,
     ),
     "pth": Format(
         MODEL,
@@ -66,7 +69,9 @@ FORMATS = {
 }
 
 
-def write_files(name: str, source: Source, times: Sequence[float], folder: Path, world: bool = False) -> Iterator[Path]:
+def write_files(
+    name: str, source: Source, times: Sequence[float], folder: Path, world: bool, log: Callable[[str], None]
+) -> Iterator[Path]:
     """Writes `source` in format `name`, a file at a time, and yields the paths: `scene_0000.ply` … for several frames,
     of which those of an earlier export are removed.
 
@@ -80,7 +85,9 @@ def write_files(name: str, source: Source, times: Sequence[float], folder: Path,
     if form.holds == MODEL:
         yield _written(folder / f"{source.name}.{name}", form.content(model))
     elif form.holds == FILM:
-        moving = moving_gaussians(model, line.start, line.duration)
+        moving = film_of(model, line, form.windows)
+        if moving.note:
+            log(f"{name}: {moving.note}")
         yield _written(folder / f"{source.name}.{name}", form.content(moving, line))
     else:
         for old in _frames(source, folder, name):  # of a longer sequence

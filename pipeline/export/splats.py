@@ -89,7 +89,9 @@ def unit_quaternions(quat: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class MovingGaussians:
-    """N Gaussians, float64. At time t: mean + velocity (t - time), opacity × exp(-½ ((t - time)/sigma)²)."""
+    """N Gaussians, float64. At time t: mean + velocity (t - time), opacity × exp(-½ ((t - time)/sigma)²).
+
+    Formats without windows in time ignore `window`."""
 
     mean: Tensor  # (N, 3) at `time`
     velocity: Tensor  # (N, 3) per unit of time
@@ -99,15 +101,19 @@ class MovingGaussians:
     sh: Tensor  # (N, (l+1)², 3) without time
     time: Tensor  # (N,) μt
     sigma: Tensor  # (N,) √Σtt
+    window: Tensor | None = None  # (N, 2) seen from the first time until before the second; None: always
+    note: str = ""  # what is approximated
 
     def __len__(self) -> int:
         return len(self.mean)
 
 
 def moving_gaussians(model: Model, time_start: float, duration: float) -> MovingGaussians:
-    """Those of a model that are seen at any time of the scene. ValueError for a static model."""
+    """Those of a model without shared trajectories that are seen at any time of the scene. ValueError for a static
+    model."""
     if model.kind.motion == "static":
         raise ValueError("expected a model with time, found a static one; export it as ply, splat, spz or glb")
+    assert model.trajectories is None, "pieces.film_of has those"
     gaussians = model.gaussians().to(torch.float64)
     sliced = slice_in_time(gaussians, time_start)
     assert sliced.variance_t is not None
@@ -117,7 +123,8 @@ def moving_gaussians(model: Model, time_start: float, duration: float) -> Moving
     seen = (marginal >= MIN_MARGINAL) & (alpha * marginal >= MIN_ALPHA)
     time, sigma = time[seen], sigma[seen]
     log_scale, quat = scales_and_rotation(sliced.factor[seen])
-    weights = mean_fourier_basis(time, sigma, time_start, duration, model.kind.fourier_order)
+    end = time_start + duration
+    weights = mean_fourier_basis(time, sigma, time_start, end, duration, model.kind.fourier_order, time)
     return MovingGaussians(
         gaussians.mean[seen, :3],
         sliced.velocity[seen],
@@ -130,15 +137,16 @@ def moving_gaussians(model: Model, time_start: float, duration: float) -> Moving
     )
 
 
-def mean_fourier_basis(time: Tensor, sigma: Tensor, time_start: float, duration: float, order: int) -> Tensor:
-    """(N, order + 1): the mean of cos(2πn (t - μt)/T) over the times t of the scene with p(t) >= 0.05, weighted by
-    p(t)."""
-    first = (time - REACH * sigma).clamp_min(time_start)
-    last = (time + REACH * sigma).clamp_max(time_start + duration)
+def mean_fourier_basis(
+    time: Tensor, sigma: Tensor, first: float, last: float, duration: float, order: int, origin: Tensor
+) -> Tensor:
+    """(N, order + 1): the mean of cos(2πn (t - μt)/T) over the times t in `first` to `last` with p(t) >= 0.05, weighted
+    by p(t) = exp(-½ ((t - time)/sigma)²). origin: (N,) μt."""
+    first_seen, last_seen = (time - REACH * sigma).clamp_min(first), (time + REACH * sigma).clamp_max(last)
     share = (torch.arange(QUADRATURE, dtype=time.dtype) + 0.5) / QUADRATURE
-    elapsed = first[:, None] + (last - first)[:, None] * share - time[:, None]
-    weight = torch.exp(-0.5 * (elapsed / sigma[:, None]) ** 2)
-    basis = fourier_basis(elapsed.flatten(), duration, order).unflatten(0, elapsed.shape)
+    times = first_seen[:, None] + (last_seen - first_seen)[:, None] * share
+    weight = torch.exp(-0.5 * ((times - time[:, None]) / sigma[:, None]) ** 2)
+    basis = fourier_basis((times - origin[:, None]).flatten(), duration, order).unflatten(0, times.shape)
     return (weight[:, :, None] * basis).sum(dim=1) / weight.sum(dim=1, keepdim=True)
 
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import struct
 from typing import Any
 
@@ -107,7 +108,7 @@ def splatv_bytes(moving: MovingGaussians, line: Timeline) -> bytes:
     used["motion"][:, :3] = _half((moving.velocity * line.duration)[order])
     used["centre"] = _half(((moving.time - line.start) / line.duration)[order])
     used["width"] = _half((2**0.5 * moving.sigma / line.duration)[order])
-    cameras = [_entry(line.camera or _before(moving))]
+    cameras = [_entry(line.camera or camera_before(moving.mean))]
     chunk = {"type": "splat", "size": rows.nbytes, "texwidth": TEXTURE_WIDTH, "texheight": height, "cameras": cameras}
     text = json.dumps([chunk]).encode()
     return struct.pack("<II", SPLATV_MAGIC, len(text)) + text + rows.tobytes()
@@ -127,9 +128,9 @@ def _entry(camera: Camera) -> dict[str, Any]:
     }
 
 
-def _before(moving: MovingGaussians) -> Camera:
-    """A camera that looks along z at most of the Gaussians."""
-    mean = moving.mean.double().numpy()
+def camera_before(means: Tensor) -> Camera:
+    """A camera that looks along z at most of the Gaussians, of means (N, 3)."""
+    mean = means.double().numpy()
     centre = np.median(mean, axis=0) if len(mean) else np.zeros(3)
     reach = float(np.quantile(np.linalg.norm(mean - centre, axis=1), 0.9)) if len(mean) else 0.0
     pose = np.eye(4)
@@ -156,6 +157,9 @@ def fourdgs_bytes(moving: MovingGaussians, line: Timeline) -> bytes:
     rate = line.seconds / line.duration
     rest = _channel_major(moving.sh)
     code = np.clip(np.round((rest.numpy() - SH_LOW) * 255 / (SH_HIGH - SH_LOW)), 0, 255).astype(np.uint8)
+    whole = torch.tensor([[-math.inf, math.inf]], dtype=torch.float64).expand(len(moving), 2)
+    window = (((whole if moving.window is None else moving.window) - line.start) * rate).numpy()
+    end = np.nextafter(line.seconds, np.inf)  # the end itself is seen
     gaussians = fourdgs.GaussianSet(
         positions=moving.mean.numpy().astype(np.float32),
         scales=moving.log_scale.exp().numpy().astype(np.float32),
@@ -164,8 +168,8 @@ def fourdgs_bytes(moving: MovingGaussians, line: Timeline) -> bytes:
         motions=(moving.velocity / rate).numpy().astype(np.float32),
         mu_t=((moving.time - line.start) * rate).numpy().astype(np.float32),
         sigma_t=(moving.sigma * rate).numpy().astype(np.float32),
-        win_lo=np.zeros(len(moving)),
-        win_hi=np.full(len(moving), np.nextafter(line.seconds, np.inf)),  # the end itself is seen
+        win_lo=np.maximum(window[:, 0], 0.0),
+        win_hi=np.where(window[:, 1] < line.seconds, window[:, 1], end),
         sh=code if code.shape[1] else None,
         sh_degree=_degree(rest),
     )

@@ -34,7 +34,9 @@ def save_ply(path: Path, model: Model) -> None:
 
 
 def ply_bytes(model: Model) -> bytes:
-    """The content of `save_ply`'s file. Velocities are written as rotations."""
+    """The content of `save_ply`'s file. Velocities are written as rotations. ValueError for shared trajectories."""
+    if model.trajectories is not None:
+        raise ValueError("expected a model without shared trajectories, which .ply lacks; use its checkpoint")
     model = in_rotations(model)
     columns = {
         name: model.parameters[field].reshape(len(model), -1)[:, index].numpy()

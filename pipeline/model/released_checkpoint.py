@@ -70,8 +70,12 @@ def released_bytes(model: Model, iteration: int = 0, extent: float = 1.0) -> byt
     """A checkpoint that the released program restores and renders; the moments of its optimizer are empty.
 
     model: in the coordinates of the data's files. extent: of the cameras, which scales learning rates. ValueError for a
-    model with an environment map.
+    model with an environment map or shared trajectories.
     """
+    if model.trajectories is not None:
+        raise ValueError(
+            "pth: expected a model without shared trajectories, which the released program lacks; use 4dgs"
+        )
     if model.environment_map is not None:
         raise ValueError("expected a model without an environment map, which the released program samples otherwise")
     values = _released(model, extent)

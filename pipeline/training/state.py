@@ -106,7 +106,7 @@ def start(model: Model, scene: Scene, cfg: Config, run: RunLog, start_seconds: f
     saved = checkpoints.load(path) if path.exists() else None
     if cfg.train.explicit_velocity:
         model = in_velocities(model)
-    if cfg.train.trajectories > 0 and model.kind.motion == "velocity":
+    if cfg.train.trajectories > 0 and model.kind.motion == "velocity" and model.trajectories is None:
         model = with_trajectories(model, scene, cfg.train)
     if model.environment_map is None:  # a new model: init.ply has none
         if cfg.scene.background_model == "envmap":

@@ -84,9 +84,9 @@ def markdown(points: Sequence[Point], chosen: Point, heading: str) -> str:
         rows.append([f"**{cell}**" if p is chosen else cell for cell in row])
     return (
         f"### PSNR against size and speed\n\n{heading}\n\n{markdown_table(HEADER, rows)}\n\n"
-        "- Bold: the smallest file within the allowed loss of PSNR. Means are always float32; int8 covers the SH "
-        "coefficients but the first, and the rest is float16. Pruned models are retrained for the last "
-        f"{RETRAINED:.0%} of the schedule.\n"
+        "- Bold: the smallest file within the allowed loss of PSNR. Means and shared trajectories are always float32; "
+        "int8 covers the SH coefficients but the first, and the rest is float16. Pruned models are retrained for the "
+        f"last {RETRAINED:.0%} of the schedule.\n"
     )
 
 

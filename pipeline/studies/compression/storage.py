@@ -1,4 +1,4 @@
-"""Model files in fewer bits: everything but the means in float16, and optionally the SH coefficients in int8.
+"""Model files in fewer bits: all but means and shared trajectories in float16, optionally SH coefficients in int8.
 
 float16 has 11 significant bits: a relative error of 5e-4 in a coefficient or a quaternion, and of 0.2 % in a scale
 between e^-8 and e^-4, stored as its logarithm. A float16 mean would be off by 5e-4 of its distance from the origin,
@@ -11,6 +11,7 @@ the largest of the Gaussian: an error of at most 0.4 % of the largest.
 from __future__ import annotations
 
 import json
+from dataclasses import astuple
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -22,7 +23,7 @@ from pipeline.model.model import Model, ModelKind
 
 Precision = Literal["float32", "float16", "int8"]
 PRECISIONS: tuple[Precision, ...] = get_args(Precision)
-FULL_PRECISION = ("mean",)
+FULL_PRECISION = ("mean", "trajectories", "span")
 STEPS, STEP = "sh_steps", "sh_step"  # int8: (N, K-1, 3) all coefficients but the first, in multiples of (N, 1, 1)
 LEVELS = 127
 
@@ -40,8 +41,7 @@ def save_compressed(path: Path, model: Model, precision: Precision = "float16") 
             name: tensor.half() if tensor.is_floating_point() and name not in FULL_PRECISION else tensor
             for name, tensor in tensors.items()
         }
-    kind = [model.kind.motion, model.kind.fourier_order, model.kind.sh_degree]
-    save_file({**tensors, **steps}, path, metadata={"kind": json.dumps(kind)})
+    save_file({**tensors, **steps}, path, metadata={"kind": json.dumps(astuple(model.kind))})
     return path.stat().st_size
 
 

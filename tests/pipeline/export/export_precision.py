@@ -19,8 +19,9 @@ from pipeline.data.training_views import evenly_spaced
 from pipeline.evaluation.image_metrics import psnr
 from pipeline.evaluation.renderer import Renderer
 from pipeline.export.formats import FILM, FORMATS, FRAME
+from pipeline.export.pieces import film_of
 from pipeline.export.source import PLAYED_SECONDS, Timeline
-from pipeline.export.splats import MovingGaussians, frame_at, moving_gaussians
+from pipeline.export.splats import MovingGaussians, frame_at
 from pipeline.model.model import Model
 from pipeline.trained.open_run import TrainedRun, open_run
 from rasterizer import Rasterizer
@@ -48,10 +49,9 @@ def rows(run: TrainedRun) -> dict[str, tuple[float, float]]:
     def score(model_at: Callable[[float], Model]) -> float:
         return float(np.mean([psnr(image, truth) for image, truth in zip(images(model_at), kernel)]))
 
-    plain = Model(run.model.kind, run.model.parameters)  # no static format has a background model
+    plain = Model.from_gaussians(run.model.gaussians())  # no static format has a background model
     kernel = images(lambda time: plain)
     frames = {time: frame_at(plain, time, scene.duration) for time in times}
-    moving = moving_gaussians(plain, line.start, line.duration)
     found = {}
     for name, form in FORMATS.items():
         if form.holds == FRAME:
@@ -59,7 +59,7 @@ def rows(run: TrainedRun) -> dict[str, tuple[float, float]]:
             read = FRAME_READERS[name]
             found[name] = score(lambda time, read=read, files=files: read(files[time])), size_of(files.values())
         elif form.holds == FILM:
-            content = form.content(moving, line)
+            content = form.content(film_of(plain, line, form.windows), line)
             found[name] = score(in_time(FILM_READERS[name](content), line).at), size_of([content])
     return found
 
@@ -71,6 +71,7 @@ def in_time(moving: MovingGaussians, line: Timeline) -> MovingGaussians:
         velocity=moving.velocity / line.duration,
         time=line.start + moving.time * line.duration,
         sigma=moving.sigma * line.duration,
+        window=None if moving.window is None else line.start + moving.window * line.duration,
     )
 
 

@@ -40,6 +40,8 @@ def static_at(moving: MovingGaussians, time: float) -> Model:
     marginal = torch.exp(-0.5 * (elapsed / moving.sigma) ** 2)
     alpha = moving.opacity * marginal
     seen = (marginal >= MIN_MARGINAL) & (alpha >= MIN_ALPHA)
+    if moving.window is not None:
+        seen &= (moving.window[:, 0] <= time) & (time < moving.window[:, 1])
     mean = moving.mean + moving.velocity * elapsed[:, None]
     return static(*(tensor[seen] for tensor in (mean, moving.log_scale.exp(), moving.quat, alpha, moving.sh)))
 
@@ -216,5 +218,6 @@ def read_fourdgs(content: bytes, seconds: float) -> MovingGaussians:
         np.concatenate([dc[:, None], sh], axis=1),
         g.mu_t / seconds,
         g.sigma_t / seconds,
+        np.stack([g.win_lo, g.win_hi], axis=1) / seconds,
     )
     return MovingGaussians(*(torch.from_numpy(np.array(field, np.float64)) for field in fields))

@@ -102,15 +102,12 @@ def test_spz_refuses_what_its_fixed_point_lacks(model: Model) -> None:
 
 def in_time(moving: MovingGaussians) -> MovingGaussians:
     """From normalised times to those of the scene."""
-    return MovingGaussians(
-        moving.mean,
-        moving.velocity / DURATION,
-        moving.log_scale,
-        moving.quat,
-        moving.opacity,
-        moving.sh,
-        START + moving.time * DURATION,
-        moving.sigma * DURATION,
+    return replace(
+        moving,
+        velocity=moving.velocity / DURATION,
+        time=START + moving.time * DURATION,
+        sigma=moving.sigma * DURATION,
+        window=None if moving.window is None else START + moving.window * DURATION,
     )
 
 

@@ -27,7 +27,7 @@ def model_of(motion: str, fourier_order: int = 2) -> Model:
     return Model.from_gaussians(gaussians.to(torch.float32))
 
 
-@pytest.mark.parametrize("motion", ["full", "separable", "static"])
+@pytest.mark.parametrize("motion", ["full", "shared", "separable", "static"])
 @pytest.mark.parametrize("time", TIMES)
 def test_a_frame_renders_as_the_model(motion: str, time: float) -> None:
     model = model_of(motion)
@@ -64,7 +64,8 @@ def rows(model: Model, first: int):
 
 def test_the_mean_colour_is_the_integral() -> None:
     time, sigma, start, duration = 0.35, 0.12, 0.1, 0.8
-    found = mean_fourier_basis(torch.tensor([time]).double(), torch.tensor([sigma]).double(), start, duration, 2)
+    peak = torch.tensor([time]).double()
+    found = mean_fourier_basis(peak, torch.tensor([sigma]).double(), start, start + duration, duration, 2, peak)
     reach = sigma * np.sqrt(2 * np.log(20))
     low, high = max(start, time - reach), min(start + duration, time + reach)
 

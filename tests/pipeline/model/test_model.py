@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from builders import generator, random_gaussians
 from plyfile import PlyData
 from tiny import random_model, tiny_scene
 
@@ -29,6 +30,14 @@ def test_the_kind_follows_from_the_shapes(kind: ModelKind) -> None:
     assert ModelKind(gaussians.motion, gaussians.fourier_order, gaussians.sh_degree) == kind
     assert gaussians.mean is model.parameters["mean"], "tensors are shared, not copied"
     assert Model.from_gaussians(gaussians).kind == kind
+
+
+def test_a_model_of_gaussians_with_shared_trajectories_has_them() -> None:
+    gaussians = random_gaussians(7, "shared", generator(0)).to(torch.float32)
+    model = Model.from_gaussians(gaussians)
+    assert model.kind == ModelKind("velocity", 2, 3, trajectories=5)
+    assert model.gaussians().tensors().keys() == gaussians.tensors().keys()
+    assert model.trajectories is gaussians.trajectories
 
 
 def test_bytes_are_of_the_stored_parameters() -> None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from builders import generator, random_gaussians
 from tiny import tiny_config, tiny_scene, train_tiny
 
 from pipeline.evaluation.quick_evaluate import held_out_psnr
@@ -149,3 +150,29 @@ def test_retraining_keeps_the_number_of_gaussians(trained):
     cfg = replace(cfg, train=replace(cfg.train, densify=rules))
     after = retrain(trained.copy(), tiny_scene(), cfg, 0.8, lambda model, progress: {"psnr": 0.0})
     assert len(after) == len(trained)
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_shared_trajectories_are_kept(precision, tmp_path):
+    gaussians = random_gaussians(30, "shared", generator(1)).to(torch.float32)
+    model = Model.from_gaussians(gaussians)
+    save_compressed(tmp_path / "m", model, precision)
+    back = load_compressed(tmp_path / "m")
+    assert back.kind == model.kind and back.trajectories.span == model.trajectories.span
+    assert torch.equal(back.trajectories.control_points, model.trajectories.control_points)
+    # float16 rounds to 2^-11 of a weight
+    torch.testing.assert_close(back.parameters["weights"], model.parameters["weights"], rtol=2**-11, atol=6e-8)
+
+
+def test_retraining_goes_on_with_the_trajectories(tmp_path):
+    cfg = tiny_config(60, explicit_velocity=True, trajectories=3)
+    trained = train_tiny(tmp_path / "run", cfg).model
+    assert trained.trajectories is not None and trained.parameters["weights"].any()
+    small = prune_by_sensitivity(trained, torch.rand(len(trained), generator=torch.Generator().manual_seed(0)), 0.5)
+    before = small.copy()
+    after = retrain(small, tiny_scene(), cfg, 1 / 60, lambda model, progress: {"psnr": 0.0})
+    # One step of Adam: the first moves a value by its learning rate at most, far less than a weight
+    for name, old in (("weights", before.parameters["weights"]), ("trajectories", before.state()["trajectories"])):
+        new = after.state()[name]
+        assert not torch.equal(new, old)
+        assert (new - old).abs().max() < 0.05 * old.abs().max(), name
