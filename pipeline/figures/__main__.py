@@ -5,6 +5,7 @@ time_maps.png   where in time the Gaussians at each pixel live: mean and deviati
 lifetimes.png   histogram of the Gaussians' deviations in time
 slices.png      a row of pixels over time
 growth.png      number of Gaussians against the length of the video
+paths.png       where Gaussians on shared trajectories go; they do not fade: this in place of the figures on lifetimes
 film.png        new views along a path, of bullet_time.mp4
 figures.md      all of them; `python -m pipeline.report` shows them too
 """
@@ -22,7 +23,7 @@ from pipeline.evaluation.pictures.camera_path import bullet_time
 from pipeline.evaluation.pictures.films import path_of, write_bullet_time
 from pipeline.evaluation.renderer import Renderer
 from pipeline.figures.figure import FILE, Figure, panels, png_of
-from pipeline.figures.motion import flow_figure, most_moving
+from pipeline.figures.motion import flow_figure, most_moving, paths_figure
 from pipeline.figures.slices import slices_figure
 from pipeline.figures.time_distribution import growth_figure, lifetimes_figure, time_maps_figure
 from pipeline.terminal.command_line import CommandParser, command, log
@@ -61,11 +62,11 @@ def figures_of(renderer: Renderer, folder: Path) -> Iterator[Figure]:
     """A static model, which has no time, has new views only."""
     if renderer.model.kind.motion != "static":
         view = most_moving(renderer)
+        fade = renderer.model.trajectories is None
         yield flow_figure(renderer, view)
-        yield time_maps_figure(renderer, view)
-        yield lifetimes_figure(renderer)
+        yield from (time_maps_figure(renderer, view), lifetimes_figure(renderer)) if fade else ()
         yield slices_figure(renderer, view)
-        yield growth_figure(renderer)
+        yield growth_figure(renderer) if fade else paths_figure(renderer, view)
     yield film_figure(renderer, folder)
 
 

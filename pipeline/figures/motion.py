@@ -1,22 +1,26 @@
-"""The test view that shows most motion, and rendered optical flow beside the true one, or OpenCV's, in it."""
+"""The test view that shows most motion, and in it rendered optical flow beside the true one, or OpenCV's; and paths."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
+from matplotlib.collections import LineCollection
 
 from datasets.ground_truth import GroundTruth
 from pipeline.data.optical_flow import measure_flow, neighbours, resized_flow
-from pipeline.data.training_views import Target, target_of
+from pipeline.data.training_views import Target, evenly_spaced, target_of
 from pipeline.evaluation.image_metrics import flow_errors
 from pipeline.evaluation.moving_pixels import MovingPixels
 from pipeline.evaluation.pictures.false_colour import flow_picture
 from pipeline.evaluation.pictures.view_pictures import flow_parts, longest_flow
 from pipeline.evaluation.renderer import Renderer
-from pipeline.figures.figure import Figure, panels, png_of
+from pipeline.figures.figure import Figure, canvas, panels, png_of, show
+from rasterizer.reference.render import project_point, slice_in_time, world_to_camera
 
 CANDIDATES = 60  # test views looked at, evenly spread
+PATHS, PATH_TIMES = 200, 60  # paths drawn at most; times of each
 
 TRUE, MEASURED = "true", "OpenCV's"  # whose flow a GroundTruth has
 
@@ -107,3 +111,27 @@ def _seen(errors: dict[str, float | None], whose: str, view: MovingView) -> str:
         f"On the {pixels} the {whose} is {length:.2f} px long on average and the rendered flow is off by {error:.2f} px"
         f"{verdict}."
     )
+
+
+def paths_figure(renderer: Renderer, view: MovingView) -> Figure:
+    """Of a model with shared trajectories: where Gaussians of the more opaque half go, also behind others."""
+    scene, camera, gaussians = renderer.scene, view.target.camera, renderer.model.gaussians()
+    opaque = gaussians.opacity_logit.argsort(descending=True)[: (len(gaussians) + 1) // 2]
+    chosen = gaussians.rows(opaque[evenly_spaced(len(opaque), PATHS)])
+    times = np.linspace(scene.time_start, scene.time_end, PATH_TIMES)
+    points = torch.stack([world_to_camera(slice_in_time(chosen, float(t)).mean, camera) for t in times], dim=1)
+    paths = project_point(points[(points[..., 2] > 0).all(dim=1)], camera).numpy()  # (n, PATH_TIMES, 2)
+    figure = canvas(5.4, 5.4 * camera.height / camera.width + 0.4)
+    axis = figure.subplots()
+    show(axis, f"{view.target.name}, render; paths", 0.4 * renderer.image(camera, view.target.time))
+    lines = np.stack([paths[:, :-1], paths[:, 1:]], axis=2).reshape(-1, 2, 2) - 0.5  # a pixel's centre is its index
+    drawn = LineCollection(list(lines), array=np.tile(times[:-1], len(paths)), cmap="viridis", linewidths=0.8)
+    axis.add_collection(drawn)
+    figure.colorbar(drawn, ax=axis, label="t", shrink=0.8)
+    lengths = np.linalg.norm(np.diff(paths, axis=1), axis=2).sum(axis=1)
+    median, longest = (np.median(lengths), lengths.max()) if len(lengths) else (0.0, 0.0)
+    seen = (
+        f"Paths of {len(paths)} Gaussians over all of the scene's time: half of them are longer than {median:.1f} px, "
+        f"the longest is {longest:.1f} px."
+    )
+    return Figure("paths", "Paths of Gaussians", seen, png_of(figure))

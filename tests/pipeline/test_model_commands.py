@@ -128,6 +128,34 @@ def test_figures_are_in_the_run_folder(run: Path) -> None:
     assert all(row["seen"] in page and (run / "figures" / row["file"]).exists() for row in index)
 
 
+def test_commands_on_a_run_with_shared_motion(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    shell = Shell(tmp_path)
+    cache = f"scene.cache={tmp_path}/cache"
+    size = [override for override in TINY if override != "train=smoke"]
+    _, err = shell(*size, "train=fast", "capture=shared", "train.iterations=60", "train.select_time_colour=0",
+                   "train.init_points=300", "out=run", cache)  # fmt: skip
+    assert err == ""
+    run = tmp_path / "run"
+    kind = json.loads((run / "metrics.json").read_text())["kind"]
+    assert (kind["motion"], kind["trajectories"]) == ("velocity", 32)
+    capsys.readouterr()
+    assert export([str(run), "ply", "4dgs", "ftgs.ply", "splatv", "--times", "0,1"]) == 0
+    said = capsys.readouterr().out
+    assert all(f"{name}: " in said for name in ("4dgs", "ftgs.ply", "splatv"))
+    assert said.count("Gaussians on shared trajectories became ") == 3 and "off by at most" in said
+    assert export([str(run), "pth"]) == 1
+    assert "error: pth: expected a model without shared trajectories" in capsys.readouterr().err
+    assert evaluate([str(run), *SCENE, cache, "--out", str(tmp_path / "found")]) == 0
+    found, own = (json.loads((folder / "metrics.json").read_text()) for folder in (tmp_path / "found", run))
+    assert found["kind"] == kind
+    for name in ("psnr", "ssim", "flow_error", "depth_error_median"):
+        assert found["final"][name] == own["final"][name], name
+    assert render([str(run), "--frames", "3", "--out", str(tmp_path / "orbit")]) == 0
+    assert (tmp_path / "orbit/0002_flow.png").exists()
+    assert figures([str(run)]) == 0
+    assert (run / "figures/paths.png").exists()
+
+
 def test_frames_of_an_earlier_export_do_not_stay(run: Path, tmp_path: Path) -> None:
     assert export([str(run), "splat", "--times", "0,0.2,0.4,1", "--out", str(tmp_path)]) == 0
     (tmp_path / "synthetic_wheel_0000.png").write_text("kept")

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from builders import generator, random_gaussians
 from moving_gaussian import DEPTH, DT, FOCAL, VELOCITY, moving_gaussian, scene_with_truth
 from PIL import Image
 from tiny import evaluation_config, random_model, tiny_scene
@@ -105,6 +106,23 @@ def test_a_static_model_has_new_views_only(tmp_path: Path) -> None:
     static |= {name: static[name][:, :3].contiguous() for name in ("mean", "log_scale")}
     found = figures_of(renderer_of(Model(ModelKind("static", 0, 0), static), tiny_scene(static=True)), tmp_path)
     assert [figure.name for figure in found] == ["film"]
+
+
+def test_gaussians_on_shared_trajectories_have_paths_instead_of_lifetimes(tmp_path: Path) -> None:
+    gaussians = replace(random_gaussians(9, "shared", generator(2)), opacity_logit=torch.arange(9).double())
+    renderer = renderer_of(Model.from_gaussians(gaussians.to(torch.float32)), tiny_film())
+    figures = list(figures_of(renderer, tmp_path))
+    assert [figure.name for figure in figures] == ["flow", "slices", "paths", "film"]
+    camera = most_moving(renderer).target.camera
+    lengths, times = [], np.linspace(renderer.scene.time_start, renderer.scene.time_end, 60)
+    for row in range(4, 9):  # the more opaque half, by the float64 reference
+        one = gaussians.rows(torch.tensor([row]))
+        points = np.concatenate([slice_in_time(one, float(time)).mean.numpy() for time in times])
+        x, y, z = camera.world_to_cam[:3, :3] @ points.T + camera.world_to_cam[:3, 3:]
+        assert (z > 0).all()
+        lengths.append(np.hypot(np.diff(camera.fx * x / z), np.diff(camera.fy * y / z)).sum())
+    expected = f"half of them are longer than {np.median(lengths):.1f} px, the longest is {max(lengths):.1f} px."
+    assert figures[2].seen == f"Paths of 5 Gaussians over all of the scene's time: {expected}"
 
 
 def test_time_maps_are_those_of_the_gaussian_that_is_seen() -> None:

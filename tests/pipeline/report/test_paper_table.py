@@ -238,5 +238,7 @@ def test_runs_on_validation_views_are_not_in_the_papers_tables(tmp_path: Path) -
 def test_what_validation_decided_is_a_note_on_a_mean(tmp_path: Path) -> None:
     write_run(tmp_path, "dnerf/lego", decided={"fourier_order": 0})
     write_run(tmp_path, "dnerf/hook")
+    write_run(tmp_path, "dnerf/standup", decided={"shared_motion": True})
     notes = [note for _, note in TABLE2.build(collect(tmp_path)).notes]
     assert "Ours, fast: validation decided fourier_order=0 on lego." in notes
+    assert "Ours, fast: validation decided shared_motion=true on standup." in notes

@@ -133,3 +133,12 @@ def test_labels_show_what_the_run_declares(tmp_path):
     assert changed["validation"] == "fourier_order=0, static=false"
     assert (plain["scene_label"], plain["recipe_label"], plain["changed"]) == ("dnerf/lego", "fast", False)
     assert plain["validation"] == "nothing"
+
+
+def test_a_run_says_that_validation_took_shared_motion(tmp_path):
+    kind = {"motion": "velocity", "fourier_order": 0, "sh_degree": 3, "trajectories": 32}
+    write_run(tmp_path, "dnerf/hook", kind=kind, decided={"shared_motion": True, "fourier_order": 0})
+    (row,) = collect(tmp_path).runs.to_dict("records")
+    assert row["validation"] == "fourier_order=0, shared_motion=true"
+    assert row["trained"] == "fourier_order=0, motion=velocity, sh_degree=3, trajectories=32"
+    assert row["recipe_label"] == "fast", "a decision is no change"
