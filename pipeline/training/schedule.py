@@ -74,9 +74,10 @@ def phase(clock: float, cfg: TrainConfig, extent: float, max_sh_degree: int, max
     """The phase at `clock`. extent: as `learning_rates`."""
     fraction = min(1.0, clock / cfg.iterations)
     any_dropped = fraction <= cfg.dropout_until
+    rates = learning_rates(clock, fraction, cfg.lr, extent)
     return Phase(
         clock,
-        learning_rates(clock, fraction, cfg.lr, extent),
+        at_all_times(rates) if cfg.trajectories else rates,
         sh_degree(clock, cfg.sh_degree_every, max_sh_degree),
         fourier_order(clock, cfg.fourier_at, max_fourier_order),
         cfg.resolution_scale * resolution(fraction, cfg.resolution_steps),
@@ -113,6 +114,14 @@ def learning_rates(clock: float, fraction: float, cfg: LearningRates, extent: fl
         "trajectories": cfg.trajectories * log_linear(*TRAJECTORY_RATE, fraction) * extent * decay,
         "environment": MAP_LEARNING_RATE * decay,
     }
+
+
+def at_all_times(rates: dict[str, LearningRate]) -> dict[str, LearningRate]:
+    """The rates where Gaussians share trajectories: they stay at all times, and have no velocity besides. Adam would
+    shorten lifetimes however little they gain by it."""
+    mean, scale = rates["mean"], rates["log_scale"]
+    assert isinstance(mean, tuple) and isinstance(scale, tuple)
+    return rates | {"mean": (*mean[:3], 0.0), "log_scale": (*scale[:3], 0.0), "velocity": 0.0}
 
 
 def sh_learning_rates(cfg: LearningRates) -> tuple[float, float, float, float]:
