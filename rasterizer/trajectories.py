@@ -1,7 +1,7 @@
 """Trajectories that many Gaussians share: displacements and rotations as uniform cubic B-splines in time.
 
-Trajectory k is a sum over levels j = 1 … J, of 2^j intervals and 2^j + 3 control points each: coarse levels learn what
-takes long, fine ones what is fast. With u = (t - start) / (end - start), clamped to [0, 1],
+Trajectory k is a sum over levels j of n_j intervals and n_j + 3 control points each, n_j = 2, …, n/4, n/2, n: coarse
+levels learn what takes long, fine ones what is fast. With u = (t - start) / (end - start), clamped to [0, 1],
 
     (c_k, r_k)(t) = Σ_j Σ_p B_jp(u) P_jpk.
 
@@ -17,8 +17,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
-MAX_LEVELS = 12  # 4096 intervals
-CONTROL_POINTS = {sum(2**j + 3 for j in range(1, levels + 1)): levels for levels in range(1, MAX_LEVELS + 1)}
+MAX_INTERVALS = 4096  # of the finest level
+
+
+def level_intervals(finest: int) -> tuple[int, ...]:
+    """Intervals of the levels, coarse to fine, from those of the finest, at least 2; halves are rounded up."""
+    return (2,) if finest == 2 else (*level_intervals((finest + 1) // 2), finest)
+
+
+# Intervals of the levels, by the number of control points of all of them.
+LEVELS = {sum(n + 3 for n in level_intervals(n)): level_intervals(n) for n in range(2, MAX_INTERVALS + 1)}
 COLUMNS = 16  # of the kernel's table: displacement, rotation vector, drift, and zeros
 
 
@@ -26,13 +34,13 @@ COLUMNS = 16  # of the kernel's table: displacement, rotation vector, drift, and
 class Trajectories:
     """K shared trajectories. Raises ValueError for a wrong shape or span."""
 
-    control_points: Tensor  # (C, K, 6) P: displacement in world units, rotation vector in radians; C of CONTROL_POINTS
+    control_points: Tensor  # (C, K, 6) P: displacement in world units, rotation vector in radians; C of LEVELS
     span: tuple[float, float] = (0.0, 1.0)  # first and last time; before and after, the trajectories stand still
 
     def __post_init__(self) -> None:
         shape = list(self.control_points.shape)
-        if len(shape) != 3 or shape[0] not in CONTROL_POINTS or shape[1] < 1 or shape[2] != 6:
-            raise ValueError(f"trajectories must be [C, K, 6] with C among {[*CONTROL_POINTS]}, got {shape}")
+        if len(shape) != 3 or shape[0] not in LEVELS or shape[1] < 1 or shape[2] != 6:
+            raise ValueError(f"trajectories must be [C, K, 6] with C among {[*LEVELS][:5]} …, got {shape}")
         if not self.span[0] < self.span[1]:
             raise ValueError(f"the span of the trajectories must ascend, got {self.span}")
 
@@ -40,10 +48,9 @@ class Trajectories:
         return self.control_points.shape[1]
 
     @classmethod
-    def still(cls, count: int, levels: int, span: tuple[float, float]) -> Trajectories:
-        """`count` trajectories of `levels` levels that do not move."""
-        points = next(points for points, found in CONTROL_POINTS.items() if found == levels)
-        return cls(torch.zeros(points, count, 6), span)
+    def still(cls, count: int, intervals: int, span: tuple[float, float]) -> Trajectories:
+        """`count` trajectories that do not move, with so many intervals in the finest level."""
+        return cls(torch.zeros(sum(n + 3 for n in level_intervals(intervals)), count, 6), span)
 
     def values(self, time: float) -> Tensor:
         """(K, 6) displacements and rotation vectors at the time."""
@@ -91,8 +98,7 @@ def _basis(time: float, span: tuple[float, float], count: int, derivative: bool)
     start, end = span
     u = (time - start) / (end - start)
     levels = []
-    for level in range(1, CONTROL_POINTS[count] + 1):
-        intervals = 2**level
+    for intervals in LEVELS[count]:
         position = min(max(u, 0.0), 1.0) * intervals
         first = min(int(position), intervals - 1)
         v = position - first

@@ -41,7 +41,7 @@ from pipeline.model.model import Model
 from rasterizer.gaussians import SH_LAYOUTS
 from rasterizer.reference.blend import MIN_ALPHA, MIN_MARGINAL
 from rasterizer.reference.render import slice_in_time
-from rasterizer.trajectories import CONTROL_POINTS, Trajectories
+from rasterizer.trajectories import LEVELS, Trajectories
 
 LIFETIME = math.sqrt(-2 * math.log(MIN_MARGINAL))  # half of it, in standard deviations: 2.45
 POSITION_PX = 0.05
@@ -160,11 +160,16 @@ def _shared(trajectories: Trajectories, length: float) -> tuple[dict, np.ndarray
     goes no further than the furthest of its control points.
     """
     points = trajectories.control_points.double().numpy()
-    ends = np.cumsum([2**level + 3 for level in range(1, CONTROL_POINTS[len(points)])])
+    ends = np.cumsum([intervals + 3 for intervals in LEVELS[len(points)]])[:-1]
     reached = sum(np.abs(level).max(axis=0) for level in np.split(points, ends)) / np.repeat([length, ROTATION_STEP], 3)
     furthest = np.maximum(reached.max(axis=1), np.finfo(np.float32).tiny)
     stored = base64.b64encode((points / furthest[:, None]).astype("<f4").tobytes()).decode()
-    return {"count": len(trajectories), "span": trajectories.span, "control_points": stored}, furthest
+    return {
+        "count": len(trajectories),
+        "span": trajectories.span,
+        "levels": LEVELS[len(points)],
+        "control_points": stored,
+    }, furthest
 
 
 def _columns_of(t: Lines, scene: Scene, length: float, columns: list[Packing]) -> int:

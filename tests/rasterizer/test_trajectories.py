@@ -14,14 +14,14 @@ from test_kernel_vs_reference import check_against_reference
 
 from rasterizer import Gaussians, Gradients, Rasterizer
 from rasterizer.reference.render import moved, quaternion_product, turning
-from rasterizer.trajectories import CONTROL_POINTS, Trajectories
+from rasterizer.trajectories import LEVELS, Trajectories, level_intervals
 
 SPAN = (-0.3, 1.7)
 
 
-def random_trajectories(levels: int, count: int, size: float = 1.0) -> Trajectories:
-    still = Trajectories.still(count, levels, SPAN)
-    points = size * torch.randn(still.control_points.shape, generator=generator(levels), dtype=torch.float64)
+def random_trajectories(intervals: int, count: int, size: float = 1.0) -> Trajectories:
+    still = Trajectories.still(count, intervals, SPAN)
+    points = size * torch.randn(still.control_points.shape, generator=generator(intervals), dtype=torch.float64)
     return Trajectories(points, SPAN)
 
 
@@ -29,19 +29,18 @@ def with_trajectories(gaussians: Gaussians, trajectories: Trajectories, weights:
     return replace(gaussians, weights=weights, trajectories=trajectories)
 
 
-@pytest.mark.parametrize("levels", [1, 2, 5])
-def test_values_and_drift_are_those_of_scipys_splines(levels: int):
+@pytest.mark.parametrize("intervals", [2, 4, 11, 32])
+def test_values_and_drift_are_those_of_scipys_splines(intervals: int):
     """The sum over levels of cubic splines with uniform knots; drift is their derivative, or a difference quotient.
     Exact up to float64 rounding."""
-    trajectories = random_trajectories(levels, 4)
+    trajectories = random_trajectories(intervals, 4)
     splines, first = [], 0
-    for level in range(1, levels + 1):
-        spacing = (SPAN[1] - SPAN[0]) / 2**level
-        knots = SPAN[0] + spacing * np.arange(-3, 2**level + 4)
-        points = trajectories.control_points[first : first + 2**level + 3].numpy()
+    for n in LEVELS[len(trajectories.control_points)]:
+        knots = SPAN[0] + (SPAN[1] - SPAN[0]) / n * np.arange(-3, n + 4)
+        points = trajectories.control_points[first : first + n + 3].numpy()
         splines.append(BSpline(knots, points, 3))
-        first += 2**level + 3
-    assert first == len(trajectories.control_points) and CONTROL_POINTS[first] == levels
+        first += n + 3
+    assert (first, n) == (len(trajectories.control_points), intervals)
     for time in np.linspace(*SPAN, 23):
         value, slope = sum(s(time) for s in splines), sum(s(time, 1) for s in splines)[:, :3]
         np.testing.assert_allclose(trajectories.values(time), value, rtol=1e-12, atol=1e-12)
@@ -50,8 +49,13 @@ def test_values_and_drift_are_those_of_scipys_splines(levels: int):
         np.testing.assert_allclose(trajectories.drift(time, 0.1), (later - value)[:, :3] / 0.1, rtol=1e-10, atol=1e-10)
 
 
+def test_levels_halve_the_intervals_down_to_two():
+    assert [level_intervals(n) for n in (2, 3, 22)] == [(2,), (2, 3), (2, 3, 6, 11, 22)]
+    assert len(LEVELS) == 4095, "the number of control points says which levels there are"
+
+
 def test_trajectories_stand_still_before_and_after_their_span():
-    trajectories = random_trajectories(3, 2)
+    trajectories = random_trajectories(8, 2)
     for end, outside in ((SPAN[0], SPAN[0] - 1e6), (SPAN[1], SPAN[1] + 1e-3), (SPAN[1], 1e30)):
         assert torch.equal(trajectories.values(end), trajectories.values(outside))
         assert not trajectories.drift(outside, 0.0).any()
@@ -69,7 +73,7 @@ def test_rotation_vectors_turn_by_any_angle(size: float):
 
 def test_the_reference_has_the_gradient_of_finite_differences():
     """Of a random function of the moved Gaussians, by weights, control points and quaternions."""
-    gaussians, trajectories = random_gaussians(6, "velocity", generator(2)), random_trajectories(2, 3)
+    gaussians, trajectories = random_gaussians(6, "velocity", generator(2)), random_trajectories(4, 3)
 
     def function(weights: torch.Tensor, points: torch.Tensor, quaternions: torch.Tensor):
         given = with_trajectories(replace(gaussians, quat_left=quaternions), Trajectories(points, SPAN), weights)
@@ -85,7 +89,7 @@ def test_the_reference_has_the_gradient_of_finite_differences():
 @pytest.mark.parametrize("time", [0.45, SPAN[0] - 1, SPAN[1], SPAN[1] + 1])
 def test_the_kernel_turns_gaussians_by_any_angle_at_any_time(angle: float, time: float):
     """Around 1 rad, where the kernel's series begins, past π, and beyond the ends of the trajectories."""
-    trajectories = random_trajectories(2, 3)
+    trajectories = random_trajectories(4, 3)
     points = trajectories.control_points.clone()
     points[:, :, :3] *= 0.1
     points[:, :, 3:] *= angle

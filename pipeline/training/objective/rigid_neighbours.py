@@ -22,7 +22,7 @@ from rasterizer.reference.render import turning
 
 NEIGHBOURS = 8  # nearest Gaussians that a Gaussian is compared with
 # All at one time, in every iteration: with more in every eighth D-NeRF's hook loses 2.5 dB.
-PAIRS = 1000
+PAIRS = 2000
 
 
 class RigidNeighbours:

@@ -53,12 +53,12 @@ function motionOf(header, columns, scene) {
 }
 
 function sharedOf({ trajectories, count: n }, column) {
-    const { count, span, control_points: points } = trajectories;
+    const { count, span, levels, control_points: points } = trajectories;
     const weights = new Float32Array(count * n);
     column.components.forEach((numbers, k) => {
         for (let i = 0; i < n; ++i) weights[count * i + k] = numbers[i] * column.step;
     });
-    return { count, span, points: new Float32Array(bytesOfBase64(points).buffer), weights };
+    return { count, span, levels, points: new Float32Array(bytesOfBase64(points).buffer), weights };
 }
 
 // Four texels a Gaussian: mean and mean of time; velocity and 1/σt; scale and opacity; rotation as a quaternion (x, y, z, w).

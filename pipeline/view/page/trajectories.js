@@ -2,14 +2,14 @@
 
 const TIMES = 8; // within the scene, at which speeds are measured
 
-// shared: { count, span, points (C, count, 6), weights (N, count) }. Three texels a trajectory: displacement, rotation
+// shared: { count, span, levels, points (C, count, 6), weights (N, count) }; levels: intervals of each. Three texels a trajectory: displacement, rotation
 // vector, and velocity of the displacement.
-export function tableAt({ count, span: [start, end], points }, time) {
+export function tableAt({ count, span: [start, end], levels, points }, time) {
     const table = new Float32Array(12 * count);
     const u = (time - start) / (end - start);
     const slope = u >= 0 && u <= 1 ? 1 / (end - start) : 0;
-    let intervals = 2;
-    for (let first = 0; 6 * count * first < points.length; intervals *= 2) {
+    let first = 0;
+    for (const intervals of levels) {
         const at = Math.min(Math.max(u, 0), 1) * intervals;
         const begun = Math.min(Math.floor(at), intervals - 1);
         const v = at - begun;

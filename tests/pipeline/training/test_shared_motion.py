@@ -42,9 +42,9 @@ def shared_model(seed: int = 0) -> Model:
     return Model(kind, plain.parameters | {"weights": weights}, trajectories=Trajectories(points, (0.0, 1.0)))
 
 
-@pytest.mark.parametrize(("views", "control_points"), [(8, 5), (45, 12), (200, 42)])
+@pytest.mark.parametrize(("views", "control_points"), [(8, 5), (45, 19), (200, 59)])
 def test_the_number_of_control_points_follows_from_the_times(views: int, control_points: int) -> None:
-    """Finest intervals of about ten times: 2 at least, 4 of 45, 16 of 200; 2 + 3, + 4 + 3, + 8 + 3, + 16 + 3 points."""
+    """Intervals of nine times: 2 at least, 2 + 3 + 5 of 45, 2 + 3 + 6 + 11 + 22 of 200; 3 points more a level."""
     scene = tiny_scene(views)
     model = with_trajectories(in_velocities(initialise(scene, CFG, np.random.default_rng(0))), scene, CFG.train)
     assert model.trajectories is not None

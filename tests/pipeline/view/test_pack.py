@@ -141,7 +141,7 @@ def test_shared_motion_that_is_read_back_is_within_the_stated_errors(still_there
 
 def test_trajectories_that_stand_still_take_no_bytes() -> None:
     model, scene = viewed_model("shared"), viewed_scene()
-    still = Trajectories.still(5, 2, (0.0, 1.0))
+    still = Trajectories.still(5, 4, (0.0, 1.0))
     packed = pack(Model(model.kind, model.parameters, trajectories=still), scene)
     assert {tuple(column["bytes"]) for column in packed.header["columns"] if column["name"] == "weights"} == {(0,) * 5}
 
