@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from export_readers import read_fourdgs, read_ftgs, read_glb, read_ply, read_splat, read_splatv, read_spz
+from export_readers import read_fourdgs, read_ftgs, read_glb, read_ply, read_splat, read_splatv, read_spz, static_at
 
 from pipeline.data.training_views import evenly_spaced
 from pipeline.evaluation.image_metrics import psnr
@@ -38,7 +38,7 @@ SHARES = (0.2, 0.5, 0.8)  # of the scene's duration
 def rows(run: TrainedRun) -> dict[str, tuple[float, float]]:
     """Format -> (PSNR in dB, mean over views and times; MB a file)."""
     scene = run.scene
-    line = Timeline(scene.time_start, scene.duration)
+    line = Timeline(scene.time_start, scene.duration, camera=scene.train[0].camera)
     times = [scene.time_start + share * scene.duration for share in SHARES]
     cameras = [scene.test[i].camera for i in evenly_spaced(len(scene.test), 3)]
 
@@ -60,7 +60,8 @@ def rows(run: TrainedRun) -> dict[str, tuple[float, float]]:
             found[name] = score(lambda time, read=read, files=files: read(files[time])), size_of(files.values())
         elif form.holds == FILM:
             content = form.content(film_of(plain, line, form.windows), line)
-            found[name] = score(in_time(FILM_READERS[name](content), line).at), size_of([content])
+            film = in_time(FILM_READERS[name](content), line)
+            found[name] = score(lambda time, film=film: static_at(film, time)), size_of([content])
     return found
 
 
