@@ -31,7 +31,7 @@ from pipeline.model.model import Model
 from rasterizer.gaussians import Gaussians
 from rasterizer.reference.blend import MIN_ALPHA, MIN_MARGINAL
 from rasterizer.reference.render import opacity, quaternion_product, slice_in_time, turning, world_to_camera
-from rasterizer.trajectories import CONTROL_POINTS, Trajectories
+from rasterizer.trajectories import LEVELS, Trajectories
 
 TOLERANCE = 0.5  # pixels
 MAX_PIECES, MAX_ROWS = 64, 2_000_000  # of a Gaussian; of all
@@ -150,7 +150,7 @@ class Piece:
         axis, mu_t = self.paths.log_scale.amax(dim=1).exp(), self.paths.gaussians.mean[:, 3]
         largest = torch.zeros(2, len(axis), dtype=torch.float64)
         mean, velocity, turn = self.path()
-        intervals = 2 ** CONTROL_POINTS[len(self.paths.trajectories.control_points)]
+        intervals = LEVELS[len(self.paths.trajectories.control_points)][-1]
         for time in torch.linspace(
             first, last, max(2, intervals // self.n) * SAMPLES + 1, dtype=torch.float64
         ).tolist():
