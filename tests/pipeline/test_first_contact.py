@@ -126,7 +126,7 @@ def test_a_run_from_and_into_folders_with_odd_names(shell: Shell) -> None:
     assert err == "" and "dnerf/Küche #1 · full · smoke · seed 0" in out
     metrics = json.loads((shell.folder / "results/runs/dnerf/Küche #1/full/smoke/seed0/metrics.json").read_text())
     assert metrics["scene"] == "dnerf/Küche #1"
-    assert metrics["kind"] == {"motion": "full", "fourier_order": 2, "sh_degree": 3}
+    assert metrics["kind"] == {"motion": "full", "fourier_order": 2, "sh_degree": 3, "trajectories": 0}
 
 
 # --- folders --------------------------------------------------------------------------------------------------------

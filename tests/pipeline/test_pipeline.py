@@ -110,7 +110,7 @@ def test_time_varying_colour_without_a_gain_is_left_out_of_the_model(tmp_path: P
     folder = tmp_path / "run"
     metrics = json.loads((folder / "metrics.json").read_text())
     assert metrics["decided"] == {"fourier_order": 0} and metrics["compared"]["time_colour"]["gain"] == 0
-    assert metrics["kind"] == {"motion": "full", "fourier_order": 0, "sh_degree": 3}
+    assert metrics["kind"] == {"motion": "full", "fourier_order": 0, "sh_degree": 3, "trajectories": 0}
     # 65 float32 a Gaussian: mean 4, scale 4, rotations 8, opacity 1, colour 16 · 3.
     assert metrics["model_mb"] == pytest.approx(metrics["n_gaussians"] * 65 * 4 / 1e6)
     first = float(read_csv(folder / "error_vs_time.csv")[0]["train_seconds"])

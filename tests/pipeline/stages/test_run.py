@@ -57,7 +57,7 @@ def test_a_finished_run_is_done_and_says_what_it_is(finished: Path) -> None:
     declared = {key: metrics[key] for key in ("scene", "recipe", "model", "seed", "decided")}
     assert declared == {"scene": "synthetic/wheel", "recipe": "smoke", "model": "full", "seed": 0, "decided": {}}
     assert metrics["changes"]["train.iterations"] == 12 and "threads" not in metrics["changes"]
-    assert metrics["kind"] == {"motion": "full", "fourier_order": 2, "sh_degree": 3}
+    assert metrics["kind"] == {"motion": "full", "fourier_order": 2, "sh_degree": 3, "trajectories": 0}
 
 
 def test_parts_of_a_run_make_the_whole(finished: Path) -> None:
