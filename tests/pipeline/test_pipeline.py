@@ -106,7 +106,7 @@ def test_time_varying_colour_without_a_gain_is_left_out_of_the_model(tmp_path: P
     shell, arguments = Shell(tmp_path), (*TINY, "train.select_time_colour=0.5", "train.fourier_at=[80,80]", "out=run")
     out, _ = shell(*arguments)
     assert "settle: without time-varying colour, 30 iterations; 6 training views, 2 validation views" in out
-    assert "settle: time-varying colour left out" in out and "(+0.00 ± 0.00)" in out
+    assert "settle: time-varying colour left out" in out and "(+0.00 ± 0.00;" in out
     folder = tmp_path / "run"
     metrics = json.loads((folder / "metrics.json").read_text())
     assert metrics["decided"] == {"fourier_order": 0} and metrics["compared"]["time_colour"]["gain"] == 0
