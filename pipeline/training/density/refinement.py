@@ -32,8 +32,8 @@ class Refiner(Protocol):
 def refiners(scene: Scene, cfg: Config) -> list[Refiner]:
     """Those of a schedule, in the order in which they are applied."""
     rules, views = cfg.train.densify, scoring_views(scene)
-    found: list[Refiner] = [
-        TrajectoryStart(cfg),
+    found: list[Refiner] = [TrajectoryStart(cfg)] if cfg.train.trajectories else []
+    found += [
         Densification(rules, scene.extent, cfg.ablation.time_split),
         SensitivityPruning(scene, cfg, views),
         VisibilityPruning(scene, cfg, views),

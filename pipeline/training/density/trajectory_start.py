@@ -55,8 +55,8 @@ def opaque_points(model: Model, rng: np.random.Generator) -> np.ndarray:
     points = means[opacity > least]
     if len(points) > MAX_OPAQUE:
         points = points[rng.choice(len(points), MAX_OPAQUE, replace=False)]
-    distance = cKDTree(points).query(points, k=min(6, len(points)))[0][:, -1]
-    return points[distance < ISOLATED * np.median(distance)]
+    distance = cKDTree(points).query(points, k=[min(6, len(points))])[0][:, 0]
+    return points[distance <= ISOLATED * np.median(distance)]
 
 
 def farthest_points(points: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:

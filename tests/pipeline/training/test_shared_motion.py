@@ -112,6 +112,17 @@ def test_anchors_lie_apart_on_what_is_opaque() -> None:
     assert followed.min() > 0.6  # the anchors' spacing is their distance: exp(-1/2) of the weight goes to the other
 
 
+@pytest.mark.parametrize("count", [1, 2, 40])
+def test_few_or_coincident_gaussians_have_anchors(count: int) -> None:
+    """Fewer than there are trajectories, all in one place: the same anchor for all of these."""
+    rng, model = np.random.default_rng(0), random_model(ModelKind("velocity", 0, 0), count)
+    model.parameters["mean"].fill_(0.5)
+    points = opaque_points(model, rng)
+    anchors = points[farthest_points(points, 5, rng)]
+    assert (anchors == 0.5).all() and anchors.shape == (5, 3)
+    np.testing.assert_allclose(anchor_weights(points, anchors), 0.2, rtol=1e-6)  # float32
+
+
 def test_farthest_points_are_the_farthest() -> None:
     """A naive loop."""
     points = np.random.default_rng(1).standard_normal((40, 3))
