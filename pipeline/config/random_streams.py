@@ -22,8 +22,8 @@ class Stream(IntEnum):
     ERROR_POINTS = 4  # where and when the error is; by iteration
     DROPOUT = 5  # which Gaussians are left out of a view; by iteration
     MARGINAL = 6  # by how much the times of the temporal marginals are shifted; by iteration
-    RIGID = 8  # pairs of neighbours and a time; by view
     TRAJECTORIES = 7  # where shared trajectories start
+    RIGID = 8  # pairs of neighbours and a time; by view
 
 
 def stream(seed: int, purpose: Stream, *moment: int) -> np.random.Generator:

@@ -198,5 +198,7 @@ class TrainConfig:
             "fourier_at": Range("at most two iterations in ascending order",
                                 lambda value: value == sorted(value) and len(value) <= 2),
         })  # fmt: skip
+        required = "0 without train.explicit_velocity"
+        require(self.trajectories == 0 or self.explicit_velocity, "train.trajectories", required, self.trajectories)
         untils = [step.until for step in self.resolution_steps]
         require(untils == sorted(set(untils)), "train.resolution_steps", "`until` in ascending order", untils)

@@ -29,9 +29,8 @@ from pipeline.stages.decide import (
     time_is_open,
 )
 
-Decided = Mapping[
-    str, Any
-]  # what validation decided: {"static": bool, "shared_motion": True, "fourier_order": 0}; each may be missing
+# What validation decided: {"static": bool, "shared_motion": True, "fourier_order": 0}; each may be missing.
+Decided = Mapping[str, Any]
 # What decides nothing about the result, or is a column of its own in every table.
 NOT_CHANGES = (*FREE_KEYS, "seed", "scene.path", "scene.name", "ablation.name", "train.name", "train.checkpoint_every")
 

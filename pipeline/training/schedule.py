@@ -74,10 +74,9 @@ def phase(clock: float, cfg: TrainConfig, extent: float, max_sh_degree: int, max
     """The phase at `clock`. extent: as `learning_rates`."""
     fraction = min(1.0, clock / cfg.iterations)
     any_dropped = fraction <= cfg.dropout_until
-    rates = learning_rates(clock, fraction, cfg.lr, extent)
     return Phase(
         clock,
-        at_all_times(rates) if cfg.trajectories else rates,
+        learning_rates(clock, fraction, cfg.lr, extent),
         sh_degree(clock, cfg.sh_degree_every, max_sh_degree),
         fourier_order(clock, cfg.fourier_at, max_fourier_order),
         cfg.resolution_scale * resolution(fraction, cfg.resolution_steps),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 
@@ -24,7 +24,7 @@ from pipeline.training.density.statistics import Statistics
 from pipeline.training.optimiser import Adam
 from pipeline.training.reporting import RunLog
 from pipeline.training.sampling import BatchSampler
-from pipeline.training.schedule import Phase, clock_at, phase
+from pipeline.training.schedule import Phase, at_all_times, clock_at, phase
 from rasterizer import Gradients
 from rasterizer.cores import thread_count
 
@@ -81,7 +81,9 @@ class TrainState:
         """Increment the iteration and return its phase of the schedule."""
         self.iteration += 1
         clock = clock_at(self.iteration, self.stopwatch.seconds, cfg.train)
-        return phase(clock, cfg.train, scene.extent, self.model.kind.sh_degree, self.model.kind.fourier_order)
+        kind = self.model.kind
+        found = phase(clock, cfg.train, scene.extent, kind.sh_degree, kind.fourier_order)
+        return replace(found, lr=at_all_times(found.lr)) if kind.trajectories else found
 
     def zero_gradients(self) -> None:
         """Zero the gradients; allocate them again if the last iteration changed the number of Gaussians."""

@@ -73,6 +73,6 @@ def anchor_weights(means: np.ndarray, anchors: np.ndarray) -> np.ndarray:
     """(N, K) float32 weights of means (N, 3) for anchors (K, 3), of sum 1: exp(-d²/2r²), r the anchors' spacing."""
     squared = ((means[:, None] - anchors[None]) ** 2).sum(axis=2)
     between = np.sort(np.linalg.norm(anchors[:, None] - anchors[None], axis=2), axis=1)
-    radius = max(float(between[:, 1:3].mean()), 1e-12)
+    radius = max(float(between[:, 1:3].mean()), 1e-12) if len(anchors) > 1 else 1.0
     weights = np.exp(-(squared - squared.min(axis=1, keepdims=True)) / (2 * radius * radius))
     return (weights / weights.sum(axis=1, keepdims=True)).astype(np.float32)

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from test_loop import assert_same_state, batch_losses, interrupted_in
 from tiny import TinyRun, random_model, tiny_config, tiny_scene, train_tiny
 
+from pipeline.config.schema import AblationConfig
 from pipeline.config.train_schema import LearningRates, RegularizationConfig
 from pipeline.data.training_views import target_of
 from pipeline.model.initialise import initialise
@@ -121,6 +122,18 @@ def test_few_or_coincident_gaussians_have_anchors(count: int) -> None:
     anchors = points[farthest_points(points, 5, rng)]
     assert (anchors == 0.5).all() and anchors.shape == (5, 3)
     np.testing.assert_allclose(anchor_weights(points, anchors), 0.2, rtol=1e-6)  # float32
+
+
+def test_a_single_trajectory_is_followed_by_all() -> None:
+    assert (anchor_weights(np.random.default_rng(0).standard_normal((9, 3)), np.zeros((1, 3))) == 1).all()
+
+
+def test_models_without_trajectories_keep_their_times(tmp_path) -> None:
+    """Those of an ablation without 4D rotation, whatever the schedule says of trajectories."""
+    cfg = replace(CFG, ablation=AblationConfig(rotation_4d=False))
+    model = train_tiny(tmp_path, cfg).model
+    assert model.trajectories is None
+    assert model.parameters["log_scale"][:, 3].unique().numel() > 1, "lifetimes are trained"
 
 
 def test_farthest_points_are_the_farthest() -> None:
