@@ -6,12 +6,14 @@ import gzip
 import io
 import json
 import struct
+from dataclasses import replace
 
 import fourdgs
 import numpy as np
 import torch
 from plyfile import PlyData
 
+from pipeline.export.source import Timeline
 from pipeline.export.splats import MovingGaussians
 from pipeline.model.model import Model, ModelKind
 from rasterizer.reference.blend import MIN_ALPHA, MIN_MARGINAL
@@ -221,3 +223,14 @@ def read_fourdgs(content: bytes, seconds: float) -> MovingGaussians:
         np.stack([g.win_lo, g.win_hi], axis=1) / seconds,
     )
     return MovingGaussians(*(torch.from_numpy(np.array(field, np.float64)) for field in fields))
+
+
+def in_time(moving: MovingGaussians, line: Timeline) -> MovingGaussians:
+    """From normalised times to those of the scene."""
+    return replace(
+        moving,
+        velocity=moving.velocity / line.duration,
+        time=line.start + moving.time * line.duration,
+        sigma=moving.sigma * line.duration,
+        window=None if moving.window is None else line.start + moving.window * line.duration,
+    )

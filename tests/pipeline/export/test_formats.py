@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 import torch
 from builders import generator, make_request, random_gaussians
-from export_readers import read_fourdgs, read_ftgs, read_glb, read_splat, read_splatv, read_spz, static_at
+from export_readers import in_time, read_fourdgs, read_ftgs, read_glb, read_splat, read_splatv, read_spz, static_at
 
 from pipeline.evaluation.image_metrics import psnr
 from pipeline.export.formats import FILM, FORMATS, FRAME
 from pipeline.export.source import Timeline
-from pipeline.export.splats import MovingGaussians, frame_at, moving_gaussians
+from pipeline.export.splats import frame_at, moving_gaussians
 from pipeline.model.model import Model
 from pipeline.model.ply import load_ply
 from rasterizer import Camera, Rasterizer
@@ -100,20 +100,9 @@ def test_spz_refuses_what_its_fixed_point_lacks(model: Model) -> None:
         FORMATS["spz"].content(far)
 
 
-def in_time(moving: MovingGaussians) -> MovingGaussians:
-    """From normalised times to those of the scene."""
-    return replace(
-        moving,
-        velocity=moving.velocity / DURATION,
-        time=START + moving.time * DURATION,
-        sigma=moving.sigma * DURATION,
-        window=None if moving.window is None else START + moving.window * DURATION,
-    )
-
-
 def test_ftgs_ply_is_exact(model: Model) -> None:
     moving = moving_gaussians(model, START, DURATION)
-    read = in_time(read_ftgs(FORMATS["ftgs.ply"].content(moving, LINE)))
+    read = in_time(read_ftgs(FORMATS["ftgs.ply"].content(moving, LINE)), LINE)
     for time in (START, TIME, START + DURATION):
         # float32 positions, velocities and times of about 1: 1e-4 as for a frame
         assert np.abs(image(static_at(read, time)) - image(model, time)).max() < 1e-4
@@ -121,7 +110,7 @@ def test_ftgs_ply_is_exact(model: Model) -> None:
 
 def test_splatv_keeps_half_precision(model: Model) -> None:
     plain = without_directions(model)
-    read = in_time(read_splatv(FORMATS["splatv"].content(moving_gaussians(plain, START, DURATION), LINE)))
+    read = in_time(read_splatv(FORMATS["splatv"].content(moving_gaussians(plain, START, DURATION), LINE)), LINE)
     for time in (START, TIME, START + DURATION):
         # As .splat; times are off by 1/4096 of the duration at speeds of about 1 in a scene of size 2
         assert psnr(image(static_at(read, time)), image(plain, time)) > 40
@@ -155,7 +144,9 @@ def test_a_frame_without_gaussians_is_no_gltf(model: Model) -> None:
 
 
 def test_fourdgs_keeps_its_bounds(model: Model) -> None:
-    read = in_time(read_fourdgs(FORMATS["4dgs"].content(moving_gaussians(model, START, DURATION), LINE), LINE.seconds))
+    read = in_time(
+        read_fourdgs(FORMATS["4dgs"].content(moving_gaussians(model, START, DURATION), LINE), LINE.seconds), LINE
+    )
     for time in (START, TIME, START + DURATION):
         # SH bytes are off by 1/64, opacities and colours by 0.5/255; the format's profile "fine" bounds the rest
         assert psnr(image(static_at(read, time)), image(model, time)) > 38

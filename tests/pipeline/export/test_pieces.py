@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 from builders import generator, make_request, random_gaussians
-from export_readers import read_fourdgs, read_ftgs, read_splatv, static_at
+from export_readers import in_time, read_fourdgs, read_ftgs, read_splatv, static_at
 
 from datasets.canonical import Canonical
 from pipeline.evaluation.image_metrics import psnr
@@ -18,7 +18,6 @@ from pipeline.export import pieces
 from pipeline.export.formats import FORMATS, write_files
 from pipeline.export.pieces import film_of, pixel_size
 from pipeline.export.source import Source, Timeline
-from pipeline.export.splats import MovingGaussians
 from pipeline.model.model import Model
 from pipeline.model.ply import save_ply
 from rasterizer import Gaussians, Rasterizer
@@ -118,17 +117,6 @@ def test_pieces_render_as_the_model(sigma: float, monkeypatch: pytest.MonkeyPatc
         assert psnr(image(static_at(found[False], time)), truth) > 28
 
 
-def in_time(moving: MovingGaussians) -> MovingGaussians:
-    """From normalised times to those of the scene."""
-    return replace(
-        moving,
-        velocity=moving.velocity / DURATION,
-        time=START + moving.time * DURATION,
-        sigma=moving.sigma * DURATION,
-        window=None if moving.window is None else START + moving.window * DURATION,
-    )
-
-
 @pytest.mark.parametrize("name, decibels", [("ftgs.ply", 70), ("splatv", 35), ("4dgs", 38)])
 def test_files_hold_the_pieces(name: str, decibels: float, tmp_path: Path) -> None:
     """As exactly as other models (test_formats.py); .splatv, without directions, with half precision of short times."""
@@ -140,7 +128,7 @@ def test_files_hold_the_pieces(name: str, decibels: float, tmp_path: Path) -> No
     assert len(said) == 1 and said[0].startswith(f"{name}: 80 Gaussians on shared trajectories became ")
     content, expected = path.read_bytes(), film_of(model, LINE, FORMATS[name].windows)
     readers = {"ftgs.ply": read_ftgs, "splatv": read_splatv, "4dgs": lambda content: read_fourdgs(content, 4.0)}
-    read = in_time(readers[name](content))
+    read = in_time(readers[name](content), LINE)
     assert len(read) == len(expected)
     for time in (START, 0.5, START + DURATION):
         whole = replace(expected, window=None if read.window is None else expected.window)
