@@ -87,7 +87,7 @@ def read(root: Path, cfg: SceneConfig, log: Log) -> Scene:
     kinds = ", ".join(sorted({lens.model for lens in lenses.values()}))
     count = len(points.positions) if points else 0
     log(f"COLMAP: {len(photographs)} images, {len(lenses)} lenses ({kinds}), {count} points")
-    return to_scene(root, by_name(photographs), cfg, log, points)
+    return to_scene(root, by_name(root, photographs, log), cfg, log, points)
 
 
 def _image_folder(root: Path, folder: Path) -> Path:

@@ -55,7 +55,7 @@ def read(root: Path, cfg: SceneConfig, log: Log) -> Scene:
         photographs = [replace(p, name=f"{index:05d}_{p.name}") for index, p in enumerate(photographs)]
     points = _points(root, content)
     log(f"nerfstudio: {len(photographs)} images, {len(points.positions) if points else 0} points")
-    return to_scene(root, by_name(photographs), cfg, log, points)
+    return to_scene(root, by_name(root, photographs, log), cfg, log, points)
 
 
 def _in_use(

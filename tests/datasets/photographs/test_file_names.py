@@ -5,21 +5,37 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from layout_folders import write_nerfstudio
 from layout_scenes import read
+from scipy.spatial.transform import Rotation
 
+from datasets.files.errors import SceneError
 from datasets.files.natural_order import about_even, last_number
+from datasets.photographs.file_names import by_name
+from datasets.photographs.photograph import PosedFile
 from datasets.scene import Scene
+from rasterizer.camera import Camera
 
 CAMERAS, TIMES = 4, 8
 
 
-def named(root: Path, name: str, still: bool, times: bool = False, offset: float = 0.0) -> Scene:
+def named(
+    root: Path,
+    name: str,
+    still: bool,
+    times: bool = False,
+    offset: float = 0.0,
+    noise: float = 0.0,
+    turning: bool = False,
+) -> Scene:
     """CAMERAS × TIMES images with names of {camera} and {time}. still: each camera has one pose, else every image.
 
-    offset: how far an estimated pose is off, in x; ± in turn.
+    offset: how far an estimated pose is off, in x; ± in turn. noise: standard deviation of the positions. turning: all
+    cameras turn and move together, by a tenth of a radian and unit a moment.
     """
+    rng = np.random.default_rng(0)
     write_nerfstudio(root, CAMERAS * TIMES)
     file = root / "transforms.json"
     content = json.loads(file.read_text())
@@ -28,7 +44,13 @@ def named(root: Path, name: str, still: bool, times: bool = False, offset: float
         camera, time = index % CAMERAS, index // CAMERAS
         before, frame["file_path"] = frame["file_path"], f"images/{name.format(camera=camera, time=time)}.png"
         pose = poses[camera if still else index]
-        frame["transform_matrix"] = [[*pose[0][:3], pose[0][3] + offset * (-1) ** time], *pose[1:]]
+        matrix = np.array(pose)
+        matrix[:3, 3] += [offset * (-1) ** time, 0, 0] + noise * rng.normal(size=3)
+        if turning:
+            rig = np.eye(4)
+            rig[:3, :3], rig[:3, 3] = Rotation.from_euler("zx", [0.1 * time, 0.05 * time]).as_matrix(), 0.1 * time
+            matrix = rig @ matrix
+        frame["transform_matrix"] = matrix.tolist()
         if times:
             frame["time"] = 10.0 + time / 2
         (root / frame["file_path"]).parent.mkdir(parents=True, exist_ok=True)
@@ -47,6 +69,56 @@ def test_cameras_that_stand_still(tmp_path: Path, name: str, times: bool) -> Non
     assert scene.capture == "multi_view" and scene.test_split == "camera 0 (cam0)"
     assert len(scene.test) == TIMES and len(scene.train) == (CAMERAS - 1) * TIMES
     assert sorted({view.time for view in scene.train}) == [10 + t / 2 if times else t for t in range(TIMES)]
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e-3])
+@pytest.mark.parametrize(
+    "name, camera",
+    [
+        ("rig_undist_{time:05d}_{camera:02d}", "00"),
+        ("frame_{time:04d}_cam{camera}", "cam0"),
+        ("t{time:03d}c{camera}", "c0"),
+        ("{time:03d}/{camera:02d}", "00"),
+        ("image_{camera}/c{camera}_{time:04d}", "image_0"),
+        ("2024_{camera}_{time}", "0"),
+    ],
+)
+def test_the_poses_say_which_number_is_the_camera(tmp_path: Path, name: str, camera: str, offset: float) -> None:
+    """Numbers in any order; with poses that are each estimated by itself, too, unless the folders say otherwise."""
+    if offset and "/" in name and camera == "00":
+        with pytest.raises(SceneError, match=r"that fit 4 cameras \(00 … 03\) × 8 times and 8 cameras"):
+            named(tmp_path, name, still=True, noise=offset)
+        return
+    scene = named(tmp_path, name, still=True, noise=offset)
+    assert scene.test_split == f"camera 0 ({camera})" and len(scene.test) == TIMES
+    assert {view.time for view in scene.train} == set(range(TIMES))
+
+
+@pytest.mark.parametrize("name", ["{time:04d}_{camera}", "{camera}_{time:04d}"])
+def test_a_rig_that_moves_keeps_its_cameras_apart(tmp_path: Path, name: str) -> None:
+    scene = named(tmp_path, name, still=True, turning=True)
+    assert scene.test_split == "camera 0 (0)" and {view.time for view in scene.train} == set(range(TIMES))
+
+
+def test_names_that_poses_do_not_decide_are_refused(tmp_path: Path) -> None:
+    """Each image from a place of its own, and numbers that no word explains."""
+    with pytest.raises(SceneError, match=r"fit 4 cameras \(0 … 3\) × 8 times and 8 cameras"):
+        named(tmp_path, "{time:04d}_{camera}", still=False)
+
+
+def test_a_car_with_two_cameras_is_not_a_hundred_cameras_that_see_two_times() -> None:
+    """Its cameras are a hundredth of its way apart; what moves them is no noise."""
+    photographs = []
+    for time in range(40):
+        turn = Rotation.from_euler("z", 0.02 * time).as_matrix()
+        for camera in range(2):
+            pose = np.eye(4)
+            pose[:3, :3], pose[:3, 3] = turn, turn @ [0.0, 0.5 * camera, 0.0] + [30 * np.sin(0.05 * time), time, 0.0]
+            file = Path(f"/x/image_{camera + 2}/{time:06d}.png")
+            photographs.append(PosedFile(file.stem, file, Camera(8, 8, 8, 8, 4, 4, np.linalg.inv(pose))))
+    lines: list[str] = []
+    assert [p.group for p in by_name(Path("/x"), photographs, lines.append)] == [0, 1] * 40
+    assert "2 cameras (image_2 … image_3) × 40 times" in lines[0]
 
 
 @pytest.mark.parametrize("name", ["cam{camera}/{time:03d}", "cam{camera}_{time:03d}"])
