@@ -6,6 +6,7 @@ https://colmap.github.io/format.html
 from __future__ import annotations
 
 import os
+import re
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -24,6 +25,7 @@ MODELS = {
 }  # fmt: skip
 PARAMETERS = dict(MODELS.values())
 MOST = 50_000_000  # images or points that a file may claim
+COUNT = re.compile(r"^# Number of \w+: (\d{1,9})\b", re.MULTILINE)  # at the head of a text file
 POINT_COLUMNS = 7  # x, y, z, red, green, blue, reprojection error in pixels
 
 Parsed = TypeVar("Parsed")
@@ -51,12 +53,12 @@ class ImageRecord:
 
 def read_cameras(path: Path) -> dict[int, LensRecord]:
     """Lenses by their number, of a .bin or .txt file."""
-    return dict(_entries(path, _binary_camera, _text_camera, 1))
+    return dict(_entries(path, _binary_camera, _text_camera))
 
 
 def read_images(path: Path) -> list[ImageRecord]:
     """The images that have a pose, one at least."""
-    found = _entries(path, _binary_image, _text_image, 2)  # the second line: its points
+    found = _entries(path, _binary_image, _text_image, _is_points_of_image)
     if not found:
         raise SceneError(path, "at least one image with a pose", "none")
     return found
@@ -66,16 +68,21 @@ def read_points(folder: Path) -> np.ndarray:
     """(N, POINT_COLUMNS) float64; N = 0 without a file of points."""
     files = [folder / f"points3D.{suffix}" for suffix in ("bin", "txt")]
     path = next((file for file in files if file.is_file()), None)
-    rows = _entries(path, _binary_point, _text_point, 1) if path else []
+    rows = _entries(path, _binary_point, _text_point) if path else []
     return np.array(rows, dtype=np.float64).reshape(-1, POINT_COLUMNS)
 
 
 def _entries(
-    path: Path, binary: Callable[[_Binary], Parsed], text: Callable[[str], Parsed], lines: int
+    path: Path,
+    binary: Callable[[_Binary], Parsed],
+    text: Callable[[str], Parsed],
+    is_second: Callable[[str], bool] = lambda line: False,
 ) -> list[Parsed]:
-    """The entries of a file; lines: of each entry in a text file, of which the first is parsed.
+    """The entries of a file; is_second: whether a line of a text file is the second one of the entry before it, which
+    scripts leave out.
 
-    Between the entries of a text file empty lines and comments are skipped; an entry's second line may be empty.
+    Between the entries of a text file empty lines and comments are skipped. SceneError for fewer entries than the
+    comment at its head counts, as of a file that was cut.
     """
     try:
         if path.suffix == ".bin":
@@ -85,18 +92,37 @@ def _entries(
         content = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise SceneError(path, "a file of COLMAP", str(error)) from None
-    found = []
-    rows = iter(content.splitlines())
-    for line in rows:
+    found: list[Parsed] = []
+    second = False  # whether the next line may be one
+    for line in content.splitlines():
         if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        if second and is_second(line):
+            second = False
             continue
         try:
             found.append(text(line))
         except (ValueError, IndexError):
             raise SceneError(f"{path}: {line!r}", "a line as COLMAP writes it", "something else") from None
-        for _ in range(lines - 1):
-            next(rows, None)
+        second = True
+    if (stated := COUNT.search(content)) and len(found) < int(stated[1]):
+        expected = f"{stated[1]} entries, as its comment says (correct it if they were left out on purpose)"
+        raise SceneError(path, expected, f"{len(found)}")
     return found
+
+
+def _is_points_of_image(line: str) -> bool:
+    """Whether it is x, y, number of each point; a line of an image ends with a name."""
+    parts = line.split()
+    return len(parts) % 3 == 0 and _is_number(parts[-1])
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
 
 
 @dataclass(frozen=True)

@@ -124,6 +124,27 @@ def test_blank_lines_and_comments_between_entries_of_images(tmp_path: Path, betw
     check(read(root)[0])
 
 
+@pytest.mark.parametrize("points", ["", "1.5 2.5 -1 3.5 4.5 -1 5.5 6.5 2 7.5 8.5 1 9.5 10.5 3\n"])
+def test_images_without_a_line_of_points(tmp_path: Path, points: str) -> None:
+    """As scripts write them: one line an image, or two only where there are points. A name may have blanks."""
+    root = write_colmap(tmp_path, False)
+    entries = [entry.replace("frame_", "2024 my frame_") for entry in entries_of_images(root)]
+    for path in list((root / "images").iterdir()):
+        path.rename(path.with_name(f"2024 my {path.name}"))
+    content = "".join(f"{entry}\n{points if index % 3 else ''}" for index, entry in enumerate(entries))
+    (root / "sparse/0/images.txt").write_text(content)
+    check(read(root)[0])
+
+
+def test_a_text_file_that_was_cut_is_refused(tmp_path: Path) -> None:
+    """Its head, which COLMAP writes, counts what it had."""
+    file = write_colmap(tmp_path, False) / "sparse/0/images.txt"
+    lines = file.read_text().splitlines()
+    file.write_text("\n".join(lines[: len(lines) // 2]) + "\n")
+    with pytest.raises(SceneError, match=r"images\.txt: expected 12 entries, as its comment says .*, found [45]$"):
+        read(tmp_path)
+
+
 def filmed(root: Path, folders: tuple[str, ...]) -> Path:
     """Frames by cameras in turn, each with a folder of images."""
     write_colmap(root, False)
