@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -89,6 +90,8 @@ def scene_of_log(log: DrivingLog, cfg: SceneConfig, say: Log = lambda line: None
         split = "test" if image.frame in test_frames else "train"
         views[image.frame].append(_view(image, split, cfg))
     points = {sweep.frame: sweep.read() for sweep in sweeps}
+    for note, count in Counter(found.note for found in points.values() if found.note).items():
+        say(f"{count} of {len(points)} LiDAR sweeps: {note}")
     if cfg.sky_masks == "estimated" or (cfg.sky_masks == "auto" and not any(image.sky for image in images)):
         say("sky masks: estimated from colour, edges and LiDAR (scene.sky_masks)")
         views = {frame: [_with_sky(view, points.get(frame)) for view in listed] for frame, listed in views.items()}

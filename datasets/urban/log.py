@@ -24,6 +24,7 @@ class SweepPoints:
 
     points: np.ndarray  # (N, 3) float64
     origins: np.ndarray  # (3,) or (N, 3) float64: where the beams start
+    note: str = ""  # in what the file differs from its layout, for the log
 
     @property
     def origin(self) -> np.ndarray:

@@ -10,6 +10,7 @@ import numpy as np
 from datasets.cameras.transforms import read_pose
 from datasets.files.errors import SceneError
 from datasets.urban.log import SweepPoints
+from datasets.urban.sweep_columns import row_length
 
 LONGEST_FILE = 64 * 2**20  # bytes: the poses of a log of a million frames
 FARTHEST = 1e4  # metres: no LiDAR reaches as far
@@ -115,16 +116,18 @@ def read_floats(path: Path) -> np.ndarray:
 def read_sweep(
     path: Path, to_world: np.ndarray, *, columns: int, start: tuple[float, float, float] = (0.0, 0.0, 0.0)
 ) -> SweepPoints:
-    """The sweep of a file with rows of x, y, z and more. start: of the beams, in the same frame.
+    """The sweep of a file with rows of x, y, z and more, as many as the layout has unless the values refute it.
 
-    SceneError for another number of columns, for no points, and for points beyond reach.
+    start: of the beams, in the same frame. SceneError for columns that do not stand out, no points or far ones.
     """
     values = read_floats(path)
-    if values.size == 0 or values.size % columns:
-        raise SceneError(path, f"rows of {columns} float32 values", f"{values.size} values: the file is cut short")
-    points = values.reshape(-1, columns)[:, :3]
+    found = row_length(values, columns, path)
+    if values.size == 0 or values.size % found:
+        raise SceneError(path, f"rows of {found} float32 values", f"{values.size} values: the file is cut short")
+    points = values.reshape(-1, found)[:, :3]
     check_reach(points, path)
-    return SweepPoints(transformed(points, to_world), transformed(np.array([start]), to_world)[0])
+    note = "" if found == columns else f"rows of {found} values, as theirs show, not {columns} as the layout has"
+    return SweepPoints(transformed(points, to_world), transformed(np.array([start]), to_world)[0], note)
 
 
 def check_reach(points: np.ndarray, path: Path) -> None:

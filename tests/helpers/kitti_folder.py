@@ -37,10 +37,10 @@ def cam0_to_world(frame: int) -> np.ndarray:
     return pose
 
 
-def sweep(frame: int) -> np.ndarray:
-    """(POINTS, 4) float32 in front of the car."""
+def sweep(frame: int, points: int = POINTS) -> np.ndarray:
+    """(points, 4) float32 in front of the car."""
     rng = np.random.default_rng(frame)
-    rows = rng.uniform((4, -2, -1, 0), (30, 2, 1, 1), (POINTS, 4))
+    rows = rng.uniform((4, -2, -1, 0), (30, 2, 1, 1), (points, 4))
     return rows.astype("<f4")
 
 
