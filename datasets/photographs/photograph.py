@@ -12,6 +12,7 @@ import numpy as np
 from datasets.files.errors import SceneError
 from datasets.files.image_files import image_size, read_rgba
 from datasets.scene import make_camera
+from datasets.source import Log
 from rasterizer.camera import Camera
 
 if TYPE_CHECKING:  # imports OpenCV, which few scenes need
@@ -62,6 +63,18 @@ class PosedFile:
         from datasets.cameras.lens import imaged
 
         return imaged(self.lens, (self.camera.width, self.camera.height), (reduced.width, reduced.height))
+
+
+def say_folds(photographs: Sequence[PosedFile], log: Log) -> None:
+    """A line for a lens that folds inside its image; the first of several."""
+    lenses = dict.fromkeys((p.lens, (p.camera.width, p.camera.height)) for p in photographs)
+    for lens, size in lenses:
+        if lens is not None:
+            from datasets.cameras.lens import fold_line
+
+            if line := fold_line(lens, size):
+                log(line)
+                return
 
 
 def of_one_size(photographs: Sequence[PosedFile]) -> tuple[list[PosedFile], tuple[int, int]]:

@@ -36,7 +36,7 @@ from datasets.composition import (
 from datasets.files.errors import SceneError, read_json
 from datasets.files.image_files import common_size
 from datasets.ground_truth import StoredTruth
-from datasets.photographs.photograph import PosedFile
+from datasets.photographs.photograph import PosedFile, say_folds
 from datasets.scene import Scene, View, camera_extent, capture_of, make_camera, validate_scene
 from datasets.settings import SceneConfig
 from datasets.source import Log, data_path
@@ -92,6 +92,7 @@ def read(root: Path, cfg: SceneConfig, log: Log) -> Scene:
 
     # Checked before any image is decoded.
     photographs = {split: [_photograph(entry, size) for entry in listed] for split, listed in splits.items()}
+    say_folds([photograph for listed in photographs.values() for photograph in listed], log)
     background = background_color(cfg.background)
     composed_over = background or BLACK
     views = {

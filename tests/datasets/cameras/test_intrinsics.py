@@ -6,6 +6,7 @@ import json
 import math
 from pathlib import Path
 
+import cv2
 import dnerf_folder
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from dnerf_folder import blender_pose
 from PIL import Image
 
 from datasets.cameras.intrinsics import merge_intrinsics, read_distortion
+from datasets.cameras.lens import FisheyeLens, Undistortion
 from datasets.files.errors import SceneError
 
 WIDTH, HEIGHT = 64, 48
@@ -138,6 +140,44 @@ def test_what_the_lens_has_not_imaged_does_not_count(tmp_path: Path, downscale: 
     np.testing.assert_array_equal(mask[sure], blocks[sure] > 0)
     write(tmp_path / "barrel", {"fl_x": FX, "fl_y": FY, "cx": CX, "cy": CY, "k1": -k1})
     assert read(tmp_path / "barrel").train[0].mask is None
+
+
+@pytest.mark.parametrize(
+    "lens, fold",
+    [
+        ({"k1": -1.5}, (1 / 4.5) ** 0.5),  # r (1 + k1 r²) ascends up to r² = -1 / (3 k1)
+        ({"k1": 0.2, "k2": -3.0}, ((0.6 + (0.36 + 60) ** 0.5) / 30) ** 0.5),  # 1 + 3 k1 r² + 5 k2 r⁴ = 0
+    ],
+)
+def test_pixels_beyond_the_fold_of_a_lens_do_not_count(tmp_path: Path, lens: dict, fold: float) -> None:
+    """A pixel is RADII steps of the picture's radius of 0.7 wide at most: what is nearer to the fold is left out."""
+    write(tmp_path, {"fl_x": FX, "fl_y": FY, "cx": CX, "cy": CY, **lens})
+    columns, rows = np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5)
+    radius = np.hypot((columns - CX) / FX, (rows - CY) / FY)
+    lines: list[str] = []
+    mask = read(tmp_path, log=lines.append).train[0].mask
+    assert mask is not None and radius.max() > fold + 0.05
+    sure = np.abs(radius - fold) > 1e-3
+    np.testing.assert_array_equal(mask[sure], (radius < fold)[sure])
+    assert sum("turns back inside the image" in line and f"{fold:.2f}" in line for line in lines) == 1
+    assert any(line.startswith(f"lens (k1 {lens['k1']:g}") for line in lines)
+
+
+@pytest.mark.parametrize("tangential", [0.0, 0.4])
+def test_a_fold_is_where_opencvs_own_derivative_changes_its_sign(tangential: float) -> None:
+    """cv2.projectPoints along rays, by finite differences; fisheye lenses by their formula θ (1 + k1 θ²)."""
+    lens = Undistortion(100.0, 100.0, 100.0, 80.0, (-0.8, 0.0, tangential, 0.0, 0.0))
+    fold = lens.fold((200, 160))
+    for index, angle in enumerate(2 * np.pi * np.arange(len(fold)) / len(fold)):
+        radius = np.linspace(0, 1.28, 4000)
+        ray = np.stack([np.cos(angle) * radius, np.sin(angle) * radius, np.ones_like(radius)], axis=1)
+        bent = cv2.projectPoints(ray, np.zeros(3), np.zeros(3), np.eye(3), np.array(lens.coefficients))[0][:, 0]
+        turned = np.diff(bent @ [np.cos(angle), np.sin(angle)]) <= 0
+        expected = radius[turned.argmax()] if turned.any() else np.inf
+        assert fold[index] == pytest.approx(expected, abs=1.28 / 2048 + 1.28 / 4000)
+    theta = (1 / 1.2) ** 0.5  # 1 + 3 k1 θ² = 0
+    fisheye = FisheyeLens(100.0, 100.0, 300.0, 300.0, (-0.4, 0.0, 0.0, 0.0)).fold((600, 600))
+    np.testing.assert_allclose(fisheye, np.tan(theta), atol=4.3 / 2048)
 
 
 def test_listed_distortion_is_in_nerfstudios_order() -> None:
