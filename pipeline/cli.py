@@ -19,11 +19,13 @@ from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
 from rich.table import Table
 
-from pipeline.config.compose import CONFIG_DIR, Command, one_line, options, quote_paths, register_schema
+from pipeline.config.compose import CONFIG_DIR, Command, one_line, options, quote_text, register_schema
 from pipeline.config.schema import Config
+from pipeline.runs.run_folder import Busy
 from pipeline.terminal import interruption
 from pipeline.terminal.command_line import quiet_on_closed_pipe
 from pipeline.terminal.help_page import help_page
+from pipeline.terminal.streams import keep_printing
 from pipeline.terminal.sweep_progress import SweepRun
 from pipeline.terminal.sweeper import register_sweeper
 
@@ -35,6 +37,7 @@ _FULL_ERROR = "HYDRA_FULL_ERROR"
 
 
 def main() -> None:
+    keep_printing()
     if {"--help", "-h", "--version"} & set(sys.argv[1:]):
         with quiet_on_closed_pipe():
             print(_version() if "--version" in sys.argv[1:] else help_page().rstrip())
@@ -44,9 +47,9 @@ def main() -> None:
     os.environ.setdefault("PIPELINE_TRACEBACK", "1" if traceback_wanted else "0")  # for the workers of a sweep
     register_schema()
     register_sweeper()
-    sys.argv[1:] = quote_paths(sys.argv[1:])
     if any(word.startswith("experiment=") for word in sys.argv) and not any(word[:1] == "-" for word in sys.argv):
         sys.argv.append("--multirun")  # an experiment is a sweep
+    sys.argv[1:] = quote_text(sys.argv[1:], sweep=bool({"-m", "--multirun"} & set(sys.argv)))
     interruption.watch()
     try:
         hydra.main(config_path=str(CONFIG_DIR), config_name="config", version_base="1.3")(run_one)()
@@ -61,12 +64,14 @@ def main() -> None:
         _refuse(one_line(error))
 
 
-def run_one(composed: DictConfig) -> bool:
-    """One run of the command line's. A failure ends a single run with exit status 1; in a sweep it returns False."""
+def run_one(composed: DictConfig) -> bool | None:
+    """One run of the command line's. A failure ends a single run with exit status 1; in a sweep it returns False, and
+    None where another process does the run."""
     job = HydraConfig.get()
     command = shlex.join(["python", "-m", "pipeline", *job.overrides.task])
     cfg: Config | None = None
     sweep: SweepRun | None = None
+    keep_printing()  # in the workers of a sweep, too
     try:
         sweep = SweepRun.joined(composed.out)
         order = Command(tuple(job.overrides.task))
@@ -102,6 +107,9 @@ def run_one(composed: DictConfig) -> bool:
         if isinstance(error, BrokenPipeError):
             line = f"standard output was closed; {_kept_progress(cfg)}"
         if job.mode == RunMode.MULTIRUN:
+            if isinstance(error, Busy):
+                _say(f"{composed.out}: another process is at work in it; waited for when the others are done")
+                return None
             if sweep is not None:
                 sweep.failed()
             _complain(f"{line}  [{command}]")

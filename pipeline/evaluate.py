@@ -21,7 +21,7 @@ from rich.table import Table
 from datasets.canonical import Canonical
 from datasets.files.atomic_write import write_json
 from datasets.files.errors import read_json
-from pipeline.config.compose import Command, one_line, quote_paths
+from pipeline.config.compose import Command, one_line, quote_text
 from pipeline.config.schema import Config
 from pipeline.data.prepare import Prepared, prepare
 from pipeline.evaluation.evaluate import Evaluation, evaluate_with_images
@@ -95,7 +95,7 @@ def _as_trained(model: Model, path: Path, cfg: Config, data: Prepared) -> Model:
 
 def _composed(keys: list[str]) -> tuple[Command, Config]:
     """A command's keys and their configuration. ValueError, one line, where one is wrong."""
-    order = Command(tuple(quote_paths(keys)))
+    order = Command(tuple(quote_text(keys)))
     try:
         return order, order.config()
     except (HydraException, OmegaConfBaseException) as error:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 TEMPORARY = ".tmp-"  # prefix of the names of incomplete files
-_NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # disk, user's quota, file size limit of the process
+NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # disk, user's quota, file size limit of the process
 # Some libraries (numpy) raise OSError without errno. With less free space than this the disk is taken to be full.
 _FULL_BYTES = 2**20
 
@@ -30,7 +30,7 @@ def disk_errors_named(path: Path) -> Iterator[None]:
     except DiskFull:
         raise
     except OSError as error:
-        if error.errno in _NO_SPACE or (error.errno is None and _free_bytes(path) < _FULL_BYTES):
+        if error.errno in NO_SPACE or (error.errno is None and _free_bytes(path) < _FULL_BYTES):
             raise DiskFull(
                 f"{path}: expected room to write it, found no space left ({_free_bytes(path) / 1e6:.0f} MB "
                 "free); make room and give the same command again: what was finished is kept"

@@ -5,9 +5,8 @@ from __future__ import annotations
 import difflib
 import os
 import re
-import shlex
 from collections.abc import Iterator
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field, is_dataclass
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -15,13 +14,13 @@ from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override, QuotedString, ValueType
 from hydra.errors import HydraException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 
 from datasets.files.errors import clear
 from pipeline.config.schema import Config
 
-PATH_KEYS = ("scene.path", "scene.cache", "out")
 CONFIG_DIR = Path(__file__).resolve().parents[2] / "conf"
 _PRESET = ("scene", "train", "ablation")  # the choices that make a run's preset
 
@@ -86,7 +85,7 @@ def named_after_folder(family: str, path: str | None) -> str:
 
 def to_config(composed: DictConfig) -> Config:
     """The typed configuration of a run. ValueError, one line, where a key is unknown or a value out of range."""
-    known = set(known_keys())
+    known = known_keys()
     tree: Any = OmegaConf.to_container(composed, resolve=False)
     for key in _keys_of(tree):
         if key not in known:  # `+key=value` on the command line gets past Hydra's own check
@@ -102,14 +101,13 @@ def config_of_tree(tree: dict) -> Config:
     return to_config(merged)
 
 
-def known_keys(schema: type = Config, prefix: str = "") -> list[str]:
-    """Every key of the schema, dotted: "train.lr.mean"."""
-    hints = get_type_hints(schema)
-    keys = []
-    for f in fields(schema):
-        keys.append(prefix + f.name)
-        if is_dataclass(hints[f.name]):
-            keys += known_keys(hints[f.name], f"{prefix}{f.name}.")
+def known_keys(schema: type = Config, prefix: str = "") -> dict[str, Any]:
+    """The type of every key of the schema, dotted: "train.lr.mean"."""
+    keys: dict[str, Any] = {}
+    for name, kind in get_type_hints(schema).items():
+        keys[prefix + name] = kind
+        if is_dataclass(kind) and isinstance(kind, type):
+            keys |= known_keys(kind, f"{prefix}{name}.")
     return keys
 
 
@@ -144,40 +142,49 @@ def _explained(text: str) -> str | None:
 
 def _joined(error: BaseException) -> str:
     if isinstance(error, OverrideParseException):
-        return f"{error.override}: not a key=value that Hydra can read" + _quoting(error.override)
+        return f"{error.override}: not a key=value that Hydra can read"
     lines = [line.strip() for line in str(error).splitlines() if not line.startswith("See https://hydra.cc")]
     return "; ".join(filter(None, lines)) or type(error).__name__
 
 
-def quote_paths(arguments: list[str]) -> list[str]:
-    """Command line arguments, with paths in quotes where Hydra's grammar would stumble over a character of theirs."""
+def quote_text(arguments: list[str], sweep: bool = False) -> list[str]:
+    """Command line arguments, with paths and other text in quotes where Hydra would read something else than was typed:
+    2024_11_28 and 1e3 are numbers to it.
 
-    def quoted(argument: str) -> str:
-        key, _, value = argument.partition("=")
-        return _quoted(argument) if key in PATH_KEYS and value and not _can_be_read(argument) else argument
-
-    return [quoted(argument) for argument in arguments]
-
-
-def _quoting(override: str) -> str:
-    """How an override that cannot be read is typed in a shell, if its value is text that quotes make readable."""
-    quoted = _quoted(override)
-    return f"; as text it needs quotes: {shlex.quote(quoted)}" if "=" in override and _can_be_read(quoted) else ""
+    sweep: commas separate values, unless a file has the whole name.
+    """
+    return [_text_as_typed(argument, sweep) for argument in arguments]
 
 
-def _quoted(override: str) -> str:
-    key, _, value = override.partition("=")
+def _text_as_typed(argument: str, sweep: bool) -> str:
+    key, _, value = argument.partition("=")
+    kind = known_keys().get(key.lstrip("+"))
+    if kind not in (str, str | None) or (kind is not str and value.lower() == "null"):
+        return argument
+    read = _read(argument)
+    if sweep and read and read.is_sweep_override() and read.value_type is not ValueType.SIMPLE_CHOICE_SWEEP:
+        return argument  # choice(…), range(…)
+    parts = [value]
+    if sweep and not os.path.exists(os.path.expanduser(value)):
+        parts = [part.strip() for part in re.findall(r"""(?:'[^']*'|"[^"]*"|[^,])+""", value)]
+    return f"{key}=" + ",".join(map(_quoted, parts))
+
+
+def _quoted(text: str) -> str:
+    """For Hydra's grammar, which takes most text as it is. Text in quotes stays."""
+    read = _read(f"key={text}")
+    if read and (isinstance(read._value, QuotedString) or read.value() == text):
+        return text
     # For Hydra a backslash escapes only before a quote, of which the one that closes the value is one.
-    escaped = re.sub(r'(\\*)("|$)', lambda found: found[1] * 2 + ('\\"' if found[2] else ""), value)
-    return f'{key}="{escaped}"'
+    escaped = re.sub(r'(\\*)("|$)', lambda found: found[1] * 2 + ('\\"' if found[2] else ""), text)
+    return f'"{escaped}"'
 
 
-def _can_be_read(override: str) -> bool:
+def _read(override: str) -> Override | None:
     try:
-        OverridesParser.create().parse_override(override)
+        return OverridesParser.create().parse_override(override)
     except HydraException:
-        return False
-    return True
+        return None
 
 
 def _keys_of(container: dict, prefix: str = "") -> Iterator[str]:

@@ -28,6 +28,12 @@ from datasets.files.atomic_write import disk_errors_named, write_json, write_tex
 from pipeline.runs.run_identity import FILES, UNFINISHED, read_stages, refuse_foreign, refuse_other_run
 
 CURVE_COLUMNS = ("train_seconds", "iteration", "psnr", "ssim", "test_loss", "n_gaussians", "psnr_moving")
+
+
+class Busy(ValueError):
+    """Another process is at work in a run folder. One line."""
+
+
 State = Literal["open", "done", "other code"]  # of a stage
 
 
@@ -196,5 +202,11 @@ def _locked(path: Path) -> io.TextIOWrapper:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
         lock.close()
-        raise ValueError(f"{path}: expected a free run folder, found another process at work in it") from error
+        raise Busy(f"{path}: expected a free run folder, found another process at work in it") from error
     return lock
+
+
+def wait_until_free(path: Path) -> None:
+    """Returns when no process is at work in the run folder."""
+    with open(path / ".lock", "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)

@@ -10,6 +10,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import NoReturn
 
+from pipeline.terminal.streams import keep_printing
+
 CLOSED_PIPE = 141  # 128 + SIGPIPE: the exit status that a shell gives a program which the signal ended
 
 
@@ -42,6 +44,7 @@ def command(main: Callable[[list[str]], int]) -> Callable[..., int]:
     @functools.wraps(main)
     @quiet_on_closed_pipe()
     def run(arguments: list[str] | None = None) -> int:
+        keep_printing()
         try:
             return main(sys.argv[1:] if arguments is None else arguments)
         except BrokenPipeError:

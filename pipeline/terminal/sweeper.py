@@ -6,6 +6,7 @@ import shlex
 from copy import deepcopy
 from dataclasses import dataclass
 from itertools import product
+from pathlib import Path
 from typing import Any
 
 from hydra.core.config_loader import ConfigLoader
@@ -15,6 +16,7 @@ from hydra.plugins.sweeper import Sweeper
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, flag_override
 
+from pipeline.runs.run_folder import wait_until_free
 from pipeline.terminal import sweep_progress
 
 
@@ -24,13 +26,16 @@ def register_sweeper() -> None:
 
 
 class RunSweeper(Sweeper):
-    """Launches the runs of a sweep. A failed run stops no other; then the exit status is 1."""
+    """Launches the runs of a sweep. A failed run stops no other; then the exit status is 1.
+
+    Runs that another process is at work on, as the same sweep in another shell, are waited for and looked at again.
+    """
 
     def __init__(self, **params: Any) -> None:
         """params: of conf/hydra/sweeper/runs.yaml; `setup` gets them too."""
 
     def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
-        """task_function: returns whether the run ended well."""
+        """task_function: returns whether the run ended well; None: another process is at work in its folder."""
         self._loader, self._config = hydra_context.config_loader, config
         self._launcher = Plugins.instance().instantiate_launcher(
             hydra_context=hydra_context, task_function=task_function, config=config
@@ -39,9 +44,16 @@ class RunSweeper(Sweeper):
     def sweep(self, arguments: list[str]) -> None:
         """arguments: of the command line. Raises what `planned_runs` raises, before anything is launched."""
         runs = planned_runs(self._loader, self._config, arguments)
+        left, failed = dict(runs), False
         with sweep_progress.sweep({out: run.work for out, run in runs.items()}):
-            results = self._launcher.launch([run.overrides for run in runs.values()], initial_job_idx=0)
-        if not all(result.return_value for result in results):
+            while left:
+                results = self._launcher.launch([run.overrides for run in left.values()], initial_job_idx=0)
+                values = [result.return_value for result in results]
+                failed |= False in values
+                left = {out: run for (out, run), value in zip(left.items(), values) if value is None}
+                for out in left:
+                    wait_until_free(Path(out))
+        if failed:
             raise SystemExit(1)
 
 

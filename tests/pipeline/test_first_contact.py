@@ -17,9 +17,10 @@ from hydra import compose, initialize_config_dir
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from shell import TINY, Shell
 
-from pipeline.config.compose import CONFIG_DIR, known_keys, one_line, options, quote_paths, register_schema
-from pipeline.runs.run_identity import refuse_foreign
+from pipeline.config.compose import CONFIG_DIR, known_keys, one_line, options, quote_text, register_schema
+from pipeline.runs.run_identity import read_config, refuse_foreign
 from pipeline.terminal.help_page import EXAMPLES, GROUPS, WIDTH, help_page
+from pipeline.terminal.sweeper import combinations
 
 
 @pytest.fixture(scope="module")
@@ -86,26 +87,47 @@ PATHS = [
     "/a#b;c&d",
     "/a[1]{2}",
     "C:\\x\\",
+    "2024_11_28",  # the rest are numbers, lists and others to Hydra
+    "1e3",
+    "true",
+    "a,b",
+    "a\\,b",
+    "[a]",
+    " a ",
+    "choice(a,b)",
 ]
 
 
+def value_of(argument: str) -> object:
+    return OverridesParser.create().parse_override(argument).value()
+
+
+@pytest.mark.parametrize("key", ["scene.path", "out", "scene.name", "++train.name"])
 @pytest.mark.parametrize("path", PATHS)
-def test_a_path_reaches_the_configuration_as_it_was_typed(path: str) -> None:
-    (argument,) = quote_paths([f"scene.path={path}"])
-    assert OverridesParser.create().parse_override(argument).value() == path
+def test_a_path_reaches_the_configuration_as_it_was_typed(path: str, key: str) -> None:
+    (argument,) = quote_text([f"{key}={path}"])
+    assert value_of(argument) == path
 
 
 def test_what_can_be_read_stays() -> None:
     typed = ["scene.path=/plain/path", "scene.path='quoted ü'", "scene=dnerf", "train.iterations=[1", "-m", "out="]
-    assert quote_paths(typed) == typed
+    typed += ["train.iterations=1_000", "scene.path=null", "out=${scene.name}/2"]
+    assert quote_text(typed) == typed
 
 
-def test_other_text_says_how_to_quote(shell: Shell) -> None:
-    _, err = shell("scene=dnerf", "scene.name=Küche", status=1)
-    assert (
-        err == "error: scene.name=Küche: not a key=value that Hydra can read; as text it needs quotes: "
-        "'scene.name=\"Küche\"'\n"
-    )
+def test_paths_of_a_sweep_are_as_typed_too(tmp_path: Path) -> None:
+    (argument,) = quote_text(["scene.path=2024_11_28, my data,'a,b',1e3"], sweep=True)
+    assert [value_of(run) for (run,) in combinations([argument])] == ["2024_11_28", "my data", "a,b", "1e3"]
+    assert quote_text(["out=choice(a,b)"], sweep=True) == ["out=choice(a,b)"]
+    (tmp_path / "a,b").mkdir()
+    (argument,) = quote_text([f"scene.path={tmp_path}/a,b"], sweep=True)
+    assert value_of(argument) == f"{tmp_path}/a,b", "it is there"
+
+
+def test_a_run_into_a_folder_named_after_a_day(shell: Shell) -> None:
+    shell(*TINY, "out=2024_11_28", "train.name=1e3", "until=init")
+    assert (shell.folder / "2024_11_28/init.ply").exists()
+    assert read_config(shell.folder / "2024_11_28/config.yaml")["train"]["name"] == "1e3"
 
 
 def test_a_run_from_and_into_folders_with_odd_names(shell: Shell) -> None:

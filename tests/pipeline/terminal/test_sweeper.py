@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from pathlib import Path
+from threading import Timer
 
 import pytest
 from hydra import initialize_config_dir
@@ -14,6 +15,7 @@ from omegaconf import DictConfig
 
 from pipeline import cli
 from pipeline.config.compose import CONFIG_DIR, options, register_schema, to_config
+from pipeline.runs.run_folder import Busy, RunFolder
 from pipeline.terminal.sweeper import PlannedRun, combinations, planned_runs
 
 register_schema()
@@ -150,6 +152,24 @@ def test_a_failed_run_stops_no_other(command: Callable[..., int], tmp_path: Path
         assert command(task, "experiment=smoke", "ablation=full,no_4dsh", "seed=0,3,0") == status
         assert begun == [("full", 0), ("full", 3), ("no_4dsh", 0), ("no_4dsh", 3)]
     assert list(tmp_path.iterdir()) == []  # Hydra writes nothing of its own
+
+
+def test_a_run_that_another_process_does_is_waited_for(command: Callable[..., int], tmp_path: Path) -> None:
+    """As the same sweep in another shell: its run ends a moment after all others were looked at."""
+    theirs = RunFolder(tmp_path / "results/runs/synthetic/wheel/full/smoke/seed0")
+    begun: list[int] = []
+
+    def task(cfg: DictConfig) -> bool | None:
+        begun.append(cfg.seed)
+        try:
+            with RunFolder(Path(cfg.out)):
+                return True
+        except Busy:
+            Timer(0.2, theirs.__exit__).start()
+            return None
+
+    assert command(task, "-m", "scene=synthetic/wheel", "train=smoke", "seed=0,1") == 0
+    assert begun == [0, 1, 0]
 
 
 def test_without_a_sweep_there_is_one_run(command: Callable[..., int]) -> None:
