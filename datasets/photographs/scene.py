@@ -11,10 +11,9 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-import cv2
 import numpy as np
 
-from datasets.cameras.lens import both, undistort
+from datasets.cameras.lens import both
 from datasets.canonical import canonical_space
 from datasets.composition import (
     BLACK,
@@ -27,9 +26,10 @@ from datasets.composition import (
     reduced_camera,
 )
 from datasets.files.errors import SceneError
-from datasets.files.image_files import has_alpha, is_file, read_rgba
+from datasets.files.image_files import has_alpha
 from datasets.files.natural_order import natural_order
 from datasets.photographs.file_names import stand_still, with_times
+from datasets.photographs.masks import read_mask, say_masks
 from datasets.photographs.photograph import PosedFile, of_one_size, say_folds
 from datasets.photographs.selection import FEWEST, held_out_names, within_limits, without_cameras
 from datasets.scene import (
@@ -44,11 +44,10 @@ from datasets.scene import (
 )
 from datasets.settings import SceneConfig
 from datasets.source import Log
-from rasterizer.camera import MAX_DISTANCE, Camera
+from rasterizer.camera import Camera
 
 KEPT_BYTES = 1 << 30  # of decoded images, which are then kept; more are read again at each use
 BORDER_IMAGES = 12  # evenly spread training images whose borders are looked at
-GREY = 128  # of 255
 
 
 class FileImage:
@@ -108,11 +107,13 @@ def to_scene(
         image.keep = len(photographs) * 3 * small.width * small.height <= KEPT_BYTES
         assert photograph.time is not None
         alpha = coverage(photograph.read(), downscale) if has_alpha(photograph.path) else None
-        name, mask = f"{split}/{photograph.name}", both(_mask(photograph, downscale), photograph.imaged(small))
+        name, mask = f"{split}/{photograph.name}", both(read_mask(photograph, downscale), photograph.imaged(small))
         camera_name = f"{photograph.group}" if cameras_film else ""
         views[split].append(View(small, photograph.time, image, name, alpha, mask=mask, filmed_by=camera_name))
     train_cameras = [view.camera for view in views["train"]]
     background = _background(views["train"], requested, log)
+    if any(photograph.mask for photograph in photographs):
+        say_masks(root, [view.mask for view in (*views["train"], *views["test"])], log)
     space = canonical_space(train_cameras)
     times = [photograph.time for photograph in photographs if photograph.time is not None]
     low, high = min(times), max(times)
@@ -139,19 +140,6 @@ def to_scene(
     )
 
 
-def scene_points(positions: np.ndarray, colors: np.ndarray | None = None) -> ScenePoints | None:
-    """(N, 3) positions and colours of 0 to 255, grey without; what is no place in a scene is left out. None if all are.
-
-    Any type of numbers.
-    """
-    with np.errstate(all="ignore"):
-        good = (np.abs(positions) <= MAX_DISTANCE).all(axis=1)  # NaN is no place
-        if colors is None:
-            colors = np.full(positions.shape, GREY)
-        colors = np.nan_to_num(np.clip(colors[good], 0, 255), nan=GREY).round().astype(np.uint8)
-    return ScenePoints(positions[good].astype(np.float64), colors) if good.any() else None
-
-
 def _background(views: Sequence[View], requested: Color | None, log: Log) -> Color:
     """By scene.background; auto: of opaque images, the border colour of BORDER_IMAGES of them."""
     if any(view.coverage is not None for view in views):
@@ -159,27 +147,3 @@ def _background(views: Sequence[View], requested: Color | None, log: Log) -> Col
     chosen = np.unique(np.linspace(0, len(views) - 1, BORDER_IMAGES).round().astype(int))
     images = [np.asarray(views[index].image) for index in chosen]
     return chosen_background(images, True, requested, log)
-
-
-def _mask(photograph: PosedFile, downscale: int) -> np.ndarray | None:
-    """(H, W) bool of the reduced image: pixels all of whose parts count."""
-    if photograph.mask is None:
-        return None
-    if not is_file(photograph.mask):
-        raise SceneError(photograph.mask, f"the mask of {photograph.name}", "no such file")
-    rgba = read_rgba(photograph.mask)
-    camera = photograph.camera
-    width, height = photograph.file_size
-    if abs(rgba.shape[1] * height - rgba.shape[0] * width) > max(width, height, *rgba.shape):  # a side is rounded
-        raise SceneError(
-            photograph.mask,
-            f"{width} x {height} pixels, as its image, or of that shape",
-            "{1} x {0}".format(*rgba.shape),
-        )
-    counts = np.where(rgba[..., :3].any(axis=2), 255, 0).astype(np.uint8)  # tools write 0 and 1, or 0 and 255
-    counts = np.asarray(cv2.resize(counts, (width, height), interpolation=cv2.INTER_NEAREST), np.uint8)
-    if photograph.lens:
-        counts = undistort(counts, photograph.lens.maps((width, height)))
-    counts = counts[: camera.height, : camera.width]
-    small = compose(np.dstack([counts] * 3 + [np.full_like(counts, 255)]), BLACK, downscale)[..., 0]
-    return small == 255

@@ -23,7 +23,8 @@ from datasets.files.errors import SceneError
 from datasets.files.image_files import is_file
 from datasets.photographs.file_names import by_name
 from datasets.photographs.photograph import PosedFile
-from datasets.photographs.scene import scene_points, to_scene
+from datasets.photographs.points import scene_points
+from datasets.photographs.scene import to_scene
 from datasets.scene import Scene, make_camera
 from datasets.settings import SceneConfig
 from datasets.source import Log
@@ -81,13 +82,18 @@ def read(root: Path, cfg: SceneConfig, log: Log) -> Scene:
         photographs.append(PosedFile(name, path, camera, lens))
     rows = read_points(folder)
     rows = rows[rows[:, 6] <= LARGEST_TRACK_ERROR]
-    points = scene_points(rows[:, :3], rows[:, 3:6])
+    points = scene_points(rows[:, :3], _whole(rows[:, 3:6]), log)
     if (pictures.parent / "masks").is_dir():
         log(f"{pictures.parent / 'masks'} is not used: masks for structure from motion leave out what moves")
     kinds = ", ".join(sorted({lens.model for lens in lenses.values()}))
     count = len(points.positions) if points else 0
     log(f"COLMAP: {len(photographs)} images, {len(lenses)} lenses ({kinds}), {count} points")
     return to_scene(root, by_name(root, photographs, log), cfg, log, points)
+
+
+def _whole(colors: np.ndarray) -> np.ndarray:
+    """Colours (N, 3) as integers, as COLMAP has them; a script's fractions as they are."""
+    return colors if (colors % 1).any() else colors.astype(np.int64)
 
 
 def _image_folder(root: Path, folder: Path) -> Path:

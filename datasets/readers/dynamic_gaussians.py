@@ -20,7 +20,8 @@ from datasets.files.errors import SceneError
 from datasets.files.image_files import is_file
 from datasets.files.json_values import get_key, read_number, read_object
 from datasets.photographs.photograph import PosedFile
-from datasets.photographs.scene import scene_points, to_scene
+from datasets.photographs.points import scene_points
+from datasets.photographs.scene import to_scene
 from datasets.scene import Scene, ScenePoints, make_camera
 from datasets.settings import SceneConfig
 from datasets.source import Log
@@ -44,7 +45,7 @@ def read(root: Path, cfg: SceneConfig, log: Log) -> Scene:
     mirrored = _is_mirrored(read_object(root / "train_meta.json", TABLES)["w2c"])
     if mirrored:
         log("train_meta.json: all poses are reflections; the world is mirrored back")
-    points = _read_points(root / "init_pt_cld.npz")
+    points = _read_points(root / "init_pt_cld.npz", log)
     if points is not None and mirrored:
         points = replace(points, positions=points.positions @ MIRROR[:3, :3])
     cameras = sorted({photograph.group for photograph in photographs})
@@ -119,7 +120,7 @@ def _matrix(value: Any) -> np.ndarray:
         return np.zeros(())
 
 
-def _read_points(path: Path) -> ScenePoints | None:
+def _read_points(path: Path, log: Log) -> ScenePoints | None:
     if not path.is_file():
         return None
     try:
@@ -129,8 +130,7 @@ def _read_points(path: Path) -> ScenePoints | None:
         raise SceneError(path, "points (data, N x 7)", str(error)) from None
     if table.ndim != 2 or table.shape[1] < 6:
         raise SceneError(path, "points (data, N x 7)", f"{table.shape}")
-    with np.errstate(over="ignore"):
-        return scene_points(table[:, :3], 255 * table[:, 3:6])
+    return scene_points(table[:, :3], table[:, 3:6], log)
 
 
 def _kind(value: Any) -> str:

@@ -29,7 +29,8 @@ from datasets.files.errors import SceneError
 from datasets.files.image_files import common_size
 from datasets.files.json_values import get_key, read_number, read_object
 from datasets.photographs.photograph import PosedFile
-from datasets.photographs.scene import scene_points, to_scene
+from datasets.photographs.points import scene_points
+from datasets.photographs.scene import to_scene
 from datasets.scene import Scene, ScenePoints, make_camera
 from datasets.settings import SceneConfig
 from datasets.source import Log
@@ -53,7 +54,7 @@ def read(root: Path, cfg: SceneConfig, log: Log) -> Scene:
     metadata = _object(root / "metadata.json") if (root / "metadata.json").is_file() else {}
     size = common_size([root / "rgb" / f"{factor}x" / f"{name}.png" for name in ids])
     photographs = [_photograph(root, name, factor, size, metadata, name in test if test else None) for name in ids]
-    points = _read_points(root / "points.npy")
+    points = _read_points(root / "points.npy", log)
     log(
         f"Nerfies: {len(ids)} frames of rgb/{factor}x, {size[0]} x {size[1]}, {len(test)} held out by the folder, "
         f"{len(points.positions) if points else 0} points"
@@ -155,7 +156,7 @@ def _object(file: Path) -> dict[str, Any]:
     return read_object(file, kind="a file (layout of Nerfies)")
 
 
-def _read_points(path: Path) -> ScenePoints | None:
+def _read_points(path: Path, log: Log) -> ScenePoints | None:
     if not path.is_file():
         return None
     try:
@@ -164,4 +165,4 @@ def _read_points(path: Path) -> ScenePoints | None:
         raise SceneError(path, "points (N, 3)", str(error)) from None
     if points.ndim != 2 or points.shape[1] != 3:
         raise SceneError(path, "points (N, 3)", f"{points.shape}")
-    return scene_points(points)
+    return scene_points(points, None, log)

@@ -15,8 +15,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from datasets.cameras.intrinsics import read_distortion, read_pinhole
 from datasets.cameras.lens import FisheyeLens, Lens, Undistortion
 from datasets.cameras.transforms import TransformsEntry, named_path, read_transforms
@@ -25,14 +23,14 @@ from datasets.files.image_files import image_size, is_file
 from datasets.files.json_values import read_number
 from datasets.photographs.file_names import by_name
 from datasets.photographs.photograph import PosedFile
-from datasets.photographs.scene import scene_points, to_scene
+from datasets.photographs.points import read_ply_points
+from datasets.photographs.scene import to_scene
 from datasets.scene import Scene, ScenePoints
 from datasets.settings import SceneConfig
 from datasets.source import Log
 from rasterizer.camera import Camera
 
 FISHEYE = ("OPENCV_FISHEYE", "FISHEYE")
-COLORS = ("red", "green", "blue")
 TITLE, PRECEDENCE = "nerfstudio", 50
 
 
@@ -53,7 +51,7 @@ def read(root: Path, cfg: SceneConfig, log: Log) -> Scene:
     repeated = {p.name for p in photographs}
     if len(repeated) < len(photographs):  # images/left/1.png and images/right/1.png
         photographs = [replace(p, name=f"{index:05d}_{p.name}") for index, p in enumerate(photographs)]
-    points = _points(root, content)
+    points = _points(root, content, log)
     log(f"nerfstudio: {len(photographs)} images, {len(points.positions) if points else 0} points")
     return to_scene(root, by_name(root, photographs, log), cfg, log, points)
 
@@ -117,7 +115,7 @@ def _camera(entry: TransformsEntry, size: tuple[int, int]) -> tuple[Camera, Lens
     return camera, Undistortion.of(camera, *bent) if any(bent) else None
 
 
-def _points(root: Path, content: dict[str, Any]) -> ScenePoints | None:
+def _points(root: Path, content: dict[str, Any], log: Log) -> ScenePoints | None:
     """The point cloud that the file names, in the coordinates of the poses."""
     name = content.get("ply_file_path")
     if not isinstance(name, str):
@@ -125,23 +123,4 @@ def _points(root: Path, content: dict[str, Any]) -> ScenePoints | None:
     path = named_path(root, name)
     if not is_file(path):
         raise SceneError(path, "the points that transforms.json names (ply_file_path)", "no such file")
-    return read_ply_points(path)
-
-
-def read_ply_points(path: Path) -> ScenePoints | None:
-    """x, y, z and red, green, blue of a .ply; grey without colours, None without points.
-
-    Colours are of 0 to 255, or floating-point numbers of 0 to 1.
-    """
-    from plyfile import PlyData
-
-    try:
-        vertices = PlyData.read(str(path))["vertex"]
-        positions = np.stack([np.asarray(vertices[axis], np.float64) for axis in "xyz"], axis=1)
-        coloured = set(COLORS) <= {p.name for p in vertices.properties}
-        colors = np.stack([np.asarray(vertices[c], np.float64) for c in COLORS], axis=1) if coloured else None
-        if colors is not None and all(vertices[c].dtype.kind == "f" for c in COLORS) and not (colors > 1).any():
-            colors *= 255
-    except Exception as error:  # plyfile and numpy raise many types for broken files
-        raise SceneError(path, "a .ply with the vertices x, y, z", str(error)) from None
-    return scene_points(positions, colors)
+    return read_ply_points(path, log)

@@ -14,8 +14,8 @@ from layout_scenes import check, check_ramp, fisheye, read, write_ramp
 from PIL import Image
 
 from datasets.files.errors import SceneError
-from datasets.readers.nerfstudio import read_ply_points
-from datasets.scene import View
+from datasets.photographs.points import read_ply_points
+from datasets.scene import Scene, ScenePoints, View
 
 
 def test_nerfstudio(tmp_path: Path) -> None:
@@ -150,11 +150,91 @@ def test_windows_paths(tmp_path: Path) -> None:
     ],
 )
 def test_colours_of_points(tmp_path: Path, kind: str, written: str, expected: list[int]) -> None:
-    properties = [*(f"float {axis}" for axis in "xyz"), *(f"{kind} {color}" for color in ("red", "green", "blue"))]
-    header = ["ply", "format ascii 1.0", "element vertex 1", *(f"property {p}" for p in properties), "end_header"]
-    (tmp_path / "points.ply").write_text("\n".join([*header, f"1 2 3 {written}", ""]))
-    points = read_ply_points(tmp_path / "points.ply")
-    assert points is not None and points.colors.tolist() == [expected]
+    assert points_of(tmp_path, kind, [written])[0].colors.tolist() == [expected]
+
+
+def points_of(folder: Path, kind: str, colors: list[str], names: str = "red green blue") -> tuple[ScenePoints, list]:
+    """The points of a .ply that all lie at (1, 2, 3), and the lines on them."""
+    properties = [*(f"float {axis}" for axis in "xyz"), *(f"{kind} {color}" for color in names.split())]
+    header = ["ply", "format ascii 1.0", f"element vertex {len(colors)}", *(f"property {p}" for p in properties)]
+    (folder / "points.ply").write_text("\n".join([*header, "end_header", *(f"1 2 3 {c}" for c in colors), ""]))
+    lines: list[str] = []
+    points = read_ply_points(folder / "points.ply", lines.append)
+    assert points is not None
+    return points, lines
+
+
+def test_colours_of_16_bits_are_divided_by_257(tmp_path: Path) -> None:
+    points, lines = points_of(tmp_path, "ushort", [f"{257 * c} {257 * (255 - c)} 65535" for c in range(0, 256, 5)])
+    assert points.colors.tolist() == [[c, 255 - c, 255] for c in range(0, 256, 5)]
+    assert lines == ["points: colours of 0 to 65535 are taken as 16 bits"]
+    points, lines = points_of(tmp_path, "ushort", ["255 7 0"])  # 8 bits in a wider type, as LAS files have
+    assert points.colors.tolist() == [[255, 7, 0]] and not lines
+
+
+def test_one_row_does_not_decide_the_range_of_colours(tmp_path: Path) -> None:
+    """A tenth of red is 25.5, rounded to even."""
+    points, _ = points_of(tmp_path, "float", [*["0.1 0.2 1.0"] * 200, "7.5 0 0"])
+    assert points.colors[0].tolist() == [26, 51, 255] and points.colors[-1].tolist() == [255, 0, 0]
+
+
+def test_colours_that_are_none_are_said(tmp_path: Path) -> None:
+    points, lines = points_of(tmp_path, "float", ["-1.7 0 1.7"] * 3)
+    assert (points.colors == 128).all() and "colours of -1.7 to 1.7, which is none of 0 to 1, 255 and 65535" in lines[0]
+    points, lines = points_of(tmp_path, "uchar", ["1 2 3"], "a b c")
+    assert (points.colors == 128).all() and "no red, green and blue among x, y, z, a, b, c: grey points" in lines[0]
+    assert points_of(tmp_path, "uchar", ["1 2 3"], "diffuse_red diffuse_green diffuse_blue")[0].colors.tolist() == [
+        [1, 2, 3]
+    ]
+
+
+def masks(root: Path, write: Callable[[np.ndarray, Path], object]) -> tuple[Scene, list[str]]:
+    """The scene after write(half, path) of each mask; half: (HEIGHT, WIDTH) uint8, 255 on the right."""
+    half = np.zeros((HEIGHT, WIDTH), np.uint8)
+    half[:, WIDTH // 2 :] = 255
+    for path in (write_nerfstudio(root) / "masks").iterdir():
+        write(half, path)
+    return read(root)
+
+
+@pytest.mark.parametrize("color", [255, 0, None])
+def test_masks_in_alpha(tmp_path: Path, color: int | None) -> None:
+    """White, black or the same mask beside it."""
+
+    def write(half: np.ndarray, path: Path) -> None:
+        grey = half if color is None else np.full_like(half, color)
+        Image.fromarray(np.dstack([grey, grey, grey, half])).save(path)
+
+    scene, lines = masks(tmp_path, write)
+    right = np.arange(WIDTH)[None].repeat(HEIGHT, axis=0) >= WIDTH // 2
+    assert all(np.array_equal(view.mask, right) for view in (*scene.train, *scene.test))
+    assert "masks: 50 % of the pixels count" in lines
+
+
+def test_masks_that_contradict_themselves_are_refused(tmp_path: Path) -> None:
+    def write(half: np.ndarray, path: Path) -> None:
+        quarter = np.roll(half, WIDTH // 4, axis=1)
+        Image.fromarray(np.dstack([half, half, half, half & quarter])).save(path)
+
+    with pytest.raises(SceneError, match=r"found two that differ: 50 % by colour, 25 % by alpha$"):
+        masks(tmp_path, write)
+
+
+def test_masks_as_jpeg(tmp_path: Path) -> None:
+    """Whose black is up to 5 of 255. A block of 8 pixels holds the edge at 20, where noise may reach 127."""
+    scene, _ = masks(tmp_path, lambda half, path: Image.fromarray(half).save(path, format="JPEG", quality=60))
+    assert scene.train[0].mask is not None
+    assert not scene.train[0].mask[:, : WIDTH // 2].any() and scene.train[0].mask[:, WIDTH // 2 :].all()
+
+
+@pytest.mark.parametrize("value, said", [(255, "masks: 100 % of the pixels count; they leave out nothing"), (0, None)])
+def test_masks_of_one_value(tmp_path: Path, value: int, said: str | None) -> None:
+    write = lambda half, path: Image.fromarray(np.full_like(half, value)).save(path)  # noqa: E731
+    if said:
+        assert said in masks(tmp_path, write)[1]
+    else:
+        with pytest.raises(SceneError, match="found masks of 0 alone: no pixel would count$"):
+            masks(tmp_path, write)
 
 
 def changed(root: Path, change) -> Path:
