@@ -15,7 +15,7 @@ def keep_printing() -> None:
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if stream is None:  # closed
-            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115
+            setattr(sys, name, io.TextIOWrapper(io.BufferedWriter(_Lossy(os.devnull, "w")), "utf-8", "replace"))
             continue
         if type(stream) is not io.TextIOWrapper:  # a notebook's, a test's
             continue
@@ -30,17 +30,19 @@ def keep_printing() -> None:
 
 
 class _Lossy(io.FileIO):
-    """A file that takes what a full disk has no room for, and drops it."""
+    """A file that drops what a full disk has no room for, and what comes after the error of a closed pipe."""
 
     _said = False
+    _broken = False
 
     def write(self, data) -> int | None:  # type: ignore[no-untyped-def, override]
         try:
             return super().write(data)
         except OSError as error:
-            if error.errno not in NO_SPACE:
+            if error.errno not in NO_SPACE and not self._broken:
+                self._broken = True  # what is left in the buffers meets the pipe again when the interpreter ends
                 raise
-            if not _Lossy._said:
+            if error.errno in NO_SPACE and not _Lossy._said:
                 _Lossy._said = True
                 lost = "no space is left there; the command goes on, and what it prints is lost"
                 print(f"warning: standard output or error: {lost}", file=sys.stderr, flush=True)
