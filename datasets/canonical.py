@@ -21,6 +21,7 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
+from datasets.outliers import inliers, without_outliers
 from datasets.scene import Box, Corner, Scene, Sweep, View, camera_extent
 from rasterizer.camera import Camera
 
@@ -141,7 +142,7 @@ def along_a_drive(cameras: Sequence[Camera]) -> Canonical:
     Optical axes say nothing here: they are parallel, or those of cameras to the side meet behind the car. Speeds are
     then alike in logs of any length, as times are in [0, 1]. A log of less than twice SHORTEST_DRIVE is not enlarged.
     """
-    positions = np.stack([camera.position for camera in cameras])
+    positions = without_outliers(np.stack([camera.position for camera in cameras]))
     unit = max(camera_extent(cameras), SHORTEST_DRIVE) / DISTANCE
     return Canonical(tuple((0.5 * (positions.min(axis=0) + positions.max(axis=0))).tolist()), 1.0 / unit)
 
@@ -152,10 +153,13 @@ def canonical_space(cameras: Sequence[Camera], unit: float | None = None) -> Can
     The centre is the least-squares intersection of the optical axes. If they are nearly parallel or diverge, the
     centre lies DISTANCE canonical units in front of the mean camera, or at the mean camera if they have no common
     direction, and one canonical unit is `unit` world units (Scene.unit, or None for 3DGS's camera extent). All of
-    these shift and scale with the world, so that the result does not depend on its unit and origin.
+    these shift and scale with the world, so that the result does not depend on its unit and origin. Cameras that are
+    outliers (outliers.py) do not count.
     """
     cameras = list({camera.world_to_cam.tobytes(): camera for camera in cameras}.values())
     positions = np.stack([camera.position for camera in cameras])
+    if not (kept := inliers(positions)).all():
+        cameras, positions = [camera for camera, inside in zip(cameras, kept) if inside], positions[kept]
     directions = np.stack([camera.world_to_cam[2, :3] for camera in cameras])
     middle = positions.mean(axis=0)
     around = positions - middle  # avoids cancellation far from the origin

@@ -18,11 +18,13 @@ import numpy as np
 
 from datasets.files.errors import SceneError
 from datasets.ground_truth import StoredTruth
+from datasets.outliers import without_outliers
 from rasterizer.camera import Camera
 from rasterizer.request import MIN_DURATION
 
 # 3DGS scales its position learning rate by 1.1 × the distance of the farthest training camera from their centre.
 EXTENT_MARGIN = 1.1
+SMALLEST_EXTENT = 1e-12  # world units: less is the rounding of poses around the origin
 PLAYBACK_RATE = 30.0  # frames a second of rendered videos of one moving camera, where the data say nothing
 
 # What sort of scene the data are:
@@ -163,14 +165,16 @@ def capture_of(train: Sequence[View], test: Sequence[View], filmed: bool) -> Cap
 
 
 def camera_extent(cameras: Sequence[Camera]) -> float:
-    """3DGS's scene extent: 1.1 × the largest distance of a camera from their mean position, world units."""
-    positions = np.stack([camera.position for camera in cameras])
+    """3DGS's scene extent: 1.1 × the largest distance of a camera from their mean position, world units; of those that
+    are no outliers (outliers.py)."""
+    positions = without_outliers(np.stack([camera.position for camera in cameras]))
     distances = np.linalg.norm(positions - positions.mean(axis=0), axis=1)
     return EXTENT_MARGIN * float(distances.max())
 
 
 def bounding_cube(points: np.ndarray, margin: float = 0.0) -> Box:
-    """The axis-aligned cube around `points` (N, 3), enlarged by `margin` on every side."""
+    """The axis-aligned cube around `points` (N, 3) but for outliers, enlarged by `margin` on every side."""
+    points = without_outliers(points)
     low, high = np.min(points, axis=0), np.max(points, axis=0)
     middle, half = 0.5 * (low + high), 0.5 * float(np.max(high - low)) + margin
     return tuple((middle - half).tolist()), tuple((middle + half).tolist())
@@ -201,6 +205,15 @@ def validate_scene(scene: Scene) -> Scene:
         raise SceneError(scene.source, f"a duration of at least {MIN_DURATION:g}", f"{scene.duration:g}")
     if len(scene.background) != 3 or not all(0 <= channel <= 1 for channel in scene.background):
         raise SceneError(scene.source, "a background of three values in [0, 1]", f"{scene.background}")
+    # Relative to the distance from the origin: rounding errors are no extent, but a rig of one metre is, also in map
+    # coordinates of millions of metres.
+    farthest = max(float(np.linalg.norm(view.camera.position)) for view in scene.train)
+    if not scene.extent > max(1e-9 * farthest, SMALLEST_EXTENT):
+        raise SceneError(
+            scene.source,
+            "training cameras at two places or more (from one no depth can be told)",
+            f"{len(scene.train)} at one place",
+        )
     if not (
         np.isfinite(np.concatenate([np.ravel(corner) for corner in scene.init_box])).all()
         and np.less(*scene.init_box).all()
@@ -220,15 +233,6 @@ def validate_scene(scene: Scene) -> Scene:
     for sweep in scene.sweeps + scene.test_sweeps:
         _validate_sweep(sweep, scene)
 
-    # Relative to the distance from the origin: rounding errors are no extent, but a rig of one metre is, also in map
-    # coordinates of millions of metres.
-    farthest = max(float(np.linalg.norm(view.camera.position)) for view in scene.train)
-    if not scene.extent > 1e-9 * farthest:
-        raise SceneError(
-            scene.source,
-            "training cameras at two places or more (their spread scales the learning rate)",
-            f"{len(scene.train)} at one place",
-        )
     return scene
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from datasets.canonical import Canonical, canonical_of, canonicalise
+from datasets.outliers import inliers
 from datasets.scene import Scene, ScenePoints
 from datasets.settings import SceneConfig
 from datasets.source import Source, open_source
@@ -52,6 +53,7 @@ def prepare(cfg: Config, log: Callable[[str], None]) -> Prepared:
     elif points != "sfm":
         cloud = None  # it has found the poses
     transform = canonical_of(scene)
+    name_outliers(scene, log)
     if not transform.is_identity:
         log(f"normalised: {transform}")
         cloud = None if cloud is None else transformed(cloud, transform)
@@ -92,11 +94,24 @@ def _given_points(cfg: Config, scene: Scene, log: Callable[[str], None]) -> Reco
     """The points that came with the data; None without any, and where they are too few."""
     if scene.points is None:
         return None
-    count = len(scene.points.positions)
+    positions, colors = scene.points.positions, scene.points.colors
+    if not (kept := inliers(positions)).all():
+        log(f"points: {np.count_nonzero(~kept)} of {len(kept)} lie far beyond the others and are left out")
+        positions, colors = positions[kept], colors[kept]
+    count = len(positions)
     if count < cfg.init.min_points:
         log(f"the folder's {count} points are fewer than init.min_points={cfg.init.min_points}: random points instead")
         return None
     unknown = np.zeros(count)
-    return Reconstruction(
-        scene.points.positions, scene.points.colors, unknown, unknown.astype(int), {}, "known", len(scene.train), 0.0
-    )
+    return Reconstruction(positions, colors, unknown, unknown.astype(int), {}, "known", len(scene.train), 0.0)
+
+
+def name_outliers(scene: Scene, log: Callable[[str], None]) -> None:
+    """A line on training cameras that are outliers: they are trained on, but decide no centre, unit or extent."""
+    kept = inliers(np.stack([view.camera.position for view in scene.train]))
+    if not kept.all():
+        far = [view.name for view, inside in zip(scene.train, kept) if not inside]
+        log(
+            f"cameras: {', '.join(far[:3])}{' …' if len(far) > 3 else ''} ({len(far)} of {len(kept)} views) far beyond "
+            "the others, a wrong pose? They do not count in the scene's centre, unit and extent"
+        )

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
+from datasets.outliers import without_outliers
 from datasets.scene import Scene
 from pipeline.config.schema import Config
 from pipeline.data.lidar.initial_points import initial_points
@@ -68,7 +69,8 @@ def initialise(scene: Scene, cfg: Config, rng: np.random.Generator, cloud: Recon
 
 def bounding_sphere(positions: np.ndarray, factor: float) -> tuple[np.ndarray, float]:
     """(centre (3,), radius), world units: the centre of the bounding box of `positions` (N, 3), and `factor` times the
-    largest distance from it."""
+    largest distance from it; of those that are no outliers."""
+    positions = without_outliers(positions)
     centre = 0.5 * (positions.min(axis=0) + positions.max(axis=0))
     return centre, factor * float(np.linalg.norm(positions - centre, axis=1).max())
 
