@@ -25,12 +25,13 @@ from datasets.photographs.file_names import by_name
 from datasets.photographs.photograph import PosedFile
 from datasets.photographs.points import scene_points
 from datasets.photographs.scene import to_scene
-from datasets.scene import Scene, make_camera
+from datasets.scene import Scene, ScenePoints, make_camera
 from datasets.settings import SceneConfig
 from datasets.source import Log
 from rasterizer.camera import Camera
 
-LARGEST_TRACK_ERROR = 2.0  # pixels: points of a larger reprojection error are left out
+# Points of a larger reprojection error are left out: pixels, and of the longer side of larger images.
+LARGEST_ERROR, LARGEST_RELATIVE_ERROR = 2.0, 1e-3
 FOLDERS = ("sparse", "colmap/sparse", "dense/sparse")  # of a model, or of several in folders 0, 1, …
 UNDISTORTED = (
     "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV", "OPENCV_FISHEYE",
@@ -80,9 +81,7 @@ def read(root: Path, cfg: SceneConfig, log: Log) -> Scene:
         camera, lens = _camera(lenses[image.camera], image, where)
         name = path.relative_to(pictures).with_suffix("").as_posix().replace("/", "_")
         photographs.append(PosedFile(name, path, camera, lens))
-    rows = read_points(folder)
-    rows = rows[rows[:, 6] <= LARGEST_TRACK_ERROR]
-    points = scene_points(rows[:, :3], _whole(rows[:, 3:6]), log)
+    points = _points(folder, max(max(lens.width, lens.height) for lens in lenses.values()), log)
     if (pictures.parent / "masks").is_dir():
         log(f"{pictures.parent / 'masks'} is not used: masks for structure from motion leave out what moves")
     kinds = ", ".join(sorted({lens.model for lens in lenses.values()}))
@@ -91,9 +90,15 @@ def read(root: Path, cfg: SceneConfig, log: Log) -> Scene:
     return to_scene(root, by_name(root, photographs, log), cfg, log, points)
 
 
-def _whole(colors: np.ndarray) -> np.ndarray:
-    """Colours (N, 3) as integers, as COLMAP has them; a script's fractions as they are."""
-    return colors if (colors % 1).any() else colors.astype(np.int64)
+def _points(folder: Path, side: int, log: Log) -> ScenePoints | None:
+    """Those of small reprojection error. side: the longer one of the images, pixels."""
+    rows, bound = read_points(folder), max(LARGEST_ERROR, LARGEST_RELATIVE_ERROR * side)
+    near = rows[:, 6] <= bound  # -1: unknown
+    if not near.all():
+        log(f"points: {np.count_nonzero(~near)} of {len(rows)} have a reprojection error above {bound:g} px: left out")
+    colors = rows[near, 3:6]
+    whole = not (colors % 1).any()  # a script may write fractions
+    return scene_points(rows[near, :3], colors.astype(np.int64) if whole else colors, log)
 
 
 def _image_folder(root: Path, folder: Path) -> Path:

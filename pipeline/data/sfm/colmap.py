@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
+from datasets.outliers import without_outliers
 from pipeline.data.sfm.clip_matches import TURNS, camera_turns, keep_unmasked_matches, refuse_still_camera
 from pipeline.data.sfm.features import (
     camera_record,
@@ -38,7 +39,7 @@ from pipeline.data.sfm.job import (
 from pipeline.data.sfm.registration import register_held_out
 
 # Points are dropped beyond these:
-MAX_ERROR_PX = 2.0  # reprojection error
+MAX_ERROR_PX, MAX_RELATIVE_ERROR = 2.0, 1e-3  # reprojection error, of larger images a share of the longer side
 MIN_TRACK = 3  # images that see it; two images agree on a wrong match too easily
 MIN_ANGLE_DEG = 1.5  # between its rays: below, its depth is uncertain
 MAX_DISTANCE = 100.0  # from the cameras' centre, normalised units (Scene.unit); with known poses only
@@ -195,12 +196,13 @@ def filter_points(model: pycolmap.Reconstruction, request: Request) -> None:
     """Deletes points by reprojection error, track length, triangulation angle and distance from the cameras."""
     model.update_point_3d_errors()
     positions = {i: image.projection_center() for i, image in model.images.items() if image.has_pose}
-    centre = np.mean(list(positions.values()), axis=0)
+    centre = np.mean(without_outliers(np.stack(list(positions.values()))), axis=0)
+    side = max(max(camera.width, camera.height) for camera in model.cameras.values())
     farthest = MAX_DISTANCE * request.unit if request.poses_known else np.inf
     for index, point in list(model.points3D.items()):
         rays = [positions[element.image_id] - point.xyz for element in point.track.elements]
         if (
-            point.error > MAX_ERROR_PX
+            point.error > max(MAX_ERROR_PX, MAX_RELATIVE_ERROR * side)
             or len({e.image_id for e in point.track.elements}) < MIN_TRACK
             or np.linalg.norm(point.xyz - centre) > farthest
             or widest_angle(rays) < MIN_ANGLE_DEG

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from datasets.canonical import SMALLEST_MEAN_DIRECTION, intersect_axes
+from datasets.outliers import inliers
 from datasets.urban.projection import in_image, project
 from rasterizer import Camera
 
@@ -69,6 +70,8 @@ def ellipse_among(cameras: Sequence[Camera], default_depth: float) -> Ellipse:
         np.stack([camera.world_to_cam for camera in cameras]), axis=0
     )  # each camera once, not once per frame
     positions = -np.einsum("nji,nj->ni", poses[:, :3, :3], poses[:, :3, 3])
+    kept = inliers(positions)
+    poses, positions = poses[kept], positions[kept]
     centre = positions.mean(axis=0)
     forward, down = poses[:, 2, :3].mean(axis=0), _unit(poses[:, 1, :3].mean(axis=0))
     if np.linalg.norm(forward) > SMALLEST_MEAN_DIRECTION:

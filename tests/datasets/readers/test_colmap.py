@@ -145,6 +145,22 @@ def test_a_text_file_that_was_cut_is_refused(tmp_path: Path) -> None:
         read(tmp_path)
 
 
+@pytest.mark.parametrize("scale", [1, 100])
+def test_the_bound_of_reprojection_errors_grows_with_the_images(tmp_path: Path, scale: int) -> None:
+    """2 pixels, and a thousandth of the longer side where that is more: 4 of 4000."""
+    root = write_colmap(tmp_path, False)
+    camera = f"1 PINHOLE {40 * scale} {30 * scale} {50 * scale} {50 * scale} {20 * scale} {15 * scale}\n"
+    (root / "sparse/0/cameras.txt").write_text(camera)
+    errors = (-1, 0.5, 1.9, 3.9, 4.1)
+    rows = "".join(f"{i} {i} 2 3 9 8 7 {error} 1 1\n" for i, error in enumerate(errors))
+    (root / "sparse/0/points3D.txt").write_text(rows)
+    scene, lines = read(root)
+    bound = 2 if scale == 1 else 4
+    assert scene.points is not None and len(scene.points.positions) == sum(error <= bound for error in errors)
+    left_out = sum(error > bound for error in errors)
+    assert f"points: {left_out} of 5 have a reprojection error above {bound} px: left out" in lines
+
+
 def filmed(root: Path, folders: tuple[str, ...]) -> Path:
     """Frames by cameras in turn, each with a folder of images."""
     write_colmap(root, False)
