@@ -227,7 +227,9 @@ def validate_scene(scene: Scene) -> Scene:
     for view in scene.train + scene.test:
         _validate_view(view, scene, first)
         if view.name in names:
-            raise SceneError(scene.source, "each view's name once", f"{view.name} twice")
+            both = {view.name} <= {v.name for v in scene.train} & {v.name for v in scene.test}
+            found = "in the training and the test split: leave it out of one" if both else "twice"
+            raise SceneError(scene.source, "each view's name once", f"{view.name} {found}")
         names.add(view.name)
 
     for sweep in scene.sweeps + scene.test_sweeps:

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from datasets.canonical import Canonical, canonical_of, canonicalise
+from datasets.leaks import trained_test_views
 from datasets.outliers import inliers
 from datasets.scene import Scene, ScenePoints
 from datasets.settings import SceneConfig
@@ -54,6 +55,7 @@ def prepare(cfg: Config, log: Callable[[str], None]) -> Prepared:
         cloud = None  # it has found the poses
     transform = canonical_of(scene)
     name_outliers(scene, log)
+    scene = name_leaks(scene, log)
     if not transform.is_identity:
         log(f"normalised: {transform}")
         cloud = None if cloud is None else transformed(cloud, transform)
@@ -104,6 +106,15 @@ def _given_points(cfg: Config, scene: Scene, log: Callable[[str], None]) -> Reco
         return None
     unknown = np.zeros(count)
     return Reconstruction(positions, colors, unknown, unknown.astype(int), {}, "known", len(scene.train), 0.0)
+
+
+def name_leaks(scene: Scene, log: Callable[[str], None]) -> Scene:
+    """The scene; where test views are training views, with a line in the log and in tables."""
+    if not (found := trained_test_views(scene)):
+        return scene
+    what = f"{len(found)} of {len(scene.test)} test views are training views"
+    log(f"{what} ({found[0][0]} is {found[0][1]}): their numbers are no held-out ones")
+    return replace(scene, test_split=f"{scene.test_split or 'the test split'}; {what}")
 
 
 def name_outliers(scene: Scene, log: Callable[[str], None]) -> None:

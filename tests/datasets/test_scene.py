@@ -101,7 +101,7 @@ def test_extent_does_not_depend_on_the_origin() -> None:
         ({"test": (view("test/a", time=1.5),)}, r"test/a: expected a time in \[0, 1\], found 1.5"),
         ({"test": (view("test/a", time=float("nan")),)}, "test/a: expected a time .* found nan"),
         ({"test": (view("test/a", width=8),)}, "6 x 4 pixels as train/a, found 8 x 4"),
-        ({"test": (view("train/a"),)}, "each view's name once, found train/a twice"),
+        ({"test": (view("train/a"),)}, "each view's name once, found train/a in the training and the test split"),
         (
             {"test": (replace(view("test/a"), image=np.zeros((4, 5, 3), dtype=np.uint8)),)},
             r"test/a: expected an image of uint8 \(4, 6, 3\)",
