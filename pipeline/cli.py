@@ -185,6 +185,8 @@ def _report(cfg: Config, metrics: dict) -> None:
     console.print(f"written to {cfg.out}; {Path(cfg.out) / 'viewer.html'} plays it in a browser")
     root = next((parent for parent in Path(cfg.out).parents if parent.name == "runs"), Path(cfg.out))
     console.print(f"tables and plots of all runs: python -m pipeline.report {root}")
+    if metrics.get("doubt"):
+        console.print(f"doubtful: {metrics['doubt']}")
 
 
 def _result_line(cfg: Config, metrics: dict) -> str:
@@ -195,6 +197,7 @@ def _result_line(cfg: Config, metrics: dict) -> str:
     return (
         f"{_title(cfg, metrics)}: PSNR {psnr}, SSIM {ssim}, "
         f"{metrics['n_gaussians']} Gaussians, {metrics['train_seconds']:.0f} s of training; written to {cfg.out}"
+        + (f"; doubtful: {metrics['doubt']}" if metrics.get("doubt") else "")
     )
 
 

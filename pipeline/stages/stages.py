@@ -22,9 +22,11 @@ from pipeline.model.ply import load_ply, save_ply
 from pipeline.model.transformed import in_rotations
 from pipeline.runs.provenance import peak_memory_mb, reset_peak_memory
 from pipeline.runs.run_folder import RunFolder, now, write_csv
+from pipeline.stages.doubts import doubt
 from pipeline.stages.settle import changes, decide
 from pipeline.stages.training_progress import TrainingProgress
 from pipeline.training import checkpoint as checkpoints
+from pipeline.training.density.densification import Densification
 from pipeline.training.loop import TrainResult, train
 from pipeline.training.reporting import Observer, Progress
 from pipeline.view.live.feed import Feed, TrainingView
@@ -34,7 +36,6 @@ from rasterizer import Rasterizer
 from rasterizer.cores import thread_count
 
 Log = Callable[[str], None]  # takes a line of text for the user
-FEW_LEFT = 0.01  # of the initial Gaussians; 48 of 20,000 were left where all poses were wrong
 
 
 @dataclass(frozen=True)
@@ -99,15 +100,13 @@ def train_model(job: Job) -> dict:
 
     reset_peak_memory()
     initial = load_ply(folder.init_ply)
-    count, before = len(initial), folder.values_of("settle")["seconds"]
+    before = folder.values_of("settle")["seconds"]
     progress = TrainingProgress(cfg.train.iterations, cfg.train.time_budget_s, cfg.out)
     with progress, _live_view(cfg, job) as live:
         observers: list[Observer] = [progress] if live is None else [progress, live]
         result = train(initial, scene, cfg, folder, evaluate_fn, before, observers)
         if live is not None:
             live.see_last(result.model, result.iteration)
-    if warning := few_left(len(result.model), count):
-        job.log(warning)
     return {
         "iterations": result.iteration,
         "train_seconds": result.train_seconds,
@@ -141,6 +140,7 @@ def evaluate_model(job: Job) -> dict:
         **({} if scene.test_split is None else {"test_split": scene.test_split}),
         "kind": asdict(model.kind), "decided": settled["decided"], "compared": settled["compared"],
         **({"outlook": _outlook(final, model, job.data)} if own_clip else {}),
+        "doubt": _doubt(job, len(model), final),
         "note": final.note(), "n_alive_mean": final.n_alive_mean, "n_test_views": len(scene.test),
         **folder.values_of("train"),
     })  # fmt: skip
@@ -171,13 +171,6 @@ STAGES = (
 NAMES = tuple(stage.name for stage in STAGES)
 
 
-def few_left(left: int, initial: int) -> str | None:
-    """A warning where training removed nearly all Gaussians: no image then agrees with another."""
-    if left >= FEW_LEFT * initial:
-        return None
-    return f"{left} of {initial} initial Gaussians are left: the poses or the times may not be those of the images"
-
-
 @contextmanager
 def _live_view(cfg: Config, job: Job) -> Iterator[TrainingView | None]:
     """Serves the run's page while it is trained, if `cfg.view` asks for it."""
@@ -203,6 +196,13 @@ def _outlook(final: Evaluation, model: Model, data: Prepared) -> str:
     assert isinstance(psnr, float)
     seconds = (data.scene.duration / data.canonical.time_scale) if model.kind.dims == 4 else None
     return outlook(path_angles(data.scene, seconds), psnr, dynamic=model.kind.dims == 4)
+
+
+def _doubt(job: Job, left: int, final: Evaluation) -> str | None:
+    initial, ssim = job.folder.values_of("init")["n_gaussians"], final.metrics["ssim"]
+    densified = any(row.get("event") == Densification.event for row in job.folder.log_rows())
+    below_cap = initial < job.cfg.train.densify.max_gaussians
+    return doubt(initial, left, densified and below_cap, ssim if isinstance(ssim, float) else None)
 
 
 def _per_image(final: Evaluation, best: Evaluation | None) -> list[dict]:
