@@ -5,7 +5,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import ClassVar
 
 import cv2
 import numpy as np
@@ -24,7 +23,11 @@ class Lens(ABC):
     cx: float
     cy: float
     coefficients: tuple[float, ...]
-    names: ClassVar[tuple[str, ...]]  # of the coefficients
+
+    @property
+    @abstractmethod
+    def names(self) -> tuple[str, ...]:
+        """Of the coefficients."""
 
     def maps(self, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
         """Source position of each pixel of the undistorted image (width, height), in the format of cv2.remap."""

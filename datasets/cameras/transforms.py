@@ -13,6 +13,7 @@ from datasets.cameras.intrinsics import merge_intrinsics
 from datasets.files.errors import SceneError
 from datasets.files.image_files import is_file
 from datasets.files.json_values import get_key, read_number, read_object
+from datasets.files.named_files import named_path
 from rasterizer.camera import MAX_DISTANCE
 
 # Bound of |RᵀR - I|: D-NeRF stores float32 (2e-7), files rounded to four decimals reach 1e-4.
@@ -72,6 +73,9 @@ def _find_image(entry: Any, where: str, root: Path) -> tuple[str, Path]:
         for suffix in suffixes:
             if is_file(image_path := Path(f"{root / written}{suffix}")):
                 return written, image_path
+    for suffix in suffixes:
+        if is_file(image_path := named_path(root, f"{written}{suffix}")):
+            return written, image_path
     without = "" if len(suffixes) == 1 else f", nor with {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]} after it"
     raise SceneError(named, f"an image, named by {where}", f"no such file{without}")
 
@@ -82,11 +86,6 @@ def read_time(entry: dict, where: str) -> float | None:
     if time is not None and not math.isfinite(time):
         raise SceneError(f"{where}: time", "a finite time", f"{time}")
     return time
-
-
-def named_path(root: Path, name: str) -> Path:
-    """The path of a file that a transforms file names; Windows' backslashes are slashes unless there is such a file."""
-    return root / name if is_file(root / name) else root / name.replace("\\", "/")
 
 
 def read_pose(value: Any, where: str) -> np.ndarray:

@@ -5,6 +5,7 @@ https://colmap.github.io/format.html
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import struct
@@ -15,15 +16,9 @@ from typing import BinaryIO, TypeVar
 
 import numpy as np
 
+from datasets.cameras.colmap_lens import models
 from datasets.files.errors import SceneError
 
-# COLMAP's id → (name, number of parameters).
-MODELS = {
-    0: ("SIMPLE_PINHOLE", 3), 1: ("PINHOLE", 4), 2: ("SIMPLE_RADIAL", 4), 3: ("RADIAL", 5), 4: ("OPENCV", 8),
-    5: ("OPENCV_FISHEYE", 8), 6: ("FULL_OPENCV", 12), 7: ("FOV", 5), 8: ("SIMPLE_RADIAL_FISHEYE", 4),
-    9: ("RADIAL_FISHEYE", 5), 10: ("THIN_PRISM_FISHEYE", 12), 11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
-}  # fmt: skip
-PARAMETERS = dict(MODELS.values())
 MOST = 50_000_000  # images or points that a file may claim
 COUNT = re.compile(r"^# Number of \w+: (\d{1,9})\b", re.MULTILINE)  # at the head of a text file
 POINT_COLUMNS = 7  # x, y, z, red, green, blue, reprojection error in pixels
@@ -33,7 +28,7 @@ Parsed = TypeVar("Parsed")
 
 @dataclass(frozen=True)
 class LensRecord:
-    """A camera of COLMAP: its lens, shared by images."""
+    """A camera of COLMAP: its lens, shared by images. As the file has it: only those of images are looked at."""
 
     model: str
     width: int
@@ -162,18 +157,21 @@ class _Binary:
 
 
 def _binary_camera(file: _Binary) -> tuple[int, LensRecord]:
-    number, model, width, height = file.unpack("<iiQQ")
-    if model not in MODELS:
-        raise SceneError(file.path, f"lens models 0 to {max(MODELS)}", f"{model}")
-    name, count = MODELS[model]
-    return number, LensRecord(name, width, height, file.unpack(f"<{count}d"))
+    number, kind, width, height = file.unpack("<iiQQ")
+    if (model := models().get(kind)) is None:  # without the number of its parameters the file ends here
+        known = f"lens models 0 to {max(models())}, as pycolmap knows them"
+        raise SceneError(f"{file.path}: camera {number}", known, f"{kind}; a newer pycolmap may know it")
+    return number, LensRecord(model.name, width, height, file.unpack(f"<{len(model.parameters)}d"))
 
 
 def _text_camera(line: str) -> tuple[int, LensRecord]:
     number, name, width, height, *parameters = line.split()
-    if PARAMETERS.get(name) != len(parameters):
-        raise ValueError
-    return int(number), LensRecord(name, int(width), int(height), tuple(map(float, parameters)))
+    return int(number), LensRecord(name, int(width), int(height), tuple(map(_real, parameters)))
+
+
+def _real(word: str) -> float:
+    """A number; NaN also as Windows' programs write it, -nan(ind) or 1.#QNAN."""
+    return math.nan if re.fullmatch(r"[-+]?(nan\(\w*\)|1\.#\w+)", word, re.IGNORECASE) else float(word)
 
 
 def _binary_image(file: _Binary) -> ImageRecord:
@@ -186,7 +184,7 @@ def _binary_image(file: _Binary) -> ImageRecord:
 
 def _text_image(line: str) -> ImageRecord:
     parts = line.split(maxsplit=9)
-    numbers = np.array([float(part) for part in parts[1:8]])
+    numbers = np.array([_real(part) for part in parts[1:8]])
     return ImageRecord(parts[9], int(parts[8]), numbers[:4], numbers[4:])
 
 
@@ -197,7 +195,7 @@ def _binary_point(file: _Binary) -> tuple[float, ...]:
 
 
 def _text_point(line: str) -> tuple[float, ...]:
-    values = tuple(float(part) for part in line.split()[1 : 1 + POINT_COLUMNS])
+    values = tuple(_real(part) for part in line.split()[1 : 1 + POINT_COLUMNS])
     if len(values) != POINT_COLUMNS:
         raise ValueError
     return values

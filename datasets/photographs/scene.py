@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -79,9 +80,13 @@ def to_scene(
     if len(photographs) < FEWEST:
         raise SceneError(root, f"at least {FEWEST} photographs with a camera", f"{len(photographs)}")
     photographs = within_limits(root, photographs, cfg, log)
-    (name, count), *_ = Counter(photograph.name for photograph in photographs).most_common(1)
+    (same, count), *_ = Counter((photograph.name, photograph.path) for photograph in photographs).most_common(1)
     if count > 1:
-        raise SceneError(root, "each photograph once", f"{name} {count} times")
+        raise SceneError(root, "each photograph once", f"{same[1]} {count} times")
+    if len({photograph.name for photograph in photographs}) < len(photographs):  # left/1.png and right/1.png
+        photographs = [
+            replace(photograph, name=f"{i:05d}_{photograph.name}") for i, photograph in enumerate(photographs)
+        ]
     photographs, size = of_one_size(photographs)
     if any(photograph.size for photograph in photographs):
         log("images of different sizes are cut at the right and below, to {} x {}".format(*size))

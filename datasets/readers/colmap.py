@@ -5,8 +5,8 @@
     DIR/sparse/0/cameras.bin, images.bin, points3D.bin   or the same as .txt; also DIR/sparse, DIR/colmap/sparse/0
     DIR/dense/sparse, DIR/dense/images        what colmap image_undistorter writes
 
-Lens models are undistorted, and those that OpenCV has no formula for are refused by name. Poses are world-to-camera
-with COLMAP's axes, which are the project's.
+Lens models are undistorted; panoramas are refused by name. A camera that no image uses may be invalid. Poses are
+world-to-camera with COLMAP's axes, which are the project's.
 """
 
 from __future__ import annotations
@@ -15,12 +15,13 @@ from pathlib import Path
 
 import numpy as np
 
+from datasets.cameras.colmap_lens import ColmapLens, models
 from datasets.cameras.intrinsics import LARGEST_COEFFICIENT
 from datasets.cameras.lens import FisheyeLens, Lens, Undistortion
-from datasets.cameras.transforms import named_path
 from datasets.files.colmap_files import ImageRecord, LensRecord, read_cameras, read_images, read_points
-from datasets.files.errors import SceneError
+from datasets.files.errors import SceneError, clear
 from datasets.files.image_files import is_file
+from datasets.files.named_files import named_path, say_renamed
 from datasets.photographs.file_names import by_name
 from datasets.photographs.photograph import PosedFile
 from datasets.photographs.points import scene_points
@@ -33,10 +34,9 @@ from rasterizer.camera import Camera
 # Points of a larger reprojection error are left out: pixels, and of the longer side of larger images.
 LARGEST_ERROR, LARGEST_RELATIVE_ERROR = 2.0, 1e-3
 FOLDERS = ("sparse", "colmap/sparse", "dense/sparse")  # of a model, or of several in folders 0, 1, …
-UNDISTORTED = (
-    "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV", "OPENCV_FISHEYE",
-    "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE",
-)  # fmt: skip
+# Models that are OpenCV's, with fewer coefficients or all; pycolmap's formulas are for the others.
+OPENCV = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
+FISHEYE = ("SIMPLE_FISHEYE", "FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "OPENCV_FISHEYE")
 TITLE, PRECEDENCE = "COLMAP", 60
 
 
@@ -62,31 +62,36 @@ def read(root: Path, cfg: SceneConfig, log: Log) -> Scene:
     folders = sparse_folders(root)
     if not folders:
         raise SceneError(root, "sparse/0 with images.bin or images.txt", "neither")
-    models = {path: read_images(path) for folder in folders if (path := _images_file(folder)) is not None}
-    file = max(models, key=lambda path: len(models[path]))  # the first of equals
+    parts = {path: read_images(path) for folder in folders if (path := _images_file(folder)) is not None}
+    file = max(parts, key=lambda path: len(parts[path]))  # the first of equals
     folder, suffix = file.parent, file.suffix[1:]
-    if len(models) > 1:
-        sizes = ", ".join(f"{path.parent.name} has {len(images)}" for path, images in models.items())
-        log(f"COLMAP: {len(models)} models ({sizes} images); the largest is used, {folder}")
-    lenses = read_cameras(folder / f"cameras.{suffix}")
+    if len(parts) > 1:
+        sizes = ", ".join(f"{path.parent.name} has {len(images)}" for path, images in parts.items())
+        log(f"COLMAP: {len(parts)} models ({sizes} images); the largest is used, {folder}")
+    cameras = folder / f"cameras.{suffix}"
+    lenses = read_cameras(cameras)
+    used = {image.camera for image in parts[file]}
     photographs: list[PosedFile] = []
     pictures = _image_folder(root, folder)
-    for image in models[file]:
+    for image in parts[file]:
         where = f"{file}: {image.name}"
         if image.camera not in lenses:
             raise SceneError(where, f"a camera among {', '.join(map(str, sorted(lenses)))}", f"{image.camera}")
         path = named_path(pictures, image.name)
         if not is_file(path):
             raise SceneError(path, f"the image that {file} names", "no such file")
-        camera, lens = _camera(lenses[image.camera], image, where)
+        camera, lens = _camera(lenses[image.camera], image, where, f"{cameras}: camera {image.camera}")
         name = path.relative_to(pictures).with_suffix("").as_posix().replace("/", "_")
         photographs.append(PosedFile(name, path, camera, lens))
-    points = _points(folder, max(max(lens.width, lens.height) for lens in lenses.values()), log)
+    say_renamed(file, (pictures / image.name for image in parts[file]), (p.path for p in photographs), log)
+    points = _points(folder, max(max(lenses[n].width, lenses[n].height) for n in used), log)
     if (pictures.parent / "masks").is_dir():
         log(f"{pictures.parent / 'masks'} is not used: masks for structure from motion leave out what moves")
-    kinds = ", ".join(sorted({lens.model for lens in lenses.values()}))
+    if unused := sorted(set(lenses) - used):
+        log(f"{cameras.name}: left out, as no image is by them: {clear(', '.join(f'camera {n}' for n in unused))}")
+    kinds = ", ".join(sorted({lenses[number].model for number in used}))
     count = len(points.positions) if points else 0
-    log(f"COLMAP: {len(photographs)} images, {len(lenses)} lenses ({kinds}), {count} points")
+    log(f"COLMAP: {len(photographs)} images, {len(used)} lenses ({kinds}), {count} points")
     return to_scene(root, by_name(root, photographs, log), cfg, log, points)
 
 
@@ -109,24 +114,30 @@ def _image_folder(root: Path, folder: Path) -> Path:
     return next((candidate for candidate in candidates if candidate.is_dir()), root)
 
 
-def _camera(lens: LensRecord, image: ImageRecord, where: str) -> tuple[Camera, Lens | None]:
-    model, p = lens.model, lens.parameters
-    if model not in UNDISTORTED:
-        raise SceneError(
-            where,
-            f"a lens model among {', '.join(UNDISTORTED)}",
-            f"{model}; colmap image_undistorter turns it into PINHOLE",
+def _camera(lens: LensRecord, image: ImageRecord, where: str, of_lens: str) -> tuple[Camera, Lens | None]:
+    model = next((model for model in models().values() if model.name == lens.model), None)
+    known = ", ".join(model.name for model in models().values() if model.focal_lengths)
+    if model is None or not model.focal_lengths:
+        way = (
+            "cut panoramas into pinholes first (panorama_sfm.py of pycolmap)"
+            if model
+            else "a newer pycolmap may know it"
         )
-    one_focal = model.startswith("SIMPLE") or model in ("RADIAL", "RADIAL_FISHEYE")
-    fx, fy, cx, cy = (p[0], p[0], p[1], p[2]) if one_focal else p[:4]
-    bent = p[3:] if one_focal else p[4:]
+        raise SceneError(of_lens, f"a lens model among {known}", f"{lens.model}; {way}")
+    p, count = lens.parameters, len(model.parameters)
+    if len(p) != count:
+        raise SceneError(of_lens, f"{lens.model} with {count} parameters, {', '.join(model.parameters)}", f"{len(p)}")
+    fx, fy, cx, cy = (p[0], *p[:3]) if model.focal_lengths == 1 else p[:4]
+    bent = p[model.focal_lengths + 2 :]
     if not all(abs(value) <= LARGEST_COEFFICIENT for value in bent):
-        raise SceneError(where, f"a lens distortion within ±{LARGEST_COEFFICIENT:g}", f"{model} {bent}")
+        raise SceneError(of_lens, f"a lens distortion within ±{LARGEST_COEFFICIENT:g}", f"{lens.model} {bent}")
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation_of(image.quaternion, where), image.translation
     camera = make_camera(where, lambda: Camera(lens.width, lens.height, fx, fy, cx, cy, pose))
-    if "FISHEYE" in model:  # with coefficients of 0 it is equidistant, not straight
+    if lens.model in FISHEYE:  # with coefficients of 0 it is equidistant, not straight
         return camera, FisheyeLens(fx, fy, cx, cy, bent + (0.0,) * (4 - len(bent)))
+    if lens.model not in OPENCV:
+        return camera, ColmapLens(fx, fy, cx, cy, bent, lens.model.replace("SIMPLE_", ""))
     return camera, Undistortion.of(camera, *bent) if any(bent) else None
 
 

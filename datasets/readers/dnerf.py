@@ -35,6 +35,7 @@ from datasets.composition import (
 )
 from datasets.files.errors import SceneError, read_json
 from datasets.files.image_files import common_size
+from datasets.files.named_files import say_renamed
 from datasets.ground_truth import StoredTruth
 from datasets.photographs.photograph import PosedFile, say_folds
 from datasets.scene import Scene, View, camera_extent, capture_of, make_camera, validate_scene
@@ -82,6 +83,8 @@ def read(root: Path, cfg: SceneConfig, log: Log) -> Scene:
     if test_split is not None:
         splits[test_split] = _read_split(root, test_split)
     entries = [entry for split in splits.values() for entry in split]
+    for split in splits.values():
+        say_renamed(split[0].file, (root / e.file_path for e in split), (e.image_path for e in split), log)
     time_start, duration = _time_range(root, entries)
     size = common_size([entry.image_path for entry in entries])
     downscale = cfg.downscale or chosen_downscale(size)

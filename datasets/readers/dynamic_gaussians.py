@@ -15,10 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from datasets.cameras.transforms import named_path, read_pose
+from datasets.cameras.transforms import read_pose
 from datasets.files.errors import SceneError
 from datasets.files.image_files import is_file
 from datasets.files.json_values import get_key, read_number, read_object
+from datasets.files.named_files import named_path, say_renamed
 from datasets.photographs.photograph import PosedFile
 from datasets.photographs.points import scene_points
 from datasets.photographs.scene import to_scene
@@ -68,6 +69,7 @@ def _read_meta(root: Path, name: str, test: bool | None, log: Log) -> list[Posed
             raise SceneError(f"{file}: {key}", f"a list of {times} frames", _kind(table))
     mirrored = _is_mirrored(tables["w2c"])
     found: list[PosedFile] = []
+    stated: list[Path] = []
     missing: list[Path] = []
     for t in range(times):
         row = {key: table[t] for key, table in tables.items()}
@@ -82,7 +84,9 @@ def _read_meta(root: Path, name: str, test: bool | None, log: Log) -> list[Posed
                 continue
             camera = _camera(row["k"][c], row["w2c"][c], (width, height), mirrored, where)
             number = int(read_number(row["cam_id"][c], f"{where}: cam_id", 1e6))
+            stated.append(root / "ims" / str(row["fn"][c]))
             found.append(PosedFile(f"cam{number:02d}_{t:05d}", path, camera, None, float(t), number, test))
+    say_renamed(file, stated, (photograph.path for photograph in found), log)
     if missing and not found:
         raise SceneError(missing[0], f"an image that {name} names", "no such file")
     if missing:

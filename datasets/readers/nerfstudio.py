@@ -11,16 +11,16 @@ Poses have OpenGL's camera axes. Masks are 0 where pixels do not count.
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from datasets.cameras.intrinsics import read_distortion, read_pinhole
 from datasets.cameras.lens import FisheyeLens, Lens, Undistortion
-from datasets.cameras.transforms import TransformsEntry, named_path, read_transforms
+from datasets.cameras.transforms import TransformsEntry, read_transforms
 from datasets.files.errors import SceneError, read_json
 from datasets.files.image_files import image_size, is_file
 from datasets.files.json_values import read_number
+from datasets.files.named_files import named_path, say_renamed
 from datasets.photographs.file_names import by_name
 from datasets.photographs.photograph import PosedFile
 from datasets.photographs.points import read_ply_points
@@ -30,7 +30,7 @@ from datasets.settings import SceneConfig
 from datasets.source import Log
 from rasterizer.camera import Camera
 
-FISHEYE = ("OPENCV_FISHEYE", "FISHEYE")
+FISHEYE = ("OPENCV_FISHEYE", "FISHEYE", "SIMPLE_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE")
 TITLE, PRECEDENCE = "nerfstudio", 50
 
 
@@ -42,15 +42,13 @@ def read(root: Path, cfg: SceneConfig, log: Log) -> Scene:
     """The scene. SceneError for invalid data and for cameras that are no perspective or fisheye lens."""
     file = root / "transforms.json"
     entries = read_transforms(file, root)
+    say_renamed(file, (root / entry.file_path for entry in entries), (entry.image_path for entry in entries), log)
     content = read_json(file, SceneError)
     used = _in_use(root, entries, content, file, log)
     (path, count), *_ = Counter(entry.image_path.resolve() for entry, _ in used).most_common(1) or [(root, 0)]
     if count > 1:  # it would be trained on and held out
         raise SceneError(file, "each image once", f"{path} {count} times")
     photographs = [_photograph(root, entry, image_size(entry.image_path), test) for entry, test in used]
-    repeated = {p.name for p in photographs}
-    if len(repeated) < len(photographs):  # images/left/1.png and images/right/1.png
-        photographs = [replace(p, name=f"{index:05d}_{p.name}") for index, p in enumerate(photographs)]
     points = _points(root, content, log)
     log(f"nerfstudio: {len(photographs)} images, {len(points.positions) if points else 0} points")
     return to_scene(root, by_name(root, photographs, log), cfg, log, points)

@@ -17,6 +17,7 @@ from datasets.cameras.lens import Undistortion
 from datasets.canonical import canonical_space
 from datasets.composition import BLACK, background_color
 from datasets.files.errors import SceneError
+from datasets.files.named_files import say_renamed
 from datasets.plenoptic.decode import fingerprint
 from datasets.plenoptic.filmed import FilmedSource, footage_of, open_videos, videos_config
 from datasets.plenoptic.footage import Footage
@@ -115,6 +116,9 @@ def open_folder(root: Path, cfg: SceneConfig, threads: int, log: Log) -> PosedFo
 
 def _open_images(root: Path, cfg: SceneConfig, threads: int, log: Log) -> PosedFootage:
     entries = read_cameras(root)
+    stated_paths = [root / frame.entry.file_path for frames in entries.values() for frame in frames]
+    files = [frame.entry.image_path for frames in entries.values() for frame in frames]
+    say_renamed(root / "transforms_train.json", stated_paths, files, log)
     stated = held_out_cameras(entries)
     if list(cfg.test_cameras) == [0] and stated not in ((), (0,)):
         cfg = replace(cfg, test_cameras=list(stated))
@@ -123,7 +127,6 @@ def _open_images(root: Path, cfg: SceneConfig, threads: int, log: Log) -> PosedF
     background = background_color(cfg.background) or BLACK
     sequences = image_sequences(entries, keep, background)
     count = common_frames(sequences, cfg.first_frame, cfg.frames, cfg.drop_cameras)
-    files = [frame.entry.image_path for frames in entries.values() for frame in frames]
     content = f"{fingerprint(files, IMAGE_PART)} over {background}"
     footage = Footage(root, sequences, count, content, cfg, threads, log)
     posed = {name: read_camera(entries[name], footage.size) for name in footage.names}

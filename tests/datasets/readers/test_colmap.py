@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import re
 import shutil
+import struct
+import unicodedata
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -73,6 +76,8 @@ def test_backslashes_in_the_names_of_images(tmp_path: Path) -> None:
         "OPENCV_FISHEYE 40 30 50 50 20 15 0 0 0 0",
         "SIMPLE_RADIAL_FISHEYE 40 30 50 20 15 0",
         "RADIAL_FISHEYE 40 30 50 20 15 0 0",
+        "SIMPLE_FISHEYE 40 30 50 20 15",
+        "FISHEYE 40 30 50 50 20 15",
     ],
 )
 def test_fisheye_without_coefficients_is_equidistant(tmp_path: Path, lens: str) -> None:
@@ -82,9 +87,87 @@ def test_fisheye_without_coefficients_is_equidistant(tmp_path: Path, lens: str) 
     check_ramp(read(root)[0], fisheye(()))
 
 
-def test_colmap_lens_without_a_formula_is_refused_by_name(tmp_path: Path) -> None:
-    with pytest.raises(SceneError, match="found FOV; colmap image_undistorter"):
-        read(write_colmap(tmp_path, True, "FOV", (0.5,)))
+@pytest.mark.parametrize(
+    "lens, formula",
+    [  # factor of x, y by the squared distance from the axis in focal lengths, as in the papers of the models
+        ("FOV 40 30 50 50 20 15 0.9", lambda r2: np.arctan(2 * np.sqrt(r2) * np.tan(0.45)) / 0.9 / np.sqrt(r2)),
+        ("EUCM 40 30 50 50 20 15 0.6 1.1", lambda r2: 1 / (0.6 * np.sqrt(1.1 * r2 + 1) + 0.4)),
+        ("SIMPLE_DIVISION 40 30 50 20 15 -0.3", lambda r2: 2 / (1 + np.sqrt(1 + 4 * 0.3 * r2))),
+        ("DIVISION 40 30 50 50 20 15 -0.3", lambda r2: 2 / (1 + np.sqrt(1 + 4 * 0.3 * r2))),
+    ],
+)
+def test_lenses_that_only_colmap_has(tmp_path: Path, lens: str, formula: Callable[[np.ndarray], np.ndarray]) -> None:
+    root = write_colmap(tmp_path, False)
+    (root / "sparse/0/cameras.txt").write_text(f"1 {lens}\n")
+    write_ramp(root / "images")
+    x, y = row_15()
+    check_ramp(read(root)[0], x * formula(x**2 + y**2))
+
+
+@pytest.mark.parametrize(
+    "lens, line",
+    [
+        ("EQUIRECTANGULAR 40 30 40 30", "expected a lens model among .*, found EQUIRECTANGULAR; cut panoramas"),
+        ("TOMORROWS 40 30 50 50 20 15", "expected a lens model among .*, found TOMORROWS; a newer pycolmap"),
+        ("SIMPLE_FISHEYE 40 30 50 50 20 15", "expected SIMPLE_FISHEYE with 3 parameters, f, cx, cy, found 4"),
+        ("PINHOLE 40 30 -nan(ind) 50 20 15", "expected valid camera parameters"),
+    ],
+)
+def test_a_lens_that_cannot_be_is_refused_by_name_unless_no_image_uses_it(tmp_path: Path, lens: str, line: str) -> None:
+    root = write_colmap(tmp_path, False)
+    file = root / "sparse/0/cameras.txt"
+    good = file.read_text()
+    file.write_text(f"1 {lens}\n")
+    with pytest.raises(SceneError, match=line):
+        read(root)
+    file.write_text(good + f"2 {lens}\n3 {lens}\n")
+    scene, said = read(root)
+    check(scene)
+    assert "cameras.txt: left out, as no image is by them: camera 2, camera 3" in said
+
+
+def test_a_lens_model_of_another_number(tmp_path: Path) -> None:
+    file = write_colmap(tmp_path, True) / "sparse/0/cameras.bin"
+    content = bytearray(file.read_bytes())
+    content[12:16] = struct.pack("<i", 99)  # after the count and the camera's number
+    file.write_bytes(content)
+    with pytest.raises(SceneError, match=r"cameras\.bin: camera 1: expected lens models 0 to \d+, .*, found 99"):
+        read(tmp_path)
+
+
+def test_names_in_another_form_or_case(tmp_path: Path) -> None:
+    """macOS decomposes letters, Windows ignores case; the file that is there is taken, and that is said."""
+    root = write_colmap(tmp_path, False)
+    text = (root / "sparse/0/images.txt").read_text().replace("frame_", "Küche_")
+    (root / "sparse/0/images.txt").write_text(unicodedata.normalize("NFC", text), encoding="utf-8")
+    for path in list((root / "images").iterdir()):
+        path.rename(root / "images" / unicodedata.normalize("NFD", path.name.replace("frame_", "KÜCHE_")))
+    (root / "images").rename(root / "input")
+    scene, said = read(root)
+    check(scene)
+    assert any(
+        line.startswith("images.txt: 12 names differ from the files' in Unicode's form or case") for line in said
+    )
+    shutil.copy(next((root / "input").glob("*_007.png")), root / "input/küche_007.png")
+    with pytest.raises(SceneError, match=r"expected one file of this name in .*, found .* and .*, which differ in"):
+        read(root)
+
+
+def test_a_photograph_is_known_by_its_path(tmp_path: Path) -> None:
+    """images/a/b.png and images/a_b.png are two."""
+    root = write_colmap(tmp_path, False)
+    (root / "images/a").mkdir()
+    (root / "images/frame_003.png").rename(root / "images/a/frame_003.png")
+    (root / "images/frame_004.png").rename(root / "images/a_frame_003.png")
+    text = (root / "sparse/0/images.txt").read_text().replace("frame_003", "a/frame_003")
+    (root / "sparse/0/images.txt").write_text(text.replace("frame_004", "a_frame_003"))
+    scene, _ = read(root)
+    assert {np.asarray(view.image).tobytes() for view in scene.train + scene.test} == {
+        picture(i).tobytes() for i in range(COUNT)
+    }
+    (root / "sparse/0/images.txt").write_text(text.replace("frame_004", "frame_005"))
+    with pytest.raises(SceneError, match=r"expected each photograph once, found .*frame_005\.png 2 times"):
+        read(root)
 
 
 def test_images_beside_the_model_come_first(tmp_path: Path) -> None:
