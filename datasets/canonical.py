@@ -74,6 +74,12 @@ class Canonical:
             1.0 / self.time_scale,
         )
 
+    def then(self, other: Canonical) -> Canonical:
+        """This transform and then `other`, in float64: large shifts cancel before coordinates become float32."""
+        x, y, z = (own + its / self.scale for own, its in zip(self.centre, other.centre))
+        origin = self.time_origin + other.time_origin / self.time_scale
+        return Canonical((x, y, z), self.scale * other.scale, origin, self.time_scale * other.time_scale)
+
     def points(self, world: np.ndarray) -> np.ndarray:
         """(…, 3) world -> (…, 3) canonical, float64."""
         return (np.asarray(world, dtype=np.float64) - self.centre) * self.scale

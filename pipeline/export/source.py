@@ -8,6 +8,7 @@ from pathlib import Path
 
 from datasets.canonical import Canonical
 from pipeline.model.model import Model
+from pipeline.model.ply import stated_coordinates
 from pipeline.model.transformed import in_canonical
 from pipeline.trained.open_run import open_run, read_model
 from rasterizer import Camera
@@ -37,18 +38,20 @@ class Source:
 
     model: Model
     timeline: Timeline
-    canonical: Canonical  # from the coordinates of the data's files
+    canonical: Canonical  # from the coordinates of the data's files; of a file that does not state it: the identity
     name: str  # of the exported files
     folder: Path  # where they are written by default
     file: Path | None = None  # that the model was read from, which is not overwritten; None: of a run
+    known: bool = True  # whether `canonical` is
 
-    def in_world(self) -> tuple[Model, Timeline]:
-        """Both in the coordinates of the data's files."""
-        line, inverse = self.timeline, self.canonical.inverse
-        camera = None if line.camera is None else inverse.camera(line.camera)
-        start, duration = inverse.time(line.start), line.duration * inverse.time_scale
-        in_files = replace(line, start=start, duration=duration, camera=camera)
-        return in_canonical(self.model, inverse), in_files
+    def in_file(self, data_to_file: Canonical) -> tuple[Model, Timeline]:
+        """Both in the coordinates of a file."""
+        if data_to_file == self.canonical:
+            return self.model, self.timeline
+        line, change = self.timeline, self.canonical.inverse.then(data_to_file)
+        camera = None if line.camera is None else change.camera(line.camera)
+        start, duration = change.time(line.start), line.duration * change.time_scale
+        return in_canonical(self.model, change), replace(line, start=start, duration=duration, camera=camera)
 
 
 def open_source(path: Path, start: float | None, duration: float | None, log: Callable[[str], None]) -> Source:
@@ -59,7 +62,10 @@ def open_source(path: Path, start: float | None, duration: float | None, log: Ca
     if path.is_file():
         model = read_model(path, Canonical())
         timeline = Timeline(start or 0.0, 1.0 if duration is None else duration)
-        return Source(model, timeline, Canonical(), path.name.removesuffix(path.suffix), path.parent / "exports", path)
+        stated = stated_coordinates(path) if path.suffix == ".ply" else None
+        known = stated is not None or path.suffix == ".pth"
+        name = path.name.removesuffix(path.suffix)
+        return Source(model, timeline, stated or Canonical(), name, path.parent / "exports", path, known)
     if start is not None or duration is not None:
         raise ValueError(
             f"{path}: expected a file with --start or --duration, found none; a run's data set has its times"

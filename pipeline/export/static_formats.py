@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from datasets.canonical import Canonical
 from pipeline.export.splats import colours, flipped, unit_quaternions
 from pipeline.model.model import Model
 
@@ -100,8 +101,11 @@ RENDERING = {
 }
 
 
-def glb_bytes(model: Model) -> bytes:
-    """The file of a static model. COLOR_0 is what viewers without the extension show: a point cloud."""
+def glb_bytes(model: Model, data_to_file: Canonical | None = None) -> bytes:
+    """The file of a static model. COLOR_0 is what viewers without the extension show: a point cloud.
+
+    data_to_file: a shift in it, of the data's coordinates without scale, is the translation of the node.
+    """
     if len(model) == 0:
         raise ValueError("glb: expected a Gaussian in the frame at least, found none at this time")
     arrays = _attributes(flipped(model))
@@ -135,7 +139,7 @@ def glb_bytes(model: Model) -> bytes:
         "extensionsUsed": [EXTENSION],
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
+        "nodes": [{"mesh": 0, **_translation(data_to_file)}],
         "meshes": [{"primitives": [primitive]}],
         "accessors": accessors,
         "bufferViews": views,
@@ -146,6 +150,14 @@ def glb_bytes(model: Model) -> bytes:
     return b"".join(
         [header, struct.pack("<I4s", len(text), b"JSON"), text, struct.pack("<I4s", len(binary), b"BIN\0"), binary]
     )
+
+
+def _translation(data_to_file: Canonical | None) -> dict[str, list[float]]:
+    """Of a node whose axes are `flipped`'s; none for coordinates that are scaled or not shifted."""
+    if data_to_file is None or data_to_file.scale != 1.0 or data_to_file.keeps_space:
+        return {}
+    x, y, z = data_to_file.centre
+    return {"translation": [x, -y, -z]}
 
 
 def _attributes(model: Model) -> dict[str, np.ndarray]:

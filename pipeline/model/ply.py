@@ -6,25 +6,32 @@ scale), `rot_right_0..3`, and the coefficients of Fourier order n as `f_fourier<
 spatial part, not conditioned on a time: correct for an initialisation, blurred for motion.
 
 Lengths and times are canonical, because training starts from this file and float32 loses precision far from the origin.
-The run's canonical.json has the transform from world units.
+The run's canonical.json has the transform from world units. An exported file states its own in a comment:
+
+    comment data_to_file {"centre": [x, y, z], "scale": s, "time_origin": t, "time_scale": r}
+
+of positions (x in the data - centre) scale and times (t in the data - time_origin) time_scale.
 """
 
 from __future__ import annotations
 
 import io
 import itertools
-import os
+import json
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import torch
 from plyfile import PlyData, PlyElement
 
+from datasets.canonical import Canonical
 from datasets.files.errors import DataError
 from pipeline.model.model import Model, ModelKind
 from pipeline.model.transformed import in_rotations
 from rasterizer.gaussians import Motion
 
+COMMENT = "data_to_file"
 LONGEST_HEADER, LONGEST_LINE = 1000, 1000  # lines, bytes; a full model has 170 lines
 
 
@@ -33,8 +40,11 @@ def save_ply(path: Path, model: Model) -> None:
     path.write_bytes(ply_bytes(model))
 
 
-def ply_bytes(model: Model) -> bytes:
-    """The content of `save_ply`'s file. Velocities are written as rotations. ValueError for shared trajectories."""
+def ply_bytes(model: Model, data_to_file: Canonical | None = None) -> bytes:
+    """The content of `save_ply`'s file. Velocities are written as rotations. ValueError for shared trajectories.
+
+    data_to_file: from the coordinates of the data's files to those of `model`; None: not stated.
+    """
     if model.trajectories is not None:
         raise ValueError("expected a model without shared trajectories, which .ply lacks; use its checkpoint")
     model = in_rotations(model)
@@ -51,8 +61,27 @@ def ply_bytes(model: Model) -> bytes:
     for name, column in columns.items():
         vertices[name] = column
     file = io.BytesIO()
-    PlyData([PlyElement.describe(vertices, "vertex")], byte_order="<").write(file)
+    comments = [] if data_to_file is None else [f"{COMMENT} {json.dumps(asdict(data_to_file))}"]
+    PlyData([PlyElement.describe(vertices, "vertex")], byte_order="<", comments=comments).write(file)
     return file.getvalue()
+
+
+def stated_coordinates(path: Path) -> Canonical | None:
+    """From the coordinates of the data's files to those of the file, by its comment; None: it does not say.
+
+    DataError for a comment that is none of `ply_bytes`.
+    """
+    for words in _header(path):
+        if words[:2] == [b"comment", COMMENT.encode()]:
+            try:
+                found = Canonical.from_dict(json.loads(b" ".join(words[2:])))
+                numbers = np.array([*found.centre, found.scale, found.time_origin, found.time_scale], dtype=np.float64)
+                if len(found.centre) == 3 and np.isfinite(numbers).all() and found.scale > 0 and found.time_scale > 0:
+                    return found
+            except (ValueError, TypeError, KeyError):
+                pass
+            raise DataError(path, f"a comment {COMMENT} with centre, scale, time_origin and time_scale", "another")
+    return None
 
 
 def load_ply(path: Path) -> Model:
@@ -92,23 +121,31 @@ def _check_header(path: Path) -> None:
     """ValueError for a header that declares more data than the file holds, before plyfile allocates it; and for list
     properties, which a Gaussian never has and plyfile reads slowly."""
     elements: list[list[int]] = []  # rows, properties of each
-    with open(path, "rb") as file:
-        for line in itertools.islice(iter(lambda: file.readline(LONGEST_LINE), b""), LONGEST_HEADER):
-            word, *rest = line.split() or [b""]
-            if word == b"end_header":
-                break
-            if word == b"element" and len(rest) == 2:
-                elements.append([int(rest[1]), 0])
-            elif word == b"property" and elements:
-                if rest[:1] == [b"list"]:
-                    raise ValueError("a list property")
-                elements[-1][1] += 1
-        else:
-            raise ValueError("no end_header")
-        size = file.seek(0, os.SEEK_END)
+    lines = _header(path)
+    if lines[-1:] != [[b"end_header"]]:
+        raise ValueError("no end_header")
+    for word, *rest in lines:
+        if word == b"element" and len(rest) == 2:
+            elements.append([int(rest[1]), 0])
+        elif word == b"property" and elements:
+            if rest[:1] == [b"list"]:
+                raise ValueError("a list property")
+            elements[-1][1] += 1
+    size = path.stat().st_size
     for rows, properties in elements:  # a value takes at least a byte
         if not 0 <= rows * max(1, properties) <= size:
             raise ValueError(f"a header that declares {rows} rows of {properties} values in {size} bytes")
+
+
+def _header(path: Path) -> list[list[bytes]]:
+    """The words of the header's lines, up to end_header if there is one."""
+    found: list[list[bytes]] = []
+    with open(path, "rb") as file:
+        for line in itertools.islice(iter(lambda: file.readline(LONGEST_LINE), b""), LONGEST_HEADER):
+            found += [words] if (words := line.split()) else []
+            if words[:1] == [b"end_header"]:
+                break
+    return found
 
 
 def _column(vertices: np.ndarray, name: str) -> torch.Tensor:
