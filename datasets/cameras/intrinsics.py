@@ -98,6 +98,14 @@ def read_distortion(values: dict[str, Any], where: str) -> tuple[float, ...]:
     return tuple(read_number(values.get(key, 0.0), f"{where}: {key}", LARGEST_COEFFICIENT) for key in DISTORTION_KEYS)
 
 
+def stated_shape(values: dict[str, Any]) -> tuple[float, float] | None:
+    """ "w" and "h", where both are positive numbers."""
+    width, height = values.get("w"), values.get("h")
+    if isinstance(width, (int, float)) and isinstance(height, (int, float)) and min(width, height) > 0:
+        return float(width), float(height)
+    return None
+
+
 def _stated_size(values: dict[str, Any], size: tuple[int, int], where: str) -> tuple[float, float]:
     """ "w" and "h", by default `size`; they may be the size of the same image at another scale."""
     width, height = (read_number(values.get(key, pixels), f"{where}: {key}") for key, pixels in zip("wh", size))

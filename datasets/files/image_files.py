@@ -7,9 +7,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from PIL import Image, ImageOps
+from PIL import ExifTags, Image, ImageOps
 
 from datasets.files.errors import SceneError
+
+SIDEWAYS = (5, 6, 7, 8)  # EXIF orientations that exchange width and height
 
 
 def is_file(path: Path) -> bool:
@@ -36,6 +38,33 @@ def image_size(path: Path) -> tuple[int, int]:
             return image.size
     except FileNotFoundError:
         raise SceneError(path, "an image", "no such file") from None
+    except Exception as error:  # PIL raises many types for broken files
+        raise SceneError(path, "a readable image", str(error)) from None
+
+
+def oriented_size(path: Path, wanted: tuple[float, float] | None) -> tuple[tuple[int, int], bool]:
+    """((width, height), whether it is that of the image turned as its EXIF orientation says), from the header.
+
+    Turned only if the shape `wanted`, at any scale, is that of the turned image alone: known poses are of the pixels
+    as stored unless their camera's shape says otherwise.
+    """
+    size = image_size(path)
+    if wanted is None or same_shape(size, wanted) or not same_shape(size[::-1], wanted):
+        return size, False
+    return (size[::-1], True) if exif_turn(path) in SIDEWAYS else (size, False)
+
+
+def same_shape(size: tuple[int, int], wanted: tuple[float, float]) -> bool:
+    """Whether an image (width, height) may be one of `wanted` at another scale; a side is rounded to a pixel."""
+    scale = max(size[0] / wanted[0], size[1] / wanted[1])
+    return max(abs(size[0] - scale * wanted[0]), abs(size[1] - scale * wanted[1])) <= 1
+
+
+def exif_turn(path: Path) -> int:
+    """The EXIF orientation, 1 to 8; 1: as stored, also where there is none."""
+    try:
+        with Image.open(path) as image:
+            return int(image.getexif().get(ExifTags.Base.Orientation, 1))
     except Exception as error:  # PIL raises many types for broken files
         raise SceneError(path, "a readable image", str(error)) from None
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from datasets.files.errors import SceneError
-from datasets.files.image_files import image_size, read_rgba
+from datasets.files.image_files import SIDEWAYS, exif_turn, oriented_size, read_rgba
 from datasets.scene import make_camera
 from datasets.source import Log
 from rasterizer.camera import Camera
@@ -37,6 +37,7 @@ class PosedFile:
     folder: str = ""  # what names the physical camera: a folder, or a part of the file names
     size: tuple[int, int] | None = None  # (width, height) of the file, which is cut to the camera's; None: the camera's
     moment: str | None = None  # the part of the name that says when; None: the file name
+    upright: bool = False  # read as its EXIF orientation says, as its camera's size does
 
     @property
     def file_size(self) -> tuple[int, int]:
@@ -45,7 +46,7 @@ class PosedFile:
 
     def read(self) -> np.ndarray:
         """(H, W, 4) uint8 of the file, undistorted and cut to the size of its camera, with straight alpha."""
-        rgba, (width, height) = read_rgba(self.path), self.file_size
+        rgba, (width, height) = read_rgba(self.path, self.upright), self.file_size
         if rgba.shape[:2] != (height, width):
             expected = f"{width} x {height} pixels, as its header says"
             raise SceneError(self.path, expected, "{1} x {0}".format(*rgba.shape))
@@ -77,13 +78,31 @@ def say_folds(photographs: Sequence[PosedFile], log: Log) -> None:
                 return
 
 
+def say_turns(photographs: Sequence[PosedFile], log: Log) -> None:
+    """A line on images that EXIF turns: which are, and which may have been meant to be."""
+    turned = [p for p in photographs if exif_turn(p.path) != 1]
+    if upright := sum(p.upright for p in turned):
+        log(f"EXIF: {upright} of {len(photographs)} images are turned upright, as the size of their cameras is")
+    unknown = [p for p in turned if not p.upright and (exif_turn(p.path) not in SIDEWAYS or _is_square(p))]
+    if unknown:
+        log(
+            f"EXIF: {len(unknown)} of {len(photographs)} images have a turn ({unknown[0].path.name}), and their size "
+            "does not show whether poses are of the turned image: they are taken as of the pixels as stored"
+        )
+
+
+def _is_square(photograph: PosedFile) -> bool:
+    width, height = photograph.file_size
+    return width == height
+
+
 def of_one_size(photographs: Sequence[PosedFile]) -> tuple[list[PosedFile], tuple[int, int]]:
     """The photographs with cameras of one size, and that (width, height).
 
     A camera of another size than its image is scaled, if both have one shape. Images of different sizes lose their
     right and lower border, LARGEST_CUT of a side at most; principal points stay. SceneError for others.
     """
-    found = [_scaled(photograph, image_size(photograph.path)) for photograph in photographs]
+    found = [_scaled(photograph) for photograph in photographs]
     sizes = [(photograph.camera.width, photograph.camera.height) for photograph in found]
     smallest = min(width for width, _ in sizes), min(height for _, height in sizes)
     for photograph, size in zip(found, sizes):
@@ -105,9 +124,11 @@ def of_one_size(photographs: Sequence[PosedFile]) -> tuple[list[PosedFile], tupl
     ], smallest
 
 
-def _scaled(photograph: PosedFile, size: tuple[int, int]) -> PosedFile:
-    """With the camera, and the lens, of an image of `size`."""
-    camera, (width, height) = photograph.camera, size
+def _scaled(photograph: PosedFile) -> PosedFile:
+    """With the camera, and the lens, of the image's size."""
+    camera = photograph.camera
+    size, upright = oriented_size(photograph.path, (camera.width, camera.height))
+    photograph, (width, height) = replace(photograph, upright=upright), size
     if (camera.width, camera.height) == size:
         return photograph
     scale = max(width / camera.width, height / camera.height)

@@ -31,7 +31,7 @@ from datasets.files.image_files import has_alpha
 from datasets.files.natural_order import natural_order
 from datasets.photographs.file_names import stand_still, with_times
 from datasets.photographs.masks import read_mask, say_masks
-from datasets.photographs.photograph import PosedFile, of_one_size, say_folds
+from datasets.photographs.photograph import PosedFile, of_one_size, say_folds, say_turns
 from datasets.photographs.selection import FEWEST, held_out_names, within_limits, without_cameras
 from datasets.scene import (
     PLAYBACK_RATE,
@@ -91,6 +91,7 @@ def to_scene(
     if any(photograph.size for photograph in photographs):
         log("images of different sizes are cut at the right and below, to {} x {}".format(*size))
     say_folds(photographs, log)
+    say_turns(photographs, log)
     downscale = cfg.downscale or chosen_downscale(size)
     if min(size) < downscale:
         raise SceneError(root, f"at least {downscale} pixels a side (scene.downscale)", "{} x {}".format(*size))

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets.cameras.intrinsics import read_distortion, read_pinhole
+from datasets.cameras.intrinsics import read_distortion, read_pinhole, stated_shape
 from datasets.cameras.transforms import TransformsEntry, read_transforms
 from datasets.canonical import canonical_space
 from datasets.composition import (
@@ -34,10 +34,10 @@ from datasets.composition import (
     reduced_camera,
 )
 from datasets.files.errors import SceneError, read_json
-from datasets.files.image_files import common_size
+from datasets.files.image_files import common_size, oriented_size
 from datasets.files.named_files import say_renamed
 from datasets.ground_truth import StoredTruth
-from datasets.photographs.photograph import PosedFile, say_folds
+from datasets.photographs.photograph import PosedFile, say_folds, say_turns
 from datasets.scene import Scene, View, camera_extent, capture_of, make_camera, validate_scene
 from datasets.settings import SceneConfig
 from datasets.source import Log, data_path
@@ -87,6 +87,8 @@ def read(root: Path, cfg: SceneConfig, log: Log) -> Scene:
         say_renamed(split[0].file, (root / e.file_path for e in split), (e.image_path for e in split), log)
     time_start, duration = _time_range(root, entries)
     size = common_size([entry.image_path for entry in entries])
+    if oriented_size(entries[0].image_path, stated_shape(entries[0].intrinsics))[1]:
+        size = size[::-1]
     downscale = cfg.downscale or chosen_downscale(size)
     if min(size) < downscale:
         raise SceneError(
@@ -95,7 +97,9 @@ def read(root: Path, cfg: SceneConfig, log: Log) -> Scene:
 
     # Checked before any image is decoded.
     photographs = {split: [_photograph(entry, size) for entry in listed] for split, listed in splits.items()}
-    say_folds([photograph for listed in photographs.values() for photograph in listed], log)
+    of_all = [photograph for listed in photographs.values() for photograph in listed]
+    say_folds(of_all, log)
+    say_turns(of_all, log)
     background = background_color(cfg.background)
     composed_over = background or BLACK
     views = {
@@ -221,7 +225,8 @@ def _photograph(entry: TransformsEntry, size: tuple[int, int]) -> PosedFile:
         from datasets.cameras.lens import Undistortion  # imports OpenCV, which few scenes need
 
         lens = Undistortion.of(camera, *bent)
-    return PosedFile(view_name(entry), entry.image_path, camera, lens, entry.time or 0.0)
+    upright = oriented_size(entry.image_path, size)[1]
+    return PosedFile(view_name(entry), entry.image_path, camera, lens, entry.time or 0.0, upright=upright)
 
 
 def _read_view(photograph: PosedFile, downscale: int, background: Color) -> View:

@@ -14,11 +14,11 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from datasets.cameras.intrinsics import read_distortion, read_pinhole
+from datasets.cameras.intrinsics import read_distortion, read_pinhole, stated_shape
 from datasets.cameras.lens import FisheyeLens, Lens, Undistortion
 from datasets.cameras.transforms import TransformsEntry, read_transforms
 from datasets.files.errors import SceneError, read_json
-from datasets.files.image_files import image_size, is_file
+from datasets.files.image_files import is_file, oriented_size
 from datasets.files.json_values import read_number
 from datasets.files.named_files import named_path, say_renamed
 from datasets.photographs.file_names import by_name
@@ -48,7 +48,7 @@ def read(root: Path, cfg: SceneConfig, log: Log) -> Scene:
     (path, count), *_ = Counter(entry.image_path.resolve() for entry, _ in used).most_common(1) or [(root, 0)]
     if count > 1:  # it would be trained on and held out
         raise SceneError(file, "each image once", f"{path} {count} times")
-    photographs = [_photograph(root, entry, image_size(entry.image_path), test) for entry, test in used]
+    photographs = [_photograph(root, entry, test) for entry, test in used]
     points = _points(root, content, log)
     log(f"nerfstudio: {len(photographs)} images, {len(points.positions) if points else 0} points")
     return to_scene(root, by_name(root, photographs, log), cfg, log, points)
@@ -86,7 +86,8 @@ def _listed(root: Path, content: dict[str, Any], key: str, file: Path, known: se
     return set(paths)
 
 
-def _photograph(root: Path, entry: TransformsEntry, size: tuple[int, int], test: bool | None) -> PosedFile:
+def _photograph(root: Path, entry: TransformsEntry, test: bool | None) -> PosedFile:
+    size, _ = oriented_size(entry.image_path, stated_shape(entry.intrinsics))
     camera, lens = _camera(entry, size)
     mask, stamp, time = entry.intrinsics.get("mask_path"), entry.intrinsics.get("timestamp"), entry.time
     if time is None and stamp is not None:
