@@ -21,7 +21,6 @@ from rich.table import Table
 
 from datasets.canonical import Canonical
 from datasets.files.atomic_write import write_json
-from datasets.files.errors import read_json
 from pipeline.config.compose import Command, one_line, quote_text
 from pipeline.config.schema import Config
 from pipeline.data.prepare import Prepared, prepare
@@ -34,7 +33,7 @@ from pipeline.runs.run_identity import read_config
 from pipeline.stages.settle import for_scene
 from pipeline.terminal.command_line import CommandParser, command, log
 from pipeline.trained.coordinates import NAMES, placed
-from pipeline.trained.open_run import read_model
+from pipeline.trained.open_run import read_model, stored_canonical
 from pipeline.training.checkpoint import FILE_NAME
 from rasterizer.cores import thread_count
 
@@ -104,10 +103,7 @@ def _of_its_run(path: Path, cfg: Config, data: Prepared) -> Canonical | None:
             f"scene.first_frame: expected {first}, from which the times of {path.parent} count, "
             f"found {cfg.scene.first_frame}"
         )
-    try:
-        return Canonical.from_dict(read_json(stored))
-    except (KeyError, TypeError):
-        raise ValueError(f"{stored}: expected centre, scale, time_origin and time_scale of a run") from None
+    return stored_canonical(path.parent)
 
 
 def _composed(keys: list[str]) -> tuple[Command, Config]:

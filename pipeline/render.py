@@ -41,7 +41,7 @@ def main(arguments: list[str]) -> int:
     if options.frames is not None:
         parser.require(options.path == ORBIT, "--frames", f"--path {ORBIT}", f"--path {options.path}")
         parser.require(options.frames >= 1, "--frames", "at least 1", options.frames)
-    run = open_run(options.run, log)
+    run = open_run(options.run, log, needs_images=False)
     renderer = Renderer(run.model, run.scene, run.cfg, Rasterizer(threads=thread_count(run.cfg.threads)))
     frames = path_frames(renderer, run.canonical, options.path, options.times, options.frames)
     out = options.out or options.run / "films" / (ORBIT if options.path == ORBIT else Path(options.path).stem)

@@ -55,7 +55,7 @@ class Source:
 
 
 def open_source(path: Path, start: float | None, duration: float | None, log: Callable[[str], None]) -> Source:
-    """A run folder, whose data set tells the times; or a file, whose times are `start` (0) to start + `duration` (1).
+    """A run folder, which has its times; or a file, whose times are `start` (0) to start + `duration` (1).
 
     ValueError, one line, for anything else and for options that do not fit.
     """
@@ -67,10 +67,8 @@ def open_source(path: Path, start: float | None, duration: float | None, log: Ca
         name = path.name.removesuffix(path.suffix)
         return Source(model, timeline, stated or Canonical(), name, path.parent / "exports", path, known)
     if start is not None or duration is not None:
-        raise ValueError(
-            f"{path}: expected a file with --start or --duration, found none; a run's data set has its times"
-        )
-    run = open_run(path, log)
+        raise ValueError(f"{path}: expected a file with --start or --duration, found none; a run has its times")
+    run = open_run(path, log, needs_images=False)
     scene = run.scene
     seconds, camera = scene.played_seconds or PLAYED_SECONDS, scene.train[0].camera
     timeline = Timeline(scene.time_start, scene.duration, seconds, scene.frame_count, camera)

@@ -40,8 +40,9 @@ def main(arguments: list[str]) -> int:
     parser = CommandParser("figures", __doc__)
     parser.add_argument("run", type=Path, metavar="RUN", help="folder of a finished run")
     parser.add_argument("--out", type=Path, metavar="DIR", help="default: RUN/figures")
+    parser.add_argument("--data", type=Path, metavar="DIR", help="where the data set is now (default: where it was)")
     options = parser.parse_args(arguments)
-    run = open_run(options.run, log)
+    run = open_run(options.run, log, options.data)
     renderer = Renderer(run.model, run.scene, run.cfg, Rasterizer(threads=thread_count(run.cfg.threads)))
     out = options.out or options.run / "figures"
     out.mkdir(parents=True, exist_ok=True)

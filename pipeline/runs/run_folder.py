@@ -1,7 +1,7 @@
 """The run folder: every file that a run writes, and the record of its finished stages.
 
     config.yaml  environment.json  stages.json  log.jsonl
-    sfm.json  sfm.png  canonical.json  init.ply  checkpoint.safetensors  error_vs_time.csv
+    sfm.json  sfm.png  canonical.json  scene.json  init.ply  checkpoint.safetensors  error_vs_time.csv
     metrics.json  per_image.csv  renders/  viewer.html
 
 Whole files are written atomically (datasets/files/atomic_write.py). The two that grow line by line (log.jsonl,

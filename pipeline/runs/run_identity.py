@@ -12,7 +12,9 @@ from datasets.files.atomic_write import TEMPORARY
 from datasets.files.errors import DataError, clear, read_json
 
 # Keys that do not change what a run computes: a finished run may be repeated with others.
-FREE_KEYS = ("out", "threads", "resume", "until", "only", "scene.cache", "evaluate", "estimate", "view", "view_at")
+# The data have a hash of their own, wherever they lie.
+FREE_KEYS = ("out", "threads", "resume", "until", "only", "scene.path", "scene.cache", "evaluate", "estimate", "view",
+             "view_at")  # fmt: skip
 FILES = {  # by their names in the program
     "config": "config.yaml",
     "provenance": "environment.json",
@@ -21,6 +23,7 @@ FILES = {  # by their names in the program
     "sfm": "sfm.json",
     "sfm_picture": "sfm.png",
     "canonical": "canonical.json",
+    "scene": "scene.json",
     "init_ply": "init.ply",
     "checkpoint": "checkpoint.safetensors",
     "curve": "error_vs_time.csv",
@@ -119,7 +122,5 @@ def flat(config: dict, free: tuple[str, ...] = (), prefix: str = "") -> dict[str
         key = f"{prefix}{name}"
         if key in free:
             continue
-        if key == "scene.path" and isinstance(value, str) and "\0" not in value:
-            value = str(Path(value).resolve())
         found |= flat(value, free, f"{key}.") if isinstance(value, dict) else {key: value}
     return found

@@ -32,7 +32,7 @@ from pipeline.stages.decide import (
 # What validation decided: {"static": bool, "shared_motion": True, "fourier_order": 0}; each may be missing.
 Decided = Mapping[str, Any]
 # What decides nothing about the result, or is a column of its own in every table.
-NOT_CHANGES = (*FREE_KEYS, "seed", "scene.path", "scene.name", "ablation.name", "train.name", "train.checkpoint_every")
+NOT_CHANGES = (*FREE_KEYS, "seed", "scene.name", "ablation.name", "train.name", "train.checkpoint_every")
 
 
 def for_scene(command: Command, data: Prepared, decided: Decided | None = None) -> Config:

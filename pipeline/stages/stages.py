@@ -12,6 +12,7 @@ from pipeline.config.compose import Command
 from pipeline.config.random_streams import Stream, stream
 from pipeline.config.schema import Config
 from pipeline.data.prepare import Prepared
+from pipeline.data.stored_scene import to_dict
 from pipeline.evaluation.evaluate import Evaluation, evaluate, evaluate_with_images
 from pipeline.evaluation.moving_pixels import MovingPixels
 from pipeline.evaluation.outlook import outlook, path_angles
@@ -74,12 +75,13 @@ def settle(job: Job) -> dict:
 
 
 def make_initial_model(job: Job) -> dict:
-    """Scene and points → init.ply; and in canonical.json how its coordinates come from the files'."""
+    """Scene and points → init.ply, scene.json; and in canonical.json how its coordinates come from the files'."""
     model = initialise(job.data.scene, job.cfg, stream(job.cfg.seed, Stream.INIT), job.data.cloud)
     with atomic_file(job.folder.init_ply) as temporary:
         save_ply(temporary, model)
     if not job.data.canonical.is_identity:
         write_json(job.folder.canonical, job.data.canonical.to_dict())
+    write_json(job.folder.scene, to_dict(job.data.scene))
     return {"n_gaussians": len(model)}
 
 
@@ -163,7 +165,7 @@ STAGES = (
         (),
         ("rasterizer", "pipeline/config", "pipeline/model", "pipeline/training", "pipeline/stages/decide.py"),
     ),
-    Stage("init", make_initial_model, ("init.ply", "canonical.json"), ()),
+    Stage("init", make_initial_model, ("init.ply", "canonical.json", "scene.json"), ()),
     Stage("train", train_model, ("checkpoint.safetensors", "error_vs_time.csv"), ()),
     Stage("evaluate", evaluate_model, ("metrics.json", "per_image.csv", "renders"), ("pipeline/evaluation",)),
     Stage("page", write_page, ("viewer.html",), ("pipeline/view",)),

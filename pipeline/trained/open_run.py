@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from omegaconf.errors import OmegaConfBaseException
 
 from datasets.canonical import Canonical
+from datasets.files.errors import read_json
 from datasets.scene import Scene
 from pipeline.config.compose import config_of_tree, one_line
 from pipeline.config.schema import Config
+from pipeline.data import stored_scene
 from pipeline.data.prepare import prepare
 from pipeline.model.model import Model
 from pipeline.model.ply import load_ply
@@ -29,16 +31,39 @@ class TrainedRun:
     scene: Scene
     model: Model
     canonical: Canonical  # from the files' coordinates to those of scene and model
+    has_images: bool = True  # False: the scene's images are MissingImage
 
 
-def open_run(folder: Path, log: Callable[[str], None]) -> TrainedRun:
-    """Also reads the data set that the run was trained on. ValueError, one line, where `folder` is no trained run."""
+def open_run(
+    folder: Path, log: Callable[[str], None], data: Path | None = None, needs_images: bool = True
+) -> TrainedRun:
+    """Also reads the data set that the run was trained on, or where it is not there any more what the folder has of it.
+
+    data: where the data set is now; None: where it was. needs_images: False: the folder's scene is enough. ValueError,
+    one line, where `folder` is no trained run, and where the data set is missing.
+    """
     for name in ("config.yaml", FILE_NAME):
         if not (folder / name).exists():
             raise ValueError(f"{folder}: expected a trained run with {name}, found none")
     cfg = stored_config(folder)
-    data = prepare(cfg, log)
-    return TrainedRun(cfg, data.scene, load_model(folder / FILE_NAME), data.canonical)
+    if data is not None:
+        cfg = replace(cfg, scene=replace(cfg.scene, path=str(data)))
+    model, place = load_model(folder / FILE_NAME), Path(cfg.scene.path or folder).expanduser()
+    if (stored := folder / stored_scene.FILE_NAME).is_file() and not (data or (needs_images and place.exists())):
+        if needs_images:
+            log(f"{place}: the run's data set is not there; {stored} takes its place, without images (--data: where)")
+        return TrainedRun(cfg, stored_scene.read_scene(stored, place), model, stored_canonical(folder), False)
+    found = prepare(cfg, log)
+    return TrainedRun(cfg, found.scene, model, found.canonical)
+
+
+def stored_canonical(folder: Path) -> Canonical:
+    """The transform of a run's scene. ValueError, one line, for a canonical.json with another content."""
+    path = folder / "canonical.json"
+    try:
+        return Canonical.from_dict(read_json(path)) if path.exists() else Canonical()
+    except (KeyError, TypeError):
+        raise ValueError(f"{path}: expected centre, scale, time_origin and time_scale of a run") from None
 
 
 def stored_config(folder: Path) -> Config:

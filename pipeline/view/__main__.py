@@ -25,6 +25,7 @@ def main(arguments: list[str]) -> int:
     add = parser.add_argument
     add("runs", type=Path, nargs="+", metavar="RUN", help="folder of a trained run")
     add("--out", type=Path, metavar="FILE", help=f"default: RUN/{FILE_NAME}; of several runs {FILE_NAME}")
+    add("--data", type=Path, metavar="DIR", help="where the data set is now (default: where it was)")
     add("--live", action="store_true", help="serve the page, and the run's newest checkpoint, until Ctrl-C")
     where = "with --live: where (default: %(default)s, which no other machine reaches)"
     add("--at", default=DEFAULT_ADDRESS, metavar="HOST:PORT", help=where)
@@ -34,11 +35,14 @@ def main(arguments: list[str]) -> int:
         serve_run(options.runs[0], address_of(options.at, "--at"), log)
         return 0
     out = options.out or (options.runs[0] / FILE_NAME if len(options.runs) == 1 else Path(FILE_NAME))
-    runs = [open_run(folder, log) for folder in options.runs]
+    runs = [open_run(folder, log, options.data) for folder in options.runs]
+    if options.out is None and out.exists() and not runs[0].has_images:
+        log(f"{out}: kept, as it may have the images; --out writes another page")
+        return 0
     _refuse_other_views(options.runs, runs)
     labels = _labels(options.runs, runs)
     shown = [Shown(label, run.model, _psnr(path)) for label, run, path in zip(labels, runs, options.runs)]
-    write_viewer(out, shown, runs[0].scene, runs[0].cfg)
+    write_viewer(out, shown, runs[0].scene, runs[0].cfg, with_truths=runs[0].has_images)
     log(f"{out}: {out.stat().st_size / 1e6:.1f} MB; open it in a browser")
     return 0
 

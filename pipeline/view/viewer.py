@@ -29,14 +29,14 @@ class Shown:
     psnr: float | None = None  # dB, on the held-out views
 
 
-def write_viewer(path: Path, shown: Sequence[Shown], scene: Scene, cfg: Config) -> None:
+def write_viewer(path: Path, shown: Sequence[Shown], scene: Scene, cfg: Config, with_truths: bool = True) -> None:
     """The models side by side, in step. scene, cfg: of the first; the others' views are the same."""
     if not 1 <= len(shown) <= MOST_MODELS:
         raise ValueError(f"{path}: expected 1 to {MOST_MODELS} models side by side, found {len(shown)}")
     packed = [pack(one.model, scene) for one in shown]
     facts = (one.label if one.psnr is None else f"{one.label}: {one.psnr:.2f} dB held out" for one in shown)
     has_time = any(one.model.kind.motion != "static" for one in shown)
-    write_text(path, _page(scene, cfg, has_time, [one.label for one in shown], " · ".join(facts), packed))
+    write_text(path, _page(scene, cfg, has_time, [one.label for one in shown], " · ".join(facts), packed, with_truths))
 
 
 def live_page(label: str, scene: Scene, cfg: Config) -> str:
@@ -46,10 +46,16 @@ def live_page(label: str, scene: Scene, cfg: Config) -> str:
 
 
 def _page(
-    scene: Scene, cfg: Config, has_time: bool, labels: Sequence[str], facts: str, packed: Sequence[Packed]
+    scene: Scene,
+    cfg: Config,
+    has_time: bool,
+    labels: Sequence[str],
+    facts: str,
+    packed: Sequence[Packed],
+    with_truths: bool = True,
 ) -> str:
     """packed: the models; none: of a run that is being trained. has_time: a model has."""
-    cameras = cameras_of(scene, cfg.train.resolution_scale, renders=cfg.evaluate.renders)
+    cameras = cameras_of(scene, cfg.train.resolution_scale, with_truths, renders=cfg.evaluate.renders)
     seconds = scene.played_seconds or LOOP_SECONDS
     up = -np.mean([view.camera.world_to_cam[1, :3] for view in scene.train], axis=0)
     distances = [np.linalg.norm(view.camera.position) for view in scene.train]

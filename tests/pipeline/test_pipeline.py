@@ -45,6 +45,7 @@ def read_csv(path: Path) -> list[dict[str, str]]:
 def test_a_run_folder_is_complete(finished: Path) -> None:
     assert {path.name for path in finished.iterdir() if path.name != ".lock"} == {
         "config.yaml",
+        "scene.json",
         "environment.json",
         "stages.json",
         "log.jsonl",
