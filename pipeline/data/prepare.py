@@ -18,9 +18,12 @@ from datasets.outliers import inliers
 from datasets.scene import Scene, ScenePoints
 from datasets.settings import SceneConfig
 from datasets.source import Source, open_source
+from datasets.urban.projection import in_image, project
 from pipeline.config.schema import Config
 from pipeline.data.from_motion import structure_from_motion, transformed
 from pipeline.data.sfm.reconstruction import Reconstruction
+
+SEEN = 0.1  # of the given points: where cameras see fewer, they are none of the scene
 
 
 @dataclass(frozen=True)
@@ -50,15 +53,15 @@ def prepare(cfg: Config, log: Callable[[str], None]) -> Prepared:
         cloud, folder, found = structure_from_motion(cfg, source, log)
     scene = source.scene(found)
     if points == "given":
-        cloud = _given_points(cfg, scene, log)
+        cloud = given_points(cfg, scene, log)
     elif points != "sfm":
         cloud = None  # it has found the poses
     transform = canonical_of(scene)
-    name_outliers(scene, log)
-    scene = name_leaks(scene, log)
     if not transform.is_identity:
         log(f"normalised: {transform}")
         cloud = None if cloud is None else transformed(cloud, transform)
+    name_outliers(scene, log)
+    scene = name_leaks(scene, log)
     initial = None if cloud is None else ScenePoints(cloud.points, cloud.colors)
     scene = replace(canonicalise(scene, transform), points=initial)
     of_every_frame = source.poses == "of every frame"
@@ -92,7 +95,7 @@ def points_from(cfg: Config, source: Source) -> str:
     return source.points if asked == "auto" else asked
 
 
-def _given_points(cfg: Config, scene: Scene, log: Callable[[str], None]) -> Reconstruction | None:
+def given_points(cfg: Config, scene: Scene, log: Callable[[str], None]) -> Reconstruction | None:
     """The points that came with the data; None without any, and where they are too few."""
     if scene.points is None:
         return None
@@ -100,6 +103,14 @@ def _given_points(cfg: Config, scene: Scene, log: Callable[[str], None]) -> Reco
     if not (kept := inliers(positions)).all():
         log(f"points: {np.count_nonzero(~kept)} of {len(kept)} lie far beyond the others and are left out")
         positions, colors = positions[kept], colors[kept]
+    cameras = {view.camera.world_to_cam.tobytes(): view.camera for view in scene.train}.values()
+    seen = np.mean(np.any([in_image(*project(positions, camera), camera) for camera in cameras], axis=0))
+    if seen < SEEN:
+        log(
+            f"points: {100 * seen:.0f} % of {len(positions)} are before a camera, as if not in the coordinates of "
+            "the poses: random points instead"
+        )
+        return None
     count = len(positions)
     if count < cfg.init.min_points:
         log(f"the folder's {count} points are fewer than init.min_points={cfg.init.min_points}: random points instead")
@@ -118,10 +129,11 @@ def name_leaks(scene: Scene, log: Callable[[str], None]) -> Scene:
 
 
 def name_outliers(scene: Scene, log: Callable[[str], None]) -> None:
-    """A line on training cameras that are outliers: they are trained on, but decide no centre, unit or extent."""
-    kept = inliers(np.stack([view.camera.position for view in scene.train]))
+    """A line on cameras that are outliers: they are trained on, but decide no centre, unit or extent."""
+    views = scene.train + scene.test
+    kept = inliers(np.stack([view.camera.position for view in views]))
     if not kept.all():
-        far = [view.name for view, inside in zip(scene.train, kept) if not inside]
+        far = [view.name for view, inside in zip(views, kept) if not inside]
         log(
             f"cameras: {', '.join(far[:3])}{' …' if len(far) > 3 else ''} ({len(far)} of {len(kept)} views) far beyond "
             "the others, a wrong pose? They do not count in the scene's centre, unit and extent"

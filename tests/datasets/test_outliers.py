@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +15,9 @@ from test_canonical import RIGS, camera
 
 from datasets.canonical import canonical_of, canonical_space
 from datasets.outliers import GAP, inliers, without_outliers
-from datasets.scene import bounding_cube, camera_extent
-from pipeline.data.prepare import name_outliers
+from datasets.scene import ScenePoints, bounding_cube, camera_extent
+from pipeline.config.schema import Config, InitConfig
+from pipeline.data.prepare import given_points, name_outliers
 
 RNG = np.random.default_rng(0)
 ANGLE = np.linspace(0, 2 * np.pi, 24, endpoint=False)
@@ -64,8 +67,6 @@ def test_a_wrong_pose_changes_neither_centre_nor_unit_nor_extent(rig: str) -> No
 
 def test_a_wrong_pose_is_named(tmp_path: Path) -> None:
     """The file's seventh image; of the others canonical coordinates are those without it."""
-    import json
-
     file = write_nerfstudio(tmp_path) / "transforms.json"
     content = json.loads(file.read_text())
     content["frames"][6]["transform_matrix"] = blender_pose(3e4)
@@ -73,8 +74,27 @@ def test_a_wrong_pose_is_named(tmp_path: Path) -> None:
     scene, _ = read(tmp_path)
     lines: list[str] = []
     name_outliers(scene, lines.append)
-    assert len(lines) == 1 and lines[0].startswith("cameras: train/frame_00007 (1 of 11 views) far beyond the others")
+    assert len(lines) == 1 and lines[0].startswith("cameras: train/frame_00007 (1 of 12 views) far beyond the others")
     unit = canonical_of(scene).unit
     del content["frames"][6]
     file.write_text(json.dumps(content))
     assert unit == pytest.approx(canonical_of(read(tmp_path)[0]).unit, rel=0.1)  # another view is held out
+
+
+def test_points_beyond_and_points_of_other_coordinates_are_left_out(tmp_path: Path) -> None:
+    """Of 300 points about the scene one far away; and all of them a thousand units off."""
+    scene, _ = read(write_nerfstudio(tmp_path))
+    positions = np.random.default_rng(0).normal(size=(300, 3)) * 0.3
+    positions[7] = 1e5, 0, 0
+    colors = np.arange(900, dtype=np.uint8).reshape(300, 3)
+    cfg, lines = replace(Config(), init=InitConfig(min_points=100)), []
+    cloud = given_points(cfg, replace(scene, points=ScenePoints(positions, colors)), lines.append)
+    assert cloud is not None and lines == ["points: 1 of 300 lie far beyond the others and are left out"]
+    kept = np.arange(300) != 7
+    assert np.array_equal(cloud.points, positions[kept]) and np.array_equal(cloud.colors, colors[kept])
+    near = replace(scene, points=ScenePoints(positions[kept], colors[kept]))
+    cloud = given_points(cfg, near, lines.append)
+    assert cloud is not None and cloud.points is near.points.positions and len(lines) == 1
+    away = replace(scene, points=ScenePoints(positions[kept] + [1e3, 0, 0], colors[kept]))
+    assert given_points(cfg, away, lines.append) is None
+    assert lines[1].startswith("points: 0 % of 299 are before a camera, as if not in the coordinates of")
