@@ -13,10 +13,13 @@ from datasets.composition import BLACK, compose
 from datasets.files.errors import SceneError
 from datasets.files.image_files import is_file, read_rgba
 from datasets.photographs.photograph import PosedFile
+from datasets.scene import ScenePoints, View
 from datasets.source import Log
+from datasets.urban.projection import in_image, project
 
 NOISE = 32  # of 255: how far a lossy file's black and white may be off
 TWO_VALUES = 0.95  # of the pixels: as many near black or white make a mask of these two, and not one of labels
+INVERTED = 0.25  # × the share of pixels that count: masks where points count more rarely may be inverted
 SAME_MASK = 0.99  # of the pixels in which colour and alpha agree
 
 
@@ -69,9 +72,30 @@ def _is_set(values: np.ndarray) -> np.ndarray:
     return values > 0
 
 
-def say_masks(root: Path, masks: Sequence[np.ndarray | None], log: Log) -> None:
-    """A line on the share of pixels that count. SceneError if none does."""
+def say_masks(root: Path, views: Sequence[View], points: ScenePoints | None, log: Log) -> None:
+    """Lines on the share of pixels that count, and on masks that look inverted, as points are where the scene is.
+
+    SceneError if no pixel counts.
+    """
+    masks = [view.mask for view in views]
     share = float(np.mean([1.0 if mask is None else mask.mean() for mask in masks]))
     if share == 0:
         raise SceneError(root, "masks that are 0 where pixels do not count", "masks of 0 alone: no pixel would count")
     log(f"masks: {100 * share:.0f} % of the pixels count" + ("; they leave out nothing" if share == 1 else ""))
+    if points is None:
+        return
+    counted = np.concatenate([_counted(view, points.positions) for view in views])
+    if len(counted) and counted.mean() < INVERTED * share:
+        log(
+            f"masks: only {100 * counted.mean():.0f} % of the points in the images lie where pixels count: the masks "
+            "may be inverted (0 leaves out)"
+        )
+
+
+def _counted(view: View, points: np.ndarray) -> np.ndarray:
+    """(n,) bool of the points (N, 3) in the image: whether their pixel counts."""
+    column, row, depth = project(points, view.camera)
+    inside = in_image(column, row, depth, view.camera)
+    if view.mask is None:
+        return np.ones(np.count_nonzero(inside), dtype=bool)
+    return view.mask[row[inside].astype(int), column[inside].astype(int)]

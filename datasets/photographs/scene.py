@@ -119,7 +119,7 @@ def to_scene(
     train_cameras = [view.camera for view in views["train"]]
     background = _background(views["train"], requested, log)
     if any(photograph.mask for photograph in photographs):
-        say_masks(root, [view.mask for view in (*views["train"], *views["test"])], log)
+        say_masks(root, [*views["train"], *views["test"]], points, log)
     space = canonical_space(train_cameras)
     times = [photograph.time for photograph in photographs if photograph.time is not None]
     low, high = min(times), max(times)

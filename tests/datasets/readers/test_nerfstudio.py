@@ -227,6 +227,32 @@ def test_masks_as_jpeg(tmp_path: Path) -> None:
     assert not scene.train[0].mask[:, : WIDTH // 2].any() and scene.train[0].mask[:, WIDTH // 2 :].all()
 
 
+@pytest.mark.parametrize("inverted", [False, True])
+def test_masks_that_leave_out_the_points_may_be_inverted(tmp_path: Path, inverted: bool) -> None:
+    """A disc in the middle, where the points are, counts or does not."""
+    rows, columns = np.mgrid[:HEIGHT, :WIDTH]
+    disc = np.hypot(columns + 0.5 - WIDTH / 2, rows + 0.5 - HEIGHT / 2) < 10
+
+    def write(half: np.ndarray, path: Path) -> None:
+        Image.fromarray(np.where(disc != inverted, 255, 0).astype(np.uint8)).save(path)
+
+    rng = np.random.default_rng(0)
+    write_nerfstudio(tmp_path)
+    points = rng.uniform(-0.2, 0.2, (50, 3))
+    header = ["ply", "format ascii 1.0", "element vertex 50", *(f"property float {a}" for a in "xyz"), "end_header"]
+    (tmp_path / "points.ply").write_text("\n".join([*header, *(f"{x} {y} {z}" for x, y, z in points), ""]))
+    content = json.loads((tmp_path / "transforms.json").read_text()) | {"ply_file_path": "points.ply"}
+    (tmp_path / "transforms.json").write_text(json.dumps(content))
+    for path in (tmp_path / "masks").iterdir():
+        write(disc, path)
+    said = [line for line in read(tmp_path)[1] if "may be inverted" in line]
+    assert said == (
+        ["masks: only 0 % of the points in the images lie where pixels count: the masks may be inverted (0 leaves out)"]
+        if inverted
+        else []
+    )
+
+
 @pytest.mark.parametrize("value, said", [(255, "masks: 100 % of the pixels count; they leave out nothing"), (0, None)])
 def test_masks_of_one_value(tmp_path: Path, value: int, said: str | None) -> None:
     write = lambda half, path: Image.fromarray(np.full_like(half, value)).save(path)  # noqa: E731
