@@ -26,10 +26,10 @@ def test_every_imported_package_is_declared():
 
 def test_only_the_rasterizer_is_in_the_wheel_and_the_checkout_holds_all():
     settings = PYPROJECT["tool"]["scikit-build"]
-    assert settings["wheel"]["packages"] == ["rasterizer"]
+    assert settings["wheel"]["packages"] == ["rasterizer", "gaussians_4d"]
     assert "build-dir" not in settings  # a wheel's build would change the one that `make` keeps
     (override,) = settings["overrides"]
-    assert override["wheel"]["packages"] == ["rasterizer", "datasets", "pipeline"]
+    assert override["wheel"]["packages"] == ["rasterizer", "datasets", "pipeline", "gaussians_4d"]
     for state, taken in (("editable", True), ("metadata_editable", True), ("wheel", False), ("sdist", False)):
         assert bool(re.search(override["if"]["state"], state)) is taken
 
