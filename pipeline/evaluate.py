@@ -26,7 +26,7 @@ from pipeline.config.schema import Config
 from pipeline.data.prepare import Prepared, prepare
 from pipeline.evaluation.evaluate import Evaluation, evaluate_with_images
 from pipeline.model.model import Model
-from pipeline.model.ply import stated_coordinates
+from pipeline.model.ply import positions_of, stated_coordinates
 from pipeline.model.transformed import in_canonical
 from pipeline.runs.run_folder import now, write_csv
 from pipeline.runs.run_identity import read_config
@@ -84,7 +84,7 @@ def _in_scene(model: Model, path: Path, cfg: Config, data: Prepared, told: str |
     own = own or _of_its_run(path, cfg, data)
     if own is None and path.suffix == ".ply":
         if told is None:
-            return placed(model, path, cfg, data, thread_count(cfg.threads), log)
+            return placed(model, positions_of(path), path, cfg, data, thread_count(cfg.threads), log)
         own = Canonical() if told == "data" else None
     if own is None or own == data.canonical:
         return model

@@ -127,8 +127,9 @@ def imaged(lens: Lens | None, size: tuple[int, int], reduced: tuple[int, int]) -
 
 def fold_line(lens: Lens, size: tuple[int, int]) -> str | None:
     """The line of a log on a lens that folds inside its image (width, height); None: it does not."""
-    fold, counts = lens.fold(size), imaged(lens, size, size)
-    if counts is None or not np.isfinite(fold).any():
+    fold = lens.fold(size)
+    counts = imaged(lens, size, size) if np.isfinite(fold).any() else None
+    if counts is None:
         return None
     bent = ", ".join(f"{name} {value:g}" for name, value in zip(lens.names, lens.coefficients) if value)
     return (

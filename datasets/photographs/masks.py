@@ -20,6 +20,7 @@ from datasets.urban.projection import in_image, project
 NOISE = 32  # of 255: how far a lossy file's black and white may be off
 TWO_VALUES = 0.95  # of the pixels: as many near black or white make a mask of these two, and not one of labels
 INVERTED = 0.25  # × the share of pixels that count: masks where points count more rarely may be inverted
+LOOKED_AT = 10_000  # points suffice for that
 SAME_MASK = 0.99  # of the pixels in which colour and alpha agree
 
 
@@ -84,7 +85,8 @@ def say_masks(root: Path, views: Sequence[View], points: ScenePoints | None, log
     log(f"masks: {100 * share:.0f} % of the pixels count" + ("; they leave out nothing" if share == 1 else ""))
     if points is None:
         return
-    counted = np.concatenate([_counted(view, points.positions) for view in views])
+    some = points.positions[:: max(1, len(points.positions) // LOOKED_AT)]
+    counted = np.concatenate([_counted(view, some) for view in views])
     if len(counted) and counted.mean() < INVERTED * share:
         log(
             f"masks: only {100 * counted.mean():.0f} % of the points in the images lie where pixels count: the masks "

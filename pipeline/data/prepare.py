@@ -24,6 +24,7 @@ from pipeline.data.from_motion import structure_from_motion, transformed
 from pipeline.data.sfm.reconstruction import Reconstruction
 
 SEEN = 0.1  # of the given points: where cameras see fewer, they are none of the scene
+LOOKED_AT, FEW_CAMERAS = 10_000, 100  # as many points and cameras suffice for that
 
 
 @dataclass(frozen=True)
@@ -103,8 +104,10 @@ def given_points(cfg: Config, scene: Scene, log: Callable[[str], None]) -> Recon
     if not (kept := inliers(positions)).all():
         log(f"points: {np.count_nonzero(~kept)} of {len(kept)} lie far beyond the others and are left out")
         positions, colors = positions[kept], colors[kept]
-    cameras = {view.camera.world_to_cam.tobytes(): view.camera for view in scene.train}.values()
-    seen = np.mean(np.any([in_image(*project(positions, camera), camera) for camera in cameras], axis=0))
+    cameras = list({view.camera.world_to_cam.tobytes(): view.camera for view in scene.train}.values())
+    some = positions[:: max(1, len(positions) // LOOKED_AT)]
+    chosen = cameras[:: max(1, len(cameras) // FEW_CAMERAS)]
+    seen = np.mean(np.any([in_image(*project(some, camera), camera) for camera in chosen], axis=0))
     if seen < SEEN:
         log(
             f"points: {100 * seen:.0f} % of {len(positions)} are before a camera, as if not in the coordinates of "

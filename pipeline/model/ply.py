@@ -104,6 +104,12 @@ def load_ply(path: Path) -> Model:
         raise DataError(path, "the Gaussians of a model", str(error)) from None
 
 
+def positions_of(path: Path) -> np.ndarray:
+    """(N, 3) float64: x, y and z of a file that `load_ply` reads, which may have them in double precision."""
+    vertices = _vertices(path)
+    return np.stack([np.asarray(vertices[axis], np.float64) for axis in "xyz"], axis=1)
+
+
 def _vertices(path: Path) -> np.ndarray:
     """The rows of the file's element `vertex`, at least one."""
     try:

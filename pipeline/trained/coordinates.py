@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import torch
 
 from datasets.outliers import without_outliers
 from pipeline.config.schema import Config
@@ -24,8 +25,16 @@ SURE = 0.3  # dB between the two
 NAMES = {"canonical": "canonical coordinates", "data": "the coordinates of the data's files"}
 
 
-def placed(model: Model, path: Path, cfg: Config, data: Prepared, threads: int, log: Callable[[str], None]) -> Model:
-    """`model`, as the file has it, in canonical coordinates of the scene.
+def placed(
+    model: Model,
+    positions: np.ndarray,
+    path: Path,
+    cfg: Config,
+    data: Prepared,
+    threads: int,
+    log: Callable[[str], None],
+) -> Model:
+    """`model`, as the file has it, in canonical coordinates of the scene. positions: (N, 3) float64, the file's.
 
     Its Gaussians must lie in the scene's cube in one of the two; where they do in both, training views decide. What was
     taken is said. ValueError, with the numbers, where neither fits or both fit alike.
@@ -33,6 +42,8 @@ def placed(model: Model, path: Path, cfg: Config, data: Prepared, threads: int, 
     if data.canonical.is_identity:
         return model
     tried = {"canonical": model, "data": in_canonical(model, data.canonical)}
+    mean = tried["data"].parameters["mean"]  # before it was rounded to float32, which map coordinates do not bear
+    mean[:, :3] = torch.from_numpy(data.canonical.points(positions)).to(mean.dtype)
     fitting = {name: moved for name, moved in tried.items() if _fits(moved, data)}
     where = {name: _where(moved) for name, moved in tried.items()}
     if not fitting:

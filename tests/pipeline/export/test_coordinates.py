@@ -125,9 +125,10 @@ def test_unstated_coordinates_are_found_out(canonical: Canonical, has: str) -> N
     model = static_model()
     data, lines = Prepared(photographed(model), None, None, canonical), []
     file = model if has == "canonical" else in_canonical(model, canonical.inverse)
-    found = placed(file, Path("m.ply"), evaluation_config(), data, 1, lines.append)
-    rounding = 1.0 if canonical is MAP and has == "data" else 1e-4  # a file of float32 at 5.6e6 has lost it already
-    np.testing.assert_allclose(found.parameters["mean"], model.parameters["mean"], atol=rounding)
+    positions = model.parameters["mean"].numpy().astype(np.float64)
+    positions = positions if has == "canonical" else canonical.inverse.points(positions)  # a file of double precision
+    found = placed(file, positions, Path("m.ply"), evaluation_config(), data, 1, lines.append)
+    np.testing.assert_allclose(found.parameters["mean"], model.parameters["mean"], atol=1e-6)
     expected = "canonical coordinates" if has == "canonical" else "the coordinates of the data's files"
     assert len(lines) == 1 and lines[0].startswith(f"evaluate: m.ply is taken to have {expected}: ")
     assert ("4 training views" in lines[0]) == (canonical.centre[0] < 10)
@@ -138,8 +139,8 @@ def test_gaussians_that_are_nowhere_near_are_refused_with_the_numbers() -> None:
     data = Prepared(photographed(model), None, None, ROOM)
     lost = in_canonical(model, Canonical((500.0, 0.0, 0.0)))
     with pytest.raises(ValueError, match=r"m\.ply: expected Gaussians about the scene, .* found them at \(-500"):
-        placed(lost, Path("m.ply"), evaluation_config(), data, 1, print)
+        placed(lost, lost.parameters["mean"].numpy(), Path("m.ply"), evaluation_config(), data, 1, print)
     grey = replace(data, scene=tiny_scene(static=True))  # images that show the model in neither
     invisible = model.with_parameters(model.parameters | {"opacity_logit": torch.full((200,), -60.0)})
     with pytest.raises(ValueError, match="--coordinates canonical or data, as both fit alike: .* dB"):
-        placed(invisible, Path("m.ply"), evaluation_config(), grey, 1, print)
+        placed(invisible, invisible.parameters["mean"].numpy(), Path("m.ply"), evaluation_config(), grey, 1, print)
