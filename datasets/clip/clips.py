@@ -18,12 +18,12 @@ from datasets.composition import BLACK, background_color
 from datasets.files.errors import SceneError
 from datasets.plenoptic.sync import select_cameras
 from datasets.plenoptic.unsynchronised import offsets_of
-from datasets.plenoptic.videos import find_footage, probe, video_paths
+from datasets.plenoptic.videos import find_footage, open_videos, video_paths
 from datasets.scene import Scene, View, camera_extent, capture_of, validate_scene
 from datasets.settings import SceneConfig
 from datasets.source import Log
 from datasets.validation import ordinal
-from datasets.video_files.decode import image_paths
+from datasets.video_files.image_folder import image_paths
 from rasterizer.camera import Camera
 
 PLAYBACK_RATES = (5.0, 60.0)  # frames a second of rendered videos
@@ -167,7 +167,7 @@ def open_clips(root: Path, cfg: SceneConfig, log: Log) -> Clips:
     still = [cfg.moving_cameras is not True and stands_still(file.path) for file in kept]
     moving, standing = (", ".join(f.name for f, stands in zip(kept, still) if stands == one) for one in (False, True))
     log(f"cameras that move: {moving or 'none'}" + (f"; that stand still: {standing}" if standing else ""))
-    videos = probe(files, keep, cfg.drop_cameras)
+    videos = open_videos(files, keep, cfg.drop_cameras)
     offsets = None
     if cfg.sync != "none":
         offsets = offsets_of(root, videos, cfg.sync, cfg.offsets, log, moving=not all(still))

@@ -15,19 +15,20 @@ from datasets.clip.survey import MOST_SURVEYED, survey
 from datasets.composition import BLACK, background_color, chosen_downscale, reduced_camera
 from datasets.files.errors import SceneError
 from datasets.files.image_files import read_rgba
+from datasets.plenoptic.align import covering
 from datasets.plenoptic.decode import reduce_image
-from datasets.plenoptic.unsynchronised import covering
 from datasets.scene import make_camera
 from datasets.settings import SceneConfig
 from datasets.source import Log
-from datasets.video_files.decode import Frame, image_frames, image_paths, video_frames
-from datasets.video_files.probe import probe
+from datasets.video_files.film import open_film
+from datasets.video_files.frame import Frame
+from datasets.video_files.image_folder import image_frames, image_paths
 from rasterizer.camera import Camera
 
 FEWEST_FRAMES = 12  # with fewer neither motion nor a held-out frame can be told
 SFM_SIDE = 1024  # pixels: the longer side of the images that structure from motion gets is not longer
 
-Frames = Callable[..., Iterator[Frame]]  # video_frames or image_frames, but for `keep` and `every`
+Frames = Callable[..., Iterator[Frame]]  # Film.frames or image_frames, but for `keep` and `every`
 
 
 @dataclass(frozen=True)
@@ -91,12 +92,10 @@ class Clip:
 
 def survey_clip(path: Path, cfg: SceneConfig, most: int, log: Log, still: bool = False) -> SurveyedClip:
     """Chooses the frames in use, `most` at most. still: the camera stands still, so that frames may be alike."""
-    header = None if path.is_dir() else probe(path)
+    film = None if path.is_dir() else open_film(path)
     frames: Frames
-    if header:
-        for note in header.notes():
-            log(f"{path.name}: {note}")
-        frames, total = partial(video_frames, path, header), header.frames
+    if film:
+        frames, total = film.frames, film.count
     else:
         images, background = image_paths(path), background_color(cfg.background) or BLACK
         frames, total = partial(image_frames, images, background=background), len(images)
@@ -108,12 +107,13 @@ def survey_clip(path: Path, cfg: SceneConfig, most: int, log: Log, still: bool =
             raise SceneError(
                 f"{path}: scene.first_frame", f"below the {last + 1} frames of the clip", f"{cfg.first_frame}"
             )
-        if header is None and total:
+        if film is None and total:
             read_rgba(image_paths(path)[0])  # says what it is instead
         raise SceneError(path, "frames that can be decoded", "none")
     choice = choose(found, most, still)
-    for note in choice.notes:
-        log(f"{path.name}: {note}")
+    notes = [*(film.notes() if film else ()), *choice.notes]
+    if notes:
+        log(f"{path.name}: {'; '.join(notes)}")
     if len(choice.indices) < FEWEST_FRAMES:
         sharp = len(choose(found, found.total, still).indices)
         if sharp >= FEWEST_FRAMES:
@@ -129,7 +129,7 @@ def survey_clip(path: Path, cfg: SceneConfig, most: int, log: Log, still: bool =
             f"{sharp} of {found.total}{start}; film 5 to 20 seconds while walking around what you film",
         )
     surveyed = SurveyedClip(path, frames, choice, found.content, cfg)
-    if header is not None and surveyed.size != header.size:
+    if film is not None and surveyed.size != film.size:
         log(f"{path.name}: black bars are cut off, {{}} x {{}} pixels are left".format(*surveyed.size))
     return surveyed
 

@@ -16,8 +16,8 @@ import cv2
 import numpy as np
 
 from datasets.files.errors import SceneError
-from datasets.video_files.decode import Frame, video_frames
-from datasets.video_files.probe import probe
+from datasets.video_files.film import Film, open_film
+from datasets.video_files.frame import Frame
 
 WIDTH = 192  # pixels of the small images
 MOST_SURVEYED = 2000
@@ -124,16 +124,15 @@ def stands_still(path: Path) -> bool:
     True where no frame can be decoded: reading the video says so, with what to do.
     """
     try:
-        return _still(path, path.stat().st_mtime_ns)
+        return _still(open_film(path))
     except SceneError:
         return True
 
 
 @lru_cache(maxsize=64)  # a run asks several times
-def _still(path: Path, modified: int) -> bool:
-    header = probe(path)
-    wanted = set(np.linspace(0, max(header.frames - 1, 0), SAMPLES).astype(int).tolist())
-    frames = [frame.image for frame in video_frames(path, header, wanted) if frame.image is not None]
+def _still(film: Film) -> bool:
+    wanted = set(np.linspace(0, film.count - 1, SAMPLES).astype(int).tolist())
+    frames = [frame.image for frame in film.frames(wanted) if frame.image is not None]
     images = [small_image(cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY)) for frame in frames]
     shifts = [_shift(images[0], image) for image in images[1:]]
     return not shifts or float(np.mean(np.array(shifts) > SHIFTED)) < MOVED_SHARE

@@ -33,24 +33,29 @@ from datasets.files.frame_store import StoredFrame, read_frames, write_frames
 from datasets.plenoptic.display import DecodingDisplay
 from datasets.source import Log
 
-STORE_VERSION = 1  # to be increased by every change that alters the decoded frames
+STORE_VERSION = 2  # to be increased by every change that alters the decoded frames
+FEWEST_ALIKE = 4  # frames that are equal to the bit are no film
 
 
 @dataclass(frozen=True)
 class Stream(ABC):
-    """One camera's images in order of time, all of one size: a video or a folder of images."""
+    """One camera's images in use in order of time, all of one size: of a video or a folder of images."""
 
     name: str  # "cam00"; unique, the name of its file in the store
     number: int  # as in scene.test_cameras and scene.drop_cameras
     path: Path  # the video, or the first image; named in messages
     size: tuple[int, int]  # (width, height)
-    rate: float  # frames per unit of time
-    count: int  # frames according to its header
-    start: float  # time of the first frame, in frames
+    rate: float  # of the ticks that all cameras share, per unit of time
+    ticks: tuple[int, ...]  # of each image, ascending; one that has no image is left out
+    times: tuple[float, ...]  # of each image, in units of time
+
+    @property
+    def count(self) -> int:
+        return len(self.ticks)
 
     @abstractmethod
-    def read(self, first: int, count: int, threads: int) -> Iterator[np.ndarray]:
-        """Frames first … first + count - 1, each (height, width, 3) uint8 RGB; SceneError if one cannot be decoded."""
+    def read(self, threads: int) -> Iterator[np.ndarray]:
+        """Each (height, width, 3) uint8 RGB; SceneError if one cannot be decoded."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +67,11 @@ class Decoding:
     downscale: int
     undistortion: Mapping[str, Undistortion]  # by the name of the camera; of distorted images
     colors: Mapping[str, ColorCorrection]  # the same, of the cameras whose colours are corrected
+
+    def shape(self, stream: Stream) -> tuple[int, int, int, int]:
+        """(frames, height, width, 3) of what is stored of a camera."""
+        width, height = stream.size
+        return stream.count, height // self.downscale, width // self.downscale, 3
 
     def folder(self, cache: Path, scene: str, content: str) -> Path:
         """Of a scene's frames. content: hash of all videos or images of the scene, dropped ones included."""
@@ -105,14 +115,12 @@ def decode(
     """Camera -> its frames in `folder`, decoded if they are not there. All streams have one size.
 
     threads: number of cameras decoded in parallel. Waits for another process that decodes into the same folder. Raises
-    SceneError if a video cannot be decoded or the disk is full.
+    SceneError if a video cannot be decoded, a camera's frames are all one, or the disk is full.
     """
-    width, height = streams[0].size
-    shape = (decoding.frames, height // decoding.downscale, width // decoding.downscale, 3)
 
     def stored() -> dict[str, tuple[StoredFrame, ...]]:
         """The cameras that are complete."""
-        read = {stream.name: read_frames(folder, stream.name, shape) for stream in streams}
+        read = {stream.name: read_frames(folder, stream.name, decoding.shape(stream)) for stream in streams}
         return {name: frames for name, frames in read.items() if frames is not None}
 
     found = stored()
@@ -121,33 +129,38 @@ def decode(
         with _locked(folder, log):
             for leftover in folder.glob(f"{TEMPORARY}*"):
                 leftover.unlink()
-            missing = [stream for stream in streams if read_frames(folder, stream.name, shape) is None]
-            needed, free = len(missing) * math.prod(shape), shutil.disk_usage(folder).free
+            missing = [stream for stream in streams if read_frames(folder, stream.name, decoding.shape(stream)) is None]
+            needed = sum(math.prod(decoding.shape(stream)) for stream in missing)
+            free = shutil.disk_usage(folder).free
             if free < needed:
                 raise _no_space(folder, needed, free)
-            with DecodingDisplay(len(missing), decoding.frames, log) as display:
-                _decode_missing(missing, folder, shape, decoding, threads, display)
+            with DecodingDisplay(len(missing), sum(stream.count for stream in missing), log) as display:
+                _decode_missing(missing, folder, decoding, threads, display)
         found = stored()
+    for stream in streams:
+        frames = found[stream.name]
+        if len(frames) >= FEWEST_ALIKE and len({frame.checksum for frame in frames}) == 1:
+            raise SceneError(
+                stream.path,
+                "frames that differ",
+                f"{len(frames)} that are equal to the bit: a camera that froze, or a file that cannot be decoded; "
+                "scene.drop_cameras leaves a camera out",
+            )
     return found
 
 
 def _decode_missing(
-    streams: Sequence[Stream],
-    folder: Path,
-    shape: tuple[int, int, int, int],
-    decoding: Decoding,
-    threads: int,
-    display: DecodingDisplay,
+    streams: Sequence[Stream], folder: Path, decoding: Decoding, threads: int, display: DecodingDisplay
 ) -> None:
     stop = threading.Event()  # ends the other threads after an error or Ctrl-C
     threads_each = max(1, threads // max(1, len(streams)))
 
     def decode_one(stream: Stream) -> None:
+        shape = decoding.shape(stream)
         images = _reduced_frames(stream, decoding, threads_each, stop, display)
         facts = {
             "source": stream.path.name,
-            "rate": stream.rate,
-            "first_frame": decoding.first_frame,
+            "ticks": stream.ticks,
             "downscale": decoding.downscale,
             "store_version": STORE_VERSION,
         }
@@ -174,7 +187,7 @@ def _reduced_frames(
     """A camera's frames as they are stored: corrected in colour, undistorted and reduced."""
     lens, color = decoding.undistortion.get(stream.name), decoding.colors.get(stream.name)
     maps = lens.maps(stream.size) if lens else None
-    for image in stream.read(decoding.first_frame, decoding.frames, threads):
+    for image in stream.read(threads):
         if stop.is_set():
             raise RuntimeError("decoding was stopped")  # not shown: the error that set `stop` is raised instead
         if color is not None:

@@ -16,9 +16,9 @@ class DecodingDisplay:
     """A context manager; `frame` and `camera` are thread-safe."""
 
     def __init__(self, cameras: int, frames: int, log: Log, console: Console | None = None) -> None:
-        """cameras: number of cameras to decode; frames: of each."""
+        """Numbers of cameras and of frames to decode."""
         self._console = console or Console()
-        self._cameras, self._frames, self._log = cameras, cameras * frames, log
+        self._cameras, self._frames, self._log = cameras, frames, log
         self._cameras_done = self._frames_done = 0
         self._lock = threading.Lock()
         self._started = time.perf_counter()

@@ -1,19 +1,22 @@
-"""`FilmedSource`: videos or image sequences of cameras that stand still, and how their headers are read."""
+"""`FilmedSource`: videos or image sequences of cameras that stand still, and how they are opened."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 
 from datasets.composition import chosen_downscale
+from datasets.plenoptic.align import aligned, left_out, synchronised
 from datasets.plenoptic.decode import fingerprint
 from datasets.plenoptic.footage import Footage
-from datasets.plenoptic.sync import common_frames, select_cameras
-from datasets.plenoptic.videos import Video, VideoFile, probe
+from datasets.plenoptic.sync import select_cameras
+from datasets.plenoptic.videos import Video, VideoFile, open_videos
 from datasets.settings import SceneConfig
 from datasets.source import Log, Size, Source, without_validation
+from datasets.sync.offsets import Offsets
 
 VIDEO_PART = 1 << 20  # bytes hashed at the beginning and at the end of each file
 TIMED_FRAMES = 12
@@ -35,18 +38,18 @@ class FilmedSource(Source):
         return self.footage.held_out
 
     def size(self) -> Size:
-        held_out = len(self.held_out) * self.footage.count
-        return Size(len(self.footage.names) * self.footage.count - held_out, held_out, *self.footage.shape)
+        counts = {stream.name: stream.count for stream in self.footage.streams}
+        held_out = sum(counts[name] for name in self.held_out)
+        return Size(sum(counts.values()) - held_out, held_out, *self.footage.shape)
 
     @property
     def stored_bytes(self) -> int:
         width, height = self.footage.shape
-        return 3 * width * height * len(self.footage.names) * self.footage.count
+        return 3 * width * height * sum(stream.count for stream in self.footage.streams)
 
     def seconds_per_frame(self) -> float:
-        started, count = time.perf_counter(), min(TIMED_FRAMES, self.footage.count)
-        for _ in self.footage.streams[0].read(self.footage.cfg.first_frame, count, 1):
-            pass
+        started = time.perf_counter()
+        count = sum(1 for _ in islice(self.footage.streams[0].read(1), TIMED_FRAMES))
         return (time.perf_counter() - started) / count
 
 
@@ -57,29 +60,40 @@ def videos_config(cfg: SceneConfig) -> SceneConfig:
     )
 
 
-def open_videos(
-    root: Path, files: Sequence[VideoFile], cfg: SceneConfig, log: Log, square: bool = True
+def read_videos(
+    root: Path, files: Sequence[VideoFile], cfg: SceneConfig, threads: int, square: bool = True
 ) -> tuple[Video, ...]:
-    """The videos of the cameras in use, with a line for what is done to their frames. square: see videos.probe."""
+    """The videos of the cameras in use. square: see open_videos."""
     keep = select_cameras([file.number for file in files], root, cfg.test_cameras, cfg.drop_cameras)
-    videos = probe(files, keep, cfg.drop_cameras, square)
-    for video in videos:
-        for note in video.header.notes():
-            log(f"{video.path.name}: {note}")
-    return videos
+    return open_videos(files, keep, cfg.drop_cameras, threads, square)
 
 
 def footage_of(
-    root: Path, files: Sequence[VideoFile], videos: tuple[Video, ...], cfg: SceneConfig, threads: int, log: Log
+    root: Path,
+    files: Sequence[VideoFile],
+    videos: Sequence[Video],
+    offsets: Offsets | None,
+    cfg: SceneConfig,
+    threads: int,
+    log: Log,
 ) -> Footage:
-    """Synchronised videos. files: of all cameras, dropped ones included."""
-    count = common_frames(videos, cfg.first_frame, cfg.frames, cfg.drop_cameras)
+    """Footage with a line a camera for what is mended or left out. files: of all cameras, dropped ones included;
+    offsets: None: the time stamps are of one clock.
+    """
+    if offsets is None:
+        streams = synchronised(videos, cfg.first_frame, cfg.frames)
+    else:
+        streams = aligned(videos, offsets, cfg.first_frame, cfg.frames)
+    count = 1 + max(stream.ticks[-1] for stream in streams) - cfg.first_frame
+    for video, stream in zip(videos, streams, strict=True):
+        missing = left_out(stream, cfg.first_frame, count)
+        notes = [*video.film.notes(), *filter(None, (video.film.damage(), missing))]
+        if notes:
+            log(f"{video.path.name}: {'; '.join(notes)}")
     if not cfg.downscale:
-        cfg = replace(cfg, downscale=chosen_downscale(videos[0].size))
-    return Footage(root, videos, count, content_of(files, videos), cfg, threads, log)
-
-
-def content_of(files: Sequence[VideoFile], videos: Sequence[Video]) -> str:
-    """Hash of all files, and whether frames are converted: stores of earlier versions hold the pixels as stored."""
-    converted = " converted" if any(video.converted for video in videos) else ""
-    return fingerprint([file.path for file in files], VIDEO_PART) + converted
+        cfg = replace(cfg, downscale=chosen_downscale(streams[0].size))
+    # Which frames are in use depends on the other cameras, too; all else that a store holds is in the files.
+    chosen = [(s.name, s.ticks, s.indices, s.size) for s in streams if s.indices != s.ticks or offsets]
+    aspects = sorted({video.film.pixel_aspect for video in videos})
+    content = f"{fingerprint([file.path for file in files], VIDEO_PART)} {aspects} {chosen}"
+    return Footage(root, streams, count, content, cfg, threads, log)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +16,9 @@ from datasets.canonical import FRAMES_PER_UNIT
 from datasets.composition import BLACK, background_color, reduced_camera
 from datasets.files.errors import SceneError
 from datasets.ground_truth import StoredTruth
+from datasets.plenoptic.align import FilmStream
 from datasets.plenoptic.decode import Decoding, Stream, decode
-from datasets.plenoptic.images import ImageSequence
 from datasets.plenoptic.sync import drop_advice
-from datasets.plenoptic.unsynchronised import AlignedStream
 from datasets.scene import (
     Box,
     Image,
@@ -38,7 +37,6 @@ from rasterizer.cores import thread_count
 
 # Rates outside this range are taken to be per millisecond, per frame or the like, not per second.
 PLAYBACK_RATES = (5.0, 1000.0)
-ROUNDING = 0.1  # frames: images that are later or earlier by less are at equal steps
 
 
 @dataclass(frozen=True)
@@ -47,7 +45,7 @@ class Footage:
 
     source: Path  # the folder
     streams: tuple[Stream, ...]  # the cameras in use
-    count: int  # frames in use, of each camera
+    count: int  # ticks in use; a camera may lack frames
     content: str  # hash of all files of the data set
     cfg: SceneConfig
     threads: int  # for decoding; 0: all cores
@@ -86,7 +84,7 @@ class Footage:
         """Name -> the first frame in use of each camera, (height, width, 3) uint8 RGB at full size, undistorted."""
 
         def first(stream: Stream) -> np.ndarray:
-            image = next(iter(stream.read(self.cfg.first_frame, 1, 1)))
+            image = next(iter(stream.read(1)))
             lens = (undistortion or {}).get(stream.name)
             return undistort(image, lens.maps(stream.size)) if lens and any(lens.coefficients) else image
 
@@ -126,7 +124,7 @@ class Footage:
         masks = {
             name: imaged(undistortion.get(name), self.size, (one.width, one.height)) for name, one in small.items()
         }
-        blanks = {name: [blank] * self.count for name in self.names}
+        blanks = {stream.name: [blank] * stream.count for stream in self.streams}
         validate_scene(self._scene(small, blanks, unit, init_box, truth, masks))
 
         decoding = Decoding(cfg.first_frame, self.count, cfg.downscale, undistortion, colors or {})
@@ -136,34 +134,17 @@ class Footage:
 
     def _truth(self, stream: Stream, estimated: bool) -> list[StoredTruth] | None:
         """The ground truth of a camera's frames in use; None without one, and where frames are scaled or cropped."""
-        file, first = self.source / "truth" / f"{stream.name}.npz", self.cfg.first_frame
-        numbers: Sequence[int] = range(first, first + self.count)
-        if isinstance(stream, AlignedStream):
-            numbers = stream.indices if stream.video.size == stream.size else ()
+        file, numbers = self.source / "truth" / f"{stream.name}.npz", stream.ticks
+        if isinstance(stream, FilmStream):
+            numbers = stream.indices if stream.film.size == stream.size else ()
         if not numbers or not file.is_file():
             return None
         return [StoredTruth(file, number, self.cfg.downscale, has_depth=not estimated) for number in numbers]
 
-    def _time(self, stream: Stream, index: int) -> float:
-        """Of a frame in use: its own where cameras were not synchronised, or images are not at equal steps."""
-        if isinstance(stream, AlignedStream):
-            return stream.times[index]
-        return (index + self._lateness(stream, index) - self._earliest) / self.rate
-
-    def _lateness(self, stream: Stream, index: int) -> float:
-        """Frames by which a frame in use is later than at equal steps; 0 for what may be rounding."""
-        late = stream.late[self.cfg.first_frame + index] if isinstance(stream, ImageSequence) else 0.0
-        return late if abs(late) > ROUNDING else 0.0
-
-    @cached_property
-    def _earliest(self) -> float:
-        """The smallest lateness of the first frames in use, or 0: no time is negative."""
-        return min(0.0, *(self._lateness(stream, 0) for stream in self.streams))
-
     @property
     def mixed_lenses(self) -> bool:
         """Whether cameras differ in size, so that they cannot share a lens."""
-        return len({s.video.size for s in self.streams if isinstance(s, AlignedStream)}) > 1
+        return len({s.film.size for s in self.streams if isinstance(s, FilmStream)}) > 1
 
     def _check_cameras(self, cameras: Mapping[str, Camera]) -> None:
         for stream in self.streams:
@@ -197,9 +178,9 @@ class Footage:
             views[split] += [
                 View(
                     cameras[stream.name],
-                    self._time(stream, index),
+                    stream.times[index],
                     image,
-                    f"{split}/{stream.name}_{self.cfg.first_frame + index:04d}",
+                    f"{split}/{stream.name}_{stream.ticks[index]:04d}",
                     truth=None if truth is None else truth[index],
                     mask=masks[stream.name],
                     filmed_by=stream.name,
@@ -211,7 +192,7 @@ class Footage:
             name=self.cfg.name,
             train=train,
             test=test,
-            duration=max(self.count / self.rate, *(self._time(stream, self.count - 1) for stream in self.streams)),
+            duration=max(self.count / self.rate, *(stream.times[-1] for stream in self.streams)),
             time_start=0.0,
             background=background_color(self.cfg.background) or BLACK,
             extent=camera_extent([view.camera for view in train]),

@@ -12,8 +12,8 @@ transforms_test.json, or those of scene.test_cameras.
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -25,12 +25,14 @@ from datasets.composition import Color, compose
 from datasets.files.errors import SceneError
 from datasets.files.image_files import common_size, read_rgba
 from datasets.plenoptic.decode import Stream
+from datasets.plenoptic.sync import RATE_TOLERANCE, drop_advice, on_ticks, require_equal
 from rasterizer.camera import Camera
 
 FRAME_NAME = re.compile(r"(?P<camera>\D*(?P<number>\d+))_(?P<frame>\d+)")  # cam00_0000
 SPLITS = ("train", "test")
 STILL_TOLERANCE = 1e-6  # world units; the entries of a camera repeat its pose
 LATEST = 1e19  # nanoseconds since 1970 are 2e18
+START_TOLERANCE = 0.5  # frames
 SINGLE_FRAME_RATE = 30.0  # the converter's frames per unit of time, which one frame alone does not determine
 
 
@@ -45,15 +47,14 @@ class CameraFrame:
 
 @dataclass(frozen=True)
 class ImageSequence(Stream):
-    """A camera's images; its `start` is relative to the earliest image of all cameras."""
+    """A camera's images."""
 
     paths: tuple[Path, ...]
-    late: tuple[float, ...]  # frames by which each image is later than at equal steps from the earliest of all cameras
     background: Color  # under transparent pixels
 
-    def read(self, first: int, count: int, threads: int) -> Iterator[np.ndarray]:
-        """Images first … first + count - 1, each (height, width, 3) uint8 RGB; read by one thread."""
-        for path in self.paths[first : first + count]:
+    def read(self, threads: int) -> Iterator[np.ndarray]:
+        """Read by one thread."""
+        for path in self.paths:
             rgba = read_rgba(path)
             yield rgba[..., :3] if (rgba[..., 3] == 255).all() else compose(rgba, self.background)
 
@@ -105,14 +106,43 @@ def image_sequences(
                 path=paths[0],
                 size=common_size(paths),
                 rate=rate,
-                count=len(frames),
-                start=(frames[0].time - earliest) * rate,
+                ticks=tuple(range(len(frames))),
+                times=tuple(frame.time - earliest for frame in frames),
                 paths=paths,
-                late=tuple((frame.time - earliest) * rate - index for index, frame in enumerate(frames)),
                 background=background,
             )
         )
     return tuple(sequences)
+
+
+def in_use(
+    sequences: Sequence[ImageSequence], first_frame: int, frames: int, drop: Collection[int]
+) -> tuple[ImageSequence, ...]:
+    """The images from `first_frame` on, at most `frames`, that every camera has.
+
+    SceneError if sizes, rates or starts differ, or lengths where they matter. It names a camera that differs from the
+    majority, and the setting that drops it.
+    """
+    cameras = [(s.path, drop_advice(s.number, drop)) for s in sequences]
+    starts = [s.times[0] * s.rate for s in sequences]
+    require_equal(cameras, " pixels", [s.size for s in sequences], "{0[0]} x {0[1]}".format)
+    require_equal(cameras, " frames a second", [s.rate for s in sequences], "{:.6g}".format, RATE_TOLERANCE)
+    require_equal(cameras, " frames", starts, "a first frame at {:g}".format, absolute=START_TOLERANCE)
+    if any(s.count < first_frame + frames for s in sequences):
+        require_equal(cameras, " frames", [s.count for s in sequences], str)
+    shortest = min(s.count for s in sequences)
+    if shortest <= first_frame:
+        raise SceneError(
+            f"{sequences[0].path.parent}: scene.first_frame",
+            f"below the {shortest} frames of each camera",
+            f"{first_frame}",
+        )
+    used = slice(first_frame, min(first_frame + frames, shortest))
+    rate = sequences[0].rate
+    return on_ticks(
+        [replace(s, rate=rate, ticks=s.ticks[used], times=s.times[used], paths=s.paths[used]) for s in sequences],
+        first_frame,
+    )
 
 
 def read_camera(frames: list[CameraFrame], size: tuple[int, int]) -> tuple[Camera, Undistortion]:

@@ -1,20 +1,22 @@
-"""Checks that cameras are synchronised, from headers alone: one size, one frame rate, one start, enough frames."""
+"""Checks that cameras are synchronised: one size, one frame rate, one start, enough frames; their times on ticks."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Collection, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from datasets.files.errors import SceneError
 from datasets.plenoptic.decode import Stream
 
-# Relative. Accepts 29.97 beside 30 frames a second: over 300 frames they differ by less than half a frame.
-RATE_TOLERANCE = 1.5e-3
-START_TOLERANCE = 0.5  # frames
+S = TypeVar("S", bound=Stream)
+
+RATE_TOLERANCE = 1.5e-3  # relative: accepts 29.97 beside 30 frames a second
+ROUNDING = 0.1  # frames: images that are later or earlier by less are at equal steps
 
 
 def select_cameras(numbers: Sequence[int], root: Path, test: Collection[int], drop: Collection[int]) -> tuple[int, ...]:
@@ -39,40 +41,46 @@ def select_cameras(numbers: Sequence[int], root: Path, test: Collection[int], dr
     return kept
 
 
-def common_frames(streams: Sequence[Stream], first_frame: int, frames: int, drop: Collection[int]) -> int:
-    """The number of frames from `first_frame` on, at most `frames`, that every camera has.
+def require_equal(
+    cameras: Sequence[tuple[Path, str]],
+    what: str,
+    values: Sequence[Any],
+    show: Callable[[Any], str],
+    relative: float = 0.0,
+    absolute: float = 0.0,
+) -> None:
+    """SceneError for a camera whose value differs from that of most. cameras: of each its file and what drops it."""
+    if not values:
+        return
+    # In a tie the first value counts: which of two cameras is wrong cannot be known.
+    usual = Counter(values).most_common(1)[0][0]
+    example = cameras[values.index(usual)][0]
+    for (path, advice), value in zip(cameras, values, strict=True):
+        if not np.isclose(value, usual, relative, absolute).all():
+            raise SceneError(path, f"{show(usual)}{what} as {example.name}", f"{show(value)}: unsynchronised; {advice}")
 
-    Raises SceneError if sizes, rates or starts differ, or lengths where they matter. It names a camera that differs
-    from the majority, and the setting that drops it.
+
+def on_ticks(streams: Sequence[S], first_frame: int) -> tuple[S, ...]:
+    """The streams with times since the first tick in use, whose number is `first_frame`; none is negative.
+
+    Tick n is at n / rate. A time that is off by less than ROUNDING is that of its tick.
     """
 
-    def require_equal(
-        what: str, values: list, show: Callable[[Any], str], relative: float = 0.0, absolute: float = 0.0
-    ) -> None:
-        # In a tie the first value counts: which of two cameras is wrong cannot be known.
-        usual = Counter(values).most_common(1)[0][0]
-        example = streams[values.index(usual)]
-        for stream, value in zip(streams, values):
-            if not np.isclose(value, usual, relative, absolute).all():
-                raise SceneError(
-                    stream.path,
-                    f"{show(usual)}{what} as {example.path.name}",
-                    f"{show(value)}: unsynchronised; {drop_advice(stream.number, drop)}",
-                )
+    def late(stream: Stream) -> list[float]:
+        off = [time * stream.rate - tick for time, tick in zip(stream.times, stream.ticks, strict=True)]
+        return [frames if abs(frames) > ROUNDING else 0.0 for frames in off]
 
-    require_equal(" pixels", [s.size for s in streams], lambda size: "{} x {}".format(*size))
-    require_equal(" frames a second", [s.rate for s in streams], "{:.6g}".format, relative=RATE_TOLERANCE)
-    require_equal(" frames", [s.start for s in streams], "a first frame at {:g}".format, absolute=START_TOLERANCE)
-    if any(stream.count < first_frame + frames for stream in streams):
-        require_equal(" frames", [s.count for s in streams], str)
-    shortest = min(stream.count for stream in streams)
-    if shortest <= first_frame:
-        raise SceneError(
-            f"{streams[0].path.parent}: scene.first_frame",
-            f"below the {shortest} frames of each camera",
-            f"{first_frame}",
+    lateness = [late(stream) for stream in streams]
+    earliest = min(0.0, *(off[0] for off in lateness))
+    return tuple(
+        replace(
+            stream,
+            times=tuple(
+                (tick - first_frame + frames - earliest) / stream.rate for tick, frames in zip(stream.ticks, off)
+            ),
         )
-    return min(frames, shortest - first_frame)
+        for stream, off in zip(streams, lateness)
+    )
 
 
 def drop_advice(number: int, drop: Collection[int]) -> str:

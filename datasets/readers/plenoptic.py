@@ -19,11 +19,18 @@ from datasets.composition import BLACK, background_color
 from datasets.files.errors import SceneError
 from datasets.files.named_files import say_renamed
 from datasets.plenoptic.decode import fingerprint
-from datasets.plenoptic.filmed import FilmedSource, footage_of, open_videos, videos_config
+from datasets.plenoptic.filmed import FilmedSource, footage_of, read_videos, videos_config
 from datasets.plenoptic.footage import Footage
-from datasets.plenoptic.images import camera_number, held_out_cameras, image_sequences, read_camera, read_cameras
+from datasets.plenoptic.images import (
+    camera_number,
+    held_out_cameras,
+    image_sequences,
+    in_use,
+    read_camera,
+    read_cameras,
+)
 from datasets.plenoptic.poses import read_poses
-from datasets.plenoptic.sync import common_frames, select_cameras
+from datasets.plenoptic.sync import select_cameras
 from datasets.plenoptic.videos import PLENOPTIC_NAME, find_cameras, video_paths
 from datasets.readers.llff import image_folder
 from datasets.scene import Box, Scene
@@ -106,7 +113,8 @@ def open_folder(root: Path, cfg: SceneConfig, threads: int, log: Log) -> PosedFo
     files, poses, transforms = find_cameras(root), root / "poses_bounds.npy", root / "transforms_train.json"
     if files and (poses.exists() or not transforms.exists()):
         # Given poses are of the pixels as stored.
-        footage = footage_of(root, files, open_videos(root, files, cfg, log, square=False), cfg, threads, log)
+        videos = read_videos(root, files, cfg, threads, square=False)
+        footage = footage_of(root, files, videos, None, cfg, threads, log)
         found = read_poses(poses, [file.name for file in files], footage.names, footage.size)
         return PosedFootage(cfg, footage, found.cameras, unit=found.unit, init_box=found.init_box)
     if transforms.exists():
@@ -125,10 +133,9 @@ def _open_images(root: Path, cfg: SceneConfig, threads: int, log: Log) -> PosedF
         log(f"held out: {', '.join(map(str, stated))}, the cameras of transforms_test.json")
     keep = select_cameras([camera_number(name) for name in entries], root, cfg.test_cameras, cfg.drop_cameras)
     background = background_color(cfg.background) or BLACK
-    sequences = image_sequences(entries, keep, background)
-    count = common_frames(sequences, cfg.first_frame, cfg.frames, cfg.drop_cameras)
+    sequences = in_use(image_sequences(entries, keep, background), cfg.first_frame, cfg.frames, cfg.drop_cameras)
     content = f"{fingerprint(files, IMAGE_PART)} over {background}"
-    footage = Footage(root, sequences, count, content, cfg, threads, log)
+    footage = Footage(root, sequences, sequences[0].count, content, cfg, threads, log)
     posed = {name: read_camera(entries[name], footage.size) for name in footage.names}
     cameras = {name: camera for name, (camera, _) in posed.items()}
     undistortion = {name: lens for name, (_, lens) in posed.items()}

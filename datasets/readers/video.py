@@ -13,15 +13,14 @@ from pathlib import Path
 
 from datasets.cameras.lens import Undistortion
 from datasets.clip.clips import Clips, cameras_move, is_clip, open_clip, open_clips
-from datasets.composition import chosen_downscale
-from datasets.plenoptic.filmed import FilmedSource, content_of, footage_of, open_videos, videos_config
+from datasets.plenoptic.filmed import FilmedSource, footage_of, read_videos, videos_config
 from datasets.plenoptic.footage import Footage
-from datasets.plenoptic.unsynchronised import align, is_synchronised, offsets_of
+from datasets.plenoptic.unsynchronised import is_synchronised, offsets_of
 from datasets.plenoptic.videos import find_footage, video_paths
 from datasets.scene import Scene
 from datasets.settings import SceneConfig
 from datasets.source import Calibration, Log, Photograph, Size, Source, data_path, without_validation
-from datasets.video_files.decode import image_paths
+from datasets.video_files.image_folder import image_paths
 
 TITLE, PRECEDENCE = "videos or images without poses", 80
 
@@ -119,16 +118,9 @@ def read_footage(root: Path, cfg: SceneConfig, threads: int, log: Log) -> Footag
         first = min(numbers - set(cfg.drop_cameras), default=0)
         cfg = replace(cfg, test_cameras=[first])
         log(f"no camera has the number 0: camera {first} is held out (scene.test_cameras)")
-    videos = open_videos(root, files, cfg, log)
+    videos = read_videos(root, files, cfg, threads)
     offsets = None if cfg.sync == "none" else offsets_of(root, videos, cfg.sync, cfg.offsets, log)
-    if offsets is None:
-        return footage_of(root, files, videos, cfg, threads, log)
-    if is_synchronised(videos, offsets):
+    if offsets is not None and is_synchronised(videos, offsets):
         log("less than half a frame apart: taken as synchronised")
-        return footage_of(root, files, videos, cfg, threads, log)
-    streams = align(videos, offsets, cfg.first_frame, cfg.frames)
-    downscale = cfg.downscale or chosen_downscale(streams[0].size)
-    chosen = repr([(stream.size, stream.indices) for stream in streams])
-    content = f"{content_of(files, videos)} {chosen}"
-    cfg = replace(cfg, downscale=downscale, first_frame=0)
-    return Footage(root, streams, streams[0].count, content, cfg, threads, log)
+        offsets = None
+    return footage_of(root, files, videos, offsets, cfg, threads, log)

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import combinations
-from pathlib import Path
 
 import numpy as np
 
 from datasets.sync.correlate import Correlation, confidence, correlation
 from datasets.sync.signals import Signal, picture_signals, sound_energy
+from datasets.video_files.film import Film
 
 APART = {"sound": 0.05, "picture": 0.2}  # seconds: a peak farther off is another lag
 SURE = {"sound": 1.5, "picture": 0.8}  # confidence that a camera needs
@@ -46,26 +46,26 @@ class Offsets:
         return found + ([f"clocks drift: {', '.join(drifting)}"] if drifting else [])
 
 
-def find_offsets(paths: Sequence[Path], picture: bool = True) -> Offsets | None:
+def find_offsets(films: Sequence[Film], picture: bool = True) -> Offsets | None:
     """By sound where every camera has it and it decides, else by the picture; None where neither does.
 
     picture: whether it is asked. That of a camera that moves changes with the camera: of sets of signals that had
     nothing in common, one in twenty agreed well enough by chance.
     """
-    return _found(tuple(paths), tuple(path.stat().st_mtime_ns for path in paths), picture)
+    return _found(tuple(films), picture)
 
 
 @lru_cache(maxsize=4)  # a run asks twice: for its estimate, and to read the videos
-def _found(paths: tuple[Path, ...], modified: tuple[int, ...], picture: bool) -> Offsets | None:
-    sounds = [sound_energy(path) for path in paths]
+def _found(films: tuple[Film, ...], picture: bool) -> Offsets | None:
+    sounds = [sound_energy(film.path) for film in films]
     heard = [sound for sound in sounds if sound is not None]
-    if len(heard) == len(paths):
+    if len(heard) == len(films):
         found = offsets_of([[sound] for sound in heard], "sound")
         if found is not None:
             return with_drift(found, heard)
     if not picture:
         return None
-    seen = [picture_signals(path) for path in paths]
+    seen = [picture_signals(film) for film in films]
     return offsets_of(seen, "picture") if all(seen) else None
 
 

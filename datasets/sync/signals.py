@@ -10,8 +10,8 @@ import av.error
 import cv2
 import numpy as np
 
-from datasets.video_files.decode import video_frames
-from datasets.video_files.probe import open_container, probe
+from datasets.video_files.film import Film
+from datasets.video_files.pictures import clock_start, open_container
 
 SOUND_STEP = 1e-3  # seconds between values of the sound's energy
 SOUND_RATE = 16_000  # samples a second that energy is measured from
@@ -41,12 +41,13 @@ def sound_energy(path: Path) -> Signal | None:
     return Signal(start, SOUND_STEP, _high_pass(np.log(power[::hop] + QUIET**2), round(1 / SOUND_STEP)))
 
 
-def picture_signals(path: Path) -> list[Signal]:
+def picture_signals(film: Film) -> list[Signal]:
     """[change of brightness, motion energy], both on a grid finer than frames."""
-    header = probe(path)
     times, brightness, energy, before = [], [], [], None
-    for frame in video_frames(path, header):
-        if frame.image is None or frame.time > LONGEST:
+    for frame in film.frames():
+        if frame.time - film.times[0] > LONGEST:
+            break
+        if frame.image is None:
             continue
         height = max(1, round(PICTURE_WIDTH * frame.image.shape[0] / frame.image.shape[1]))
         grey = cv2.cvtColor(frame.image, cv2.COLOR_RGB2GRAY)
@@ -78,7 +79,7 @@ def _samples(path: Path) -> tuple[np.ndarray | None, float]:
         try:
             for frame in container.decode(container.streams.audio[0]):
                 if start is None:
-                    start = float(frame.time or 0.0)
+                    start = float(frame.time or 0.0) - clock_start(container)
                 if (frame.time or 0.0) > LONGEST:
                     break
                 parts += [resampled.to_ndarray()[0] for resampled in resampler.resample(frame)]

@@ -1,1 +1,1 @@
-"""Video files as people have them, read with PyAV (FFmpeg): headers, frames with their times, high dynamic range."""
+"""Videos as a player shows them, read with PyAV (FFmpeg): frames and their times; folders of images as clips."""

@@ -15,7 +15,7 @@ from datasets.files.errors import SceneError
 from datasets.files.image_files import read_rgba
 from datasets.readers.video import open_source
 from datasets.settings import SceneConfig
-from datasets.video_files.decode import image_paths
+from datasets.video_files.image_folder import image_paths
 from rasterizer.camera import Camera
 
 

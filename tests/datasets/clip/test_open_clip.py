@@ -183,7 +183,7 @@ def test_a_video_that_changes_its_size_is_refused(tmp_path: Path) -> None:
         subprocess.run([get_ffmpeg_exe(), "-loglevel", "error", *source, "-c:v", "mpeg2video", parts[i]], check=True)
     joined = tmp_path / "joined.ts"
     joined.write_bytes(b"".join(part.read_bytes() for part in parts))
-    with pytest.raises(SceneError, match=r"frames of one size, 96 x 64 pixels, found 128 x 64 pixels at"):
+    with pytest.raises(SceneError, match=r"frames of one size, 96 x 64 pixels, found 128 x 64 pixels at frame"):
         opened(joined)
 
 

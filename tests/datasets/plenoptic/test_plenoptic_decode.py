@@ -26,9 +26,9 @@ from rich.console import Console
 from datasets.cameras.lens import Undistortion
 from datasets.files.errors import SceneError
 from datasets.plenoptic import decode as decoding
+from datasets.plenoptic.align import FilmStream
 from datasets.plenoptic.decode import fingerprint
 from datasets.plenoptic.display import DecodingDisplay
-from datasets.plenoptic.videos import Video
 from datasets.scene import Scene
 from rasterizer.camera import Camera
 
@@ -60,7 +60,7 @@ def modification_times(store: Path) -> dict[str, int]:
 
 def test_second_read_decodes_nothing(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     first = pixels(read(folder))
-    monkeypatch.setattr(Video, "read", None)  # decoding would fail
+    monkeypatch.setattr(FilmStream, "read", None)  # decoding would fail
     assert np.array_equal(pixels(read(folder)), first)
     assert store_of(folder).name.startswith("plenoptic_toy-")
 
@@ -109,16 +109,16 @@ def test_fingerprint_covers_name_size_and_both_ends(tmp_path: Path) -> None:
 KILLED = """
 import sys, time
 from datasets.source import open_source
-from datasets.plenoptic.videos import Video
+from datasets.plenoptic.align import FilmStream
 from datasets.settings import SceneConfig
-original = Video.read
+original = FilmStream.read
 def slow(self, *arguments):
     for index, image in enumerate(original(self, *arguments)):
         if self.number == 1 and index == 3:
             print("in the middle of camera 1", flush=True)
             time.sleep(60)
         yield image
-Video.read = slow
+FilmStream.read = slow
 cfg = SceneConfig("plenoptic/toy", "plenoptic", sys.argv[1], cache=sys.argv[2])
 open_source(cfg, threads=1, log=lambda text: None).scene()
 """
@@ -143,9 +143,9 @@ def test_killed_run_is_resumed(folder: Path) -> None:
 
 
 def test_an_error_stops_other_threads_and_keeps_finished_cameras(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    original, started = Video.read, threading.Event()
+    original, started = FilmStream.read, threading.Event()
 
-    def failing_read(self: Video, *arguments: int) -> Iterator[np.ndarray]:
+    def failing_read(self: FilmStream, *arguments: int) -> Iterator[np.ndarray]:
         if self.number == 1:
             assert started.wait(30)
             raise SceneError(self.path, "x", "y")
@@ -155,12 +155,12 @@ def test_an_error_stops_other_threads_and_keeps_finished_cameras(folder: Path, m
                 time.sleep(0.2)  # camera 1 fails meanwhile
             yield image
 
-    monkeypatch.setattr(Video, "read", failing_read)
+    monkeypatch.setattr(FilmStream, "read", failing_read)
     with pytest.raises(SceneError, match="cam01.mp4: expected x, found y"):
         read(folder, threads=3)
     store = store_of(folder)
     assert "cam02.npy" not in modification_times(store) and not list(store.glob(".tmp-*"))
-    monkeypatch.setattr(Video, "read", original)
+    monkeypatch.setattr(FilmStream, "read", original)
     assert np.array_equal(pixels(read(folder)), pixels(read(folder, "other_cache")))
 
 

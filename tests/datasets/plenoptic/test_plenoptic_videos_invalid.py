@@ -62,15 +62,14 @@ INVALID_INPUT: dict[str, tuple[Callable[[Path], object], dict, str]] = {
     "not a video": (
         lambda f: (f / "cam01.mp4").write_text("hello"),
         {},
-        rf"cam01\.mp4: expected a video, found a file that cannot be opened as one; {DROP}",
+        rf"cam01\.mp4: expected a video, found a file that cannot be opened as one .*; {DROP}",
     ),
     "empty video": (lambda f: (f / "cam01.mp4").write_bytes(b""), {}, rf"cam01\.mp4: expected a video, found .*{DROP}"),
-    "video without frames": (cut(0.05), {}, rf"cam01\.mp4: expected a length, a rate and a first frame .*{DROP}"),
+    "video without frames": (cut(0.05), {}, rf"cam01\.mp4: expected a video, found no frame .*{DROP}"),
     "truncated": (
-        cut(0.6),
+        cut(0.4),
         {},
-        rf"cam01\.mp4: expected 6 frames as its header promises, found \d, a truncated "
-        rf"video; {DROP}",
+        rf"cam01\.mp4: expected frames at 6 times, 0.000 to 0.167 s, as the others, found [12], .*{DROP}",
     ),
     "other size": (
         film(width=80),
@@ -85,19 +84,13 @@ INVALID_INPUT: dict[str, tuple[Callable[[Path], object], dict, str]] = {
         rf"unsynchronised; {DROP}",
     ),
     "later start": (
-        film(FRAMES, RATE, "-output_ts_offset", "0.1"),
+        film(FRAMES, RATE, "-output_ts_offset", "0.14"),
         {},
-        rf"cam01\.mp4: expected a first frame at 0 frames as cam00\.mp4, found a first frame at 3: "
-        rf"unsynchronised; {DROP}",
+        rf"cam01\.mp4: expected frames at 6 times, .* found \d, 6 intact frames from 0.1.. to 0.3.. s: .*{DROP}",
     ),
-    "fewer frames": (
-        film(FRAMES - 2),
-        {},
-        rf"cam01\.mp4: expected 6 frames as cam00\.mp4, found 4: unsynchronised; "
-        rf"{DROP}",
-    ),
+    "fewer frames": (film(FRAMES - 4), {}, rf"cam01\.mp4: expected frames at 6 times, .* found 2, .*{DROP}"),
     "fewer frames than another was dropped": (
-        film(FRAMES - 2),
+        film(FRAMES - 4),
         {"drop_cameras": [2], "test_cameras": [1]},
         r"scene\.drop_cameras=\[1,2\] leaves camera 1 out",
     ),
@@ -157,8 +150,7 @@ def test_invalid_input_is_refused_in_one_line(folder: Path, case: str, capfd: py
         read(folder, **options)
     assert "\n" not in str(caught.value) and str(folder) in str(caught.value)
     assert capfd.readouterr() == ("", "")  # no output of the decoder
-    if case != "truncated":  # detected only while decoding
-        assert not (folder.parent / "cache").exists()
+    assert not (folder.parent / "cache").exists()
 
 
 def test_dropped_camera_may_be_invalid(folder: Path) -> None:

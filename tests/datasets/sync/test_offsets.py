@@ -16,6 +16,7 @@ from datasets.sync.signals import Signal, picture_signals
 from datasets.synthetic.film import film
 from datasets.synthetic.rig import rig
 from datasets.synthetic.scenes import counter
+from datasets.video_files.film import open_film
 
 RATES = (24.0, 25.0, 30000 / 1001, 60.0)
 SECONDS = 6.0
@@ -50,14 +51,14 @@ def with_sound(tmp_path_factory: pytest.TempPathFactory, starts: np.ndarray) -> 
 
 
 def test_by_sound_within_two_milliseconds(with_sound: list[Path], starts: np.ndarray) -> None:
-    found = find_offsets(with_sound)
+    found = find_offsets([open_film(path) for path in with_sound])
     assert found is not None and found.method == "sound" and found.drift == (0.0,) * len(RATES)
     np.testing.assert_allclose(found.seconds, starts - starts[0], atol=2e-3)
 
 
 def test_by_the_picture_within_half_a_frame(with_sound: list[Path], starts: np.ndarray) -> None:
     """The same films without their sound."""
-    found = offsets_of([picture_signals(path) for path in with_sound], "picture")
+    found = offsets_of([picture_signals(open_film(path)) for path in with_sound], "picture")
     assert found is not None and found.method == "picture"
     np.testing.assert_allclose(found.seconds, starts - starts[0], atol=0.5 / max(RATES[:3]))
 
