@@ -23,8 +23,8 @@ ESTIMATED_PLACE = 0.05  # likewise, where structure from motion found each pose 
 SYSTEMATIC = 0.9  # share of a common displacement, from which it is a rig's and no noise
 RIGID = 1e-3  # relative change of the poses of a rig's cameras to each other
 MOST_NUMBERS = 6  # of a name that are tried in all combinations
-CAMERA_WORD = re.compile(r"(cam|camera|view|viewpoint|c|v)[\W_]*$", re.IGNORECASE)
-MOMENT_WORD = re.compile(r"(frame|time|timestep|t|f)[\W_]*$", re.IGNORECASE)
+CAMERA_WORD = re.compile(r"(?<![a-z])(cam|camera|view|viewpoint|c|v)[\W_]*$", re.IGNORECASE)
+MOMENT_WORD = re.compile(r"(?<![a-z])(frame|time|timestep|t|f)[\W_]*$", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -105,9 +105,12 @@ class NameSplit:
 def find_split(root: Path, photographs: Sequence[PosedFile]) -> tuple[NameSplit | None, str]:
     """(the split that the poses or, where they do not tell, the names bear out, what bears it out); (None, "") if the
     names tell no cameras apart. SceneError if several would fit."""
-    splits = [split for split in _all_splits(photographs) if split.is_possible]
+    names, poses = _names(photographs), np.stack([np.linalg.inv(p.camera.world_to_cam) for p in photographs])
+    splits = [split for split in _all_splits(names, poses) if split.is_possible]
     still = [split for split in splits if split.moved <= SAME_PLACE]
     splits = [split for split in splits if split.is_shared]
+    if not (still or splits):  # 0103: camera 1, frame 3
+        still = [split for split in _cut_numbers(names, poses) if split.is_possible and split.moved <= SAME_PLACE]
     if still:
         return _only(root, _coarsest(still), "that stand still")
     if len(splits) < 2:
@@ -146,21 +149,44 @@ def _only(root: Path, splits: Sequence[NameSplit], why: str) -> tuple[NameSplit,
     return splits[0], why
 
 
-def _all_splits(photographs: Sequence[PosedFile]) -> Iterator[NameSplit]:
-    """Every number in a name, folders included, is of the moment or of the camera; words are of the camera."""
+def _names(photographs: Sequence[PosedFile]) -> list[str]:
+    """Paths without suffix, from the folder that all share."""
     paths = [os.path.abspath(photograph.path.with_suffix("")) for photograph in photographs]
     common = os.path.commonpath([os.path.dirname(path) for path in paths])
-    names = [os.path.relpath(path, common) for path in paths]
-    pieces = [re.split(r"(\d+)", name) for name in names]  # text, number, text, …
+    return [os.path.relpath(path, common) for path in paths]
+
+
+def _all_splits(names: Sequence[str], poses: np.ndarray) -> Iterator[NameSplit]:
+    """Every number in a name, folders included, is of the moment or of the camera; words are of the camera, but for
+    those of folders, which may be moments."""
+    yield from _number_splits([re.split(r"(\d+)", name) for name in names], poses)
+    folders, files = zip(*(os.path.split(name) for name in names))
+    if not any(re.search(r"\d", folder) for folder in folders):
+        yield NameSplit(poses, tuple(files), tuple(folders))
+
+
+def _cut_numbers(names: Sequence[str], poses: np.ndarray) -> Iterator[NameSplit]:
+    """Of names whose one number has the same digits in all: two numbers, cut at any digit."""
+    pieces = [re.split(r"(\d+)", name) for name in names]
+    for i in range(1, min(map(len, pieces)), 2):
+        widths = {len(own[i]) for own in pieces}
+        if len(widths) == 1 and len({own[i] for own in pieces}) > 1:
+            for cut in range(1, widths.pop()):
+                yield from _number_splits(
+                    [[*own[:i], own[i][:cut], "", own[i][cut:], *own[i + 1 :]] for own in pieces], poses
+                )
+
+
+def _number_splits(pieces: Sequence[Sequence[str]], poses: np.ndarray) -> Iterator[NameSplit]:
+    """pieces: of each name text, number, text, …; numbers are counted from the end."""
     most = max(map(len, pieces))
-    pieces = [[""] * (most - len(own)) + own for own in pieces]  # numbers are counted from the end
+    pieces = [[""] * (most - len(own)) + list(own) for own in pieces]
     varying = [i for i in range(1, most, 2) if len({own[i] for own in pieces}) > 1]
-    poses = np.stack([np.linalg.inv(photograph.camera.world_to_cam) for photograph in photographs])
+    first = pieces[0]
+    in_folder = [i for i in varying if os.sep in "".join(first[i + 1 :])]
     for count in range(1, len(varying) + 1) if len(varying) <= MOST_NUMBERS else (1,):
         for chosen in combinations(varying, count):
             others = [i for i in varying if i not in chosen]
-            first = pieces[0]
-            in_folder = [i for i in varying if "/" in "".join(first[i + 1 :])]
             yield NameSplit(
                 poses,
                 _labels(["".join("_" if i in chosen else part for i, part in enumerate(own)) for own in pieces]),

@@ -42,7 +42,10 @@ def named(
     poses = [frame["transform_matrix"] for frame in content["frames"]]
     for index, frame in enumerate(content["frames"]):
         camera, time = index % CAMERAS, index // CAMERAS
-        before, frame["file_path"] = frame["file_path"], f"images/{name.format(camera=camera, time=time)}.png"
+        before, frame["file_path"] = (
+            frame["file_path"],
+            f"images/{name.format(camera=camera, time=time, letter='abcdefgh'[time])}.png",
+        )
         pose = poses[camera if still else index]
         matrix = np.array(pose)
         matrix[:3, 3] += [offset * (-1) ** time, 0, 0] + noise * rng.normal(size=3)
@@ -104,6 +107,19 @@ def test_names_that_poses_do_not_decide_are_refused(tmp_path: Path) -> None:
     """Each image from a place of its own, and numbers that no word explains."""
     with pytest.raises(SceneError, match=r"fit 4 cameras \(0 … 3\) × 8 times and 8 cameras"):
         named(tmp_path, "{time:04d}_{camera}", still=False)
+
+
+@pytest.mark.parametrize(
+    "name, held_out",
+    [
+        ("GX{camera:02d}{time:04d}", "camera 0 (GX00)"),
+        ("moment_{letter}/left_{camera}", "camera 0 (left_0)"),
+        ("right_{camera}_{time:04d}", "camera 0 (0)"),  # the t before the number is no word
+    ],
+)
+def test_numbers_without_a_gap_and_moments_by_words(tmp_path: Path, name: str, held_out: str) -> None:
+    scene = named(tmp_path, name, still=True)
+    assert scene.test_split == held_out and len(scene.test) == TIMES
 
 
 def test_a_car_with_two_cameras_is_not_a_hundred_cameras_that_see_two_times() -> None:
