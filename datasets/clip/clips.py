@@ -134,13 +134,11 @@ def is_clip(path: Path) -> bool:
     return len(videos) == 1 or (not videos and bool(image_paths(path)))
 
 
-def cameras_move(root: Path, drop_cameras: Sequence[int], assumed: bool = False) -> bool:
-    """Whether several cameras filmed, and one of them does not stand still. SceneError for a folder without videos.
-
-    assumed: they are taken to move without a check.
-    """
-    files = [file for file in find_footage(root) if file.number not in drop_cameras]
-    return len(files) > 1 and (assumed or not all(stands_still(file.path) for file in files))
+def cameras_move(root: Path, cfg: SceneConfig) -> bool:
+    """Whether several cameras filmed, and one of them does not stand still. SceneError for a folder without videos."""
+    files = [file for file in find_footage(root) if file.number not in cfg.drop_cameras]
+    assumed = cfg.moving_cameras is True
+    return len(files) > 1 and (assumed or not all(stands_still(file.path, Path(cfg.cache)) for file in files))
 
 
 def open_clip(path: Path, cfg: SceneConfig, log: Log) -> Clips:
@@ -164,10 +162,10 @@ def open_clips(root: Path, cfg: SceneConfig, log: Log) -> Clips:
     held_out = cfg.test_cameras if cfg.test_every == 0 or list(cfg.test_cameras) != [0] else ()
     keep = select_cameras([file.number for file in files], root, held_out, cfg.drop_cameras)
     kept = [file for file in files if file.number in keep]
-    still = [cfg.moving_cameras is not True and stands_still(file.path) for file in kept]
+    still = [cfg.moving_cameras is not True and stands_still(file.path, Path(cfg.cache)) for file in kept]
     moving, standing = (", ".join(f.name for f, stands in zip(kept, still) if stands == one) for one in (False, True))
     log(f"cameras that move: {moving or 'none'}" + (f"; that stand still: {standing}" if standing else ""))
-    videos = open_videos(files, keep, cfg.drop_cameras)
+    videos = open_videos(files, keep, cfg.drop_cameras, Path(cfg.cache))
     offsets = None
     if cfg.sync != "none":
         offsets = offsets_of(root, videos, cfg.sync, cfg.offsets, log, moving=not all(still))

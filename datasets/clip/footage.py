@@ -92,7 +92,7 @@ class Clip:
 
 def survey_clip(path: Path, cfg: SceneConfig, most: int, log: Log, still: bool = False) -> SurveyedClip:
     """Chooses the frames in use, `most` at most. still: the camera stands still, so that frames may be alike."""
-    film = None if path.is_dir() else open_film(path)
+    film = None if path.is_dir() else open_film(path, Path(cfg.cache))
     frames: Frames
     if film:
         frames, total = film.frames, film.count

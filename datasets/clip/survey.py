@@ -118,13 +118,13 @@ def _inside(lit: np.ndarray) -> tuple[int, int]:
     return (first, last) if first <= MOST_BAR * len(lit) and len(lit) - last <= MOST_BAR * len(lit) else (0, len(lit))
 
 
-def stands_still(path: Path) -> bool:
+def stands_still(path: Path, cache: Path) -> bool:
     """Whether the median displacement against the first frame is small in most frames of a video.
 
     True where no frame can be decoded: reading the video says so, with what to do.
     """
     try:
-        return _still(open_film(path))
+        return _still(open_film(path, cache))
     except SceneError:
         return True
 

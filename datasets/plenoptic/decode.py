@@ -12,7 +12,6 @@ import fcntl
 import hashlib
 import json
 import math
-import os
 import shutil
 import threading
 from abc import ABC, abstractmethod
@@ -90,23 +89,6 @@ def reduce_image(image: np.ndarray, downscale: int) -> np.ndarray:
     height, width = image.shape[0] // downscale, image.shape[1] // downscale
     whole = image[: height * downscale, : width * downscale]
     return cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)
-
-
-def fingerprint(paths: Sequence[Path], part: int) -> str:
-    """Hash of the name, the size, and the first and last `part` bytes of each file."""
-    digest = hashlib.blake2b(digest_size=16)
-    for path in paths:
-        try:
-            with open(path, "rb") as file:
-                size = file.seek(0, os.SEEK_END)
-                digest.update(f"{path.name}\n{size}\n".encode())
-                file.seek(0)
-                digest.update(file.read(part))
-                file.seek(max(size - part, 0))
-                digest.update(file.read(part))
-        except OSError as error:
-            raise SceneError(path, "a readable file", str(error)) from None
-    return digest.hexdigest()
 
 
 def decode(

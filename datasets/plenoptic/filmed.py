@@ -9,16 +9,16 @@ from itertools import islice
 from pathlib import Path
 
 from datasets.composition import chosen_downscale
+from datasets.files.fingerprint import fingerprint
 from datasets.plenoptic.align import aligned, left_out, synchronised
-from datasets.plenoptic.decode import fingerprint
 from datasets.plenoptic.footage import Footage
 from datasets.plenoptic.sync import select_cameras
 from datasets.plenoptic.videos import Video, VideoFile, open_videos
 from datasets.settings import SceneConfig
 from datasets.source import Log, Size, Source, without_validation
 from datasets.sync.offsets import Offsets
+from datasets.video_files.film import FINGERPRINT_PART
 
-VIDEO_PART = 1 << 20  # bytes hashed at the beginning and at the end of each file
 TIMED_FRAMES = 12
 
 
@@ -65,7 +65,7 @@ def read_videos(
 ) -> tuple[Video, ...]:
     """The videos of the cameras in use. square: see open_videos."""
     keep = select_cameras([file.number for file in files], root, cfg.test_cameras, cfg.drop_cameras)
-    return open_videos(files, keep, cfg.drop_cameras, threads, square)
+    return open_videos(files, keep, cfg.drop_cameras, Path(cfg.cache), threads, square)
 
 
 def footage_of(
@@ -95,5 +95,5 @@ def footage_of(
     # Which frames are in use depends on the other cameras, too; all else that a store holds is in the files.
     chosen = [(s.name, s.ticks, s.indices, s.size) for s in streams if s.indices != s.ticks or offsets]
     aspects = sorted({video.film.pixel_aspect for video in videos})
-    content = f"{fingerprint([file.path for file in files], VIDEO_PART)} {aspects} {chosen}"
+    content = f"{fingerprint([file.path for file in files], FINGERPRINT_PART)} {aspects} {chosen}"
     return Footage(root, streams, count, content, cfg, threads, log)

@@ -32,6 +32,7 @@ from datasets.scene import (
 )
 from datasets.settings import SceneConfig
 from datasets.source import Log
+from datasets.video_files.film import keep_film
 from rasterizer.camera import Camera
 from rasterizer.cores import thread_count
 
@@ -130,6 +131,9 @@ class Footage:
         decoding = Decoding(cfg.first_frame, self.count, cfg.downscale, undistortion, colors or {})
         folder = decoding.folder(Path(cfg.cache), cfg.name, self.content)
         images = decode(self.streams, folder, decoding, thread_count(self.threads), self.log)
+        for stream in self.streams:
+            if isinstance(stream, FilmStream):
+                keep_film(stream.path, Path(cfg.cache))
         return validate_scene(self._scene(small, images, unit, init_box, truth, masks))
 
     def _truth(self, stream: Stream, estimated: bool) -> list[StoredTruth] | None:

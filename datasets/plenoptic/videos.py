@@ -80,12 +80,17 @@ def find_footage(root: Path) -> list[VideoFile]:
 
 
 def open_videos(
-    files: Sequence[VideoFile], keep: Collection[int], drop: Collection[int], threads: int = 0, square: bool = True
+    files: Sequence[VideoFile],
+    keep: Collection[int],
+    drop: Collection[int],
+    cache: Path,
+    threads: int = 0,
+    square: bool = True,
 ) -> tuple[Video, ...]:
     """The videos of the cameras `keep`. SceneError for one that is none.
 
-    drop: the cameras dropped already, for the advice in messages. square: frames have square pixels; otherwise those
-    that are stored.
+    drop: the cameras dropped already, for the advice in messages. cache: see open_film. square: frames have square
+    pixels; otherwise those that are stored.
     """
     kept = [file for file in files if file.number in keep]
     cores = thread_count(threads)
@@ -93,7 +98,7 @@ def open_videos(
     def opened(file: VideoFile) -> Video:
         advice = drop_advice(file.number, drop)
         try:
-            film = open_film(file.path, max(1, cores // len(kept)))
+            film = open_film(file.path, cache, max(1, cores // len(kept)))
         except SceneError as error:
             error.args = (f"{error}; {advice}",)
             raise

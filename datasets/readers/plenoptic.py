@@ -17,8 +17,8 @@ from datasets.cameras.lens import Undistortion
 from datasets.canonical import canonical_space
 from datasets.composition import BLACK, background_color
 from datasets.files.errors import SceneError
+from datasets.files.fingerprint import fingerprint
 from datasets.files.named_files import say_renamed
-from datasets.plenoptic.decode import fingerprint
 from datasets.plenoptic.filmed import FilmedSource, footage_of, read_videos, videos_config
 from datasets.plenoptic.footage import Footage
 from datasets.plenoptic.images import (

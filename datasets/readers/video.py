@@ -38,7 +38,7 @@ def open_source(cfg: SceneConfig, threads: int, log: Log) -> Source:
     if is_clip(path):
         cfg = without_validation(cfg, "clips (scene.test_every holds out other frames)")
         return ClipSource(cfg, lambda: open_clip(path, cfg, log))
-    if cfg.moving_cameras and cameras_move(path, cfg.drop_cameras, assumed=cfg.moving_cameras is True):
+    if cfg.moving_cameras and cameras_move(path, cfg):
         cfg = without_validation(cfg, "clips (scene.test_every and scene.test_cameras hold out other views)")
         return ClipSource(cfg, lambda: open_clips(path, cfg, log), several_videos=True)
     cfg = videos_config(cfg)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
@@ -13,7 +15,9 @@ import av
 import cv2
 import numpy as np
 
-from datasets.files.errors import SceneError
+from datasets.files.atomic_write import atomic_file
+from datasets.files.errors import DataError, SceneError, read_json
+from datasets.files.fingerprint import fingerprint
 from datasets.video_files.frame import Frame
 from datasets.video_files.hdr import tone_mapped
 from datasets.video_files.pictures import (
@@ -30,6 +34,8 @@ from rasterizer.cores import thread_count
 
 HDR_TRANSFERS = {16: "PQ (HDR10)", 18: "HLG"}  # of ISO 23091-2: the code points of high dynamic range
 SIZE_LIMIT = 16  # pixels a side
+FILM_VERSION = 1  # to be increased by every change that alters what is kept
+FINGERPRINT_PART = 1 << 20  # bytes hashed at the beginning and at the end of each file
 UNTURNED = (1, 0, 0, 1)
 TURNS = {
     (0, 1, -1, 0): "stored sideways: turned by 90°",
@@ -61,6 +67,7 @@ class Film:
     stamped: bool  # whether the file has times
     continued: int  # times the clock was continued where it jumped
     streams: int  # films in the file; the one that a player shows is read
+    threads: int  # that decoded it
 
     @property
     def size(self) -> tuple[int, int]:
@@ -146,21 +153,50 @@ class Film:
         return np.ascontiguousarray(image[:: b + d, :: a + c])
 
 
-_FILMS: dict[tuple[Path, int, int], Film] = {}  # by path, time of change and size: a run asks several times
+_FILMS: dict[tuple[Path, Path], Film] = {}  # by the file that keeps it and the video: a run asks several times
 
 
-def open_film(path: Path, threads: int = 0) -> Film:
-    """The film of a video; SceneError for what is none. Decodes all of it, once a process. threads 0: all cores."""
+def open_film(path: Path, cache: Path, threads: int = 0) -> Film:
+    """The film of a video; SceneError for what is none. Decodes all of it, unless it was kept in `cache`, or asked for
+    before. threads 0: all cores.
+    """
+    file = _file(path, cache)
+    if (file, path) not in _FILMS:
+        film = _kept(file, path) or _decoded(path, thread_count(threads))
+        # Which pictures damage reaches must not depend on the number of threads.
+        _FILMS[file, path] = film if film.sound or film.threads == 1 else _decoded(path, 1)
+    return _FILMS[file, path]
+
+
+def keep_film(path: Path, cache: Path) -> None:
+    """Saves other processes the decoding of open_film(path, cache)."""
+    file = _file(path, cache)
+    if not file.exists():
+        film = open_film(path, cache)
+        content = {**vars(film), "path": path.name, "times": film.times.tolist(), "intact": film.intact.tolist()}
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_file(file) as temporary, open(temporary, "w") as opened:
+            json.dump(content, opened)
+
+
+def _kept(file: Path, path: Path) -> Film | None:
     try:
-        status = path.stat()
+        kept = read_json(file)
+        tuples = {name: tuple(kept[name]) for name in ("stored", "turn")}
+        arrays = {name: np.array(kept[name]) for name in ("times", "intact")}
+        return Film(**{**kept, **tuples, **arrays, "path": path})
+    except (OSError, DataError, KeyError, TypeError):
+        return None
+
+
+def _file(path: Path, cache: Path) -> Path:
+    """Of a film in the cache, by the video's content and time of change, and by who decodes it."""
+    try:
+        changed = path.stat().st_mtime_ns
     except OSError as error:
         raise SceneError(path, "a video", f"a file that cannot be opened as one ({error.strerror})") from None
-    key = path, status.st_mtime_ns, status.st_size
-    if key not in _FILMS:
-        film = _decoded(path, thread_count(threads))
-        # Which pictures damage reaches must not depend on the number of threads.
-        _FILMS[key] = film if film.sound else _decoded(path, 1)
-    return _FILMS[key]
+    parts = f"{FILM_VERSION} {av.__version__} {fingerprint([path], FINGERPRINT_PART)} {changed}"
+    return cache / "films" / f"{path.stem}-{hashlib.blake2b(parts.encode(), digest_size=6).hexdigest()}.json"
 
 
 def _decoded(path: Path, threads: int) -> Film:
@@ -214,6 +250,7 @@ def _decoded(path: Path, threads: int) -> Film:
         stamped=stamped,
         continued=continued,
         streams=streams,
+        threads=threads,
     )
 
 

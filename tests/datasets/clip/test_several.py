@@ -72,7 +72,7 @@ def scene_of(found: Clips) -> Scene:
 
 
 def test_who_moves(videos: Path) -> None:
-    assert [stands_still(videos / f"{name}.mp4") for name in RATES] == [False, False, True]
+    assert [stands_still(videos / f"{name}.mp4", videos) for name in RATES] == [False, False, True]
     cfg = SceneConfig("set", "video", str(videos), moving_cameras="auto")
     source = open_source(cfg, 1, str)
     assert isinstance(source, ClipSource) and source.several_videos

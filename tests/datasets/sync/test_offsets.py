@@ -51,14 +51,14 @@ def with_sound(tmp_path_factory: pytest.TempPathFactory, starts: np.ndarray) -> 
 
 
 def test_by_sound_within_two_milliseconds(with_sound: list[Path], starts: np.ndarray) -> None:
-    found = find_offsets([open_film(path) for path in with_sound])
+    found = find_offsets([open_film(path, path.parent) for path in with_sound])
     assert found is not None and found.method == "sound" and found.drift == (0.0,) * len(RATES)
     np.testing.assert_allclose(found.seconds, starts - starts[0], atol=2e-3)
 
 
 def test_by_the_picture_within_half_a_frame(with_sound: list[Path], starts: np.ndarray) -> None:
     """The same films without their sound."""
-    found = offsets_of([picture_signals(open_film(path)) for path in with_sound], "picture")
+    found = offsets_of([picture_signals(open_film(path, path.parent)) for path in with_sound], "picture")
     assert found is not None and found.method == "picture"
     np.testing.assert_allclose(found.seconds, starts - starts[0], atol=0.5 / max(RATES[:3]))
 
