@@ -16,13 +16,14 @@ from __future__ import annotations
 
 import importlib
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from datasets.files.contents import contents, refuse_no_video
 from datasets.files.errors import SceneError
 from datasets.readers import reader_names
 from datasets.scene import Scene, validate_scene
@@ -33,6 +34,7 @@ from rasterizer.camera import Camera
 if TYPE_CHECKING:  # imports OpenCV
     from datasets.cameras.color import ColorCorrection
 
+MOST_LOOKED_AT = 20  # folders in one that is no layout
 Log = Callable[[str], None]  # called with a line of text for the user
 
 
@@ -162,23 +164,34 @@ def open_source(cfg: SceneConfig, *, threads: int = 0, log: Log = print) -> Sour
 def detect(path: Path) -> tuple[str, str]:
     """(name of the reader, the reasons in one line) of a folder or video. SceneError, with the reason for each layout,
     if it has none."""
-    if path.suffix.lower() == ".json" and path.is_file():
-        raise SceneError(path, f"the folder of the data, {path.parent}", "a file in it")
+    modules = {name: _reader(name) for name in reader_names()}
+    tried = {name: module for name, module in modules.items() if hasattr(module, "matches")}
+    in_order = sorted(tried.items(), key=lambda item: (item[1].PRECEDENCE, item[0]))
     if path.is_file():
+        refuse_no_video(path, _near(path, in_order))
         return "video", f"{path.name}: taken for one clip (scene=video): it is a file"
     if not path.is_dir():
         raise SceneError(path, "a folder, or a video", "nothing there")
     refused: list[str] = []
-    modules = {name: _reader(name) for name in reader_names()}
-    tried = {name: module for name, module in modules.items() if hasattr(module, "matches")}
-    for name, module in sorted(tried.items(), key=lambda item: (item[1].PRECEDENCE, item[0])):
+    for name, module in in_order:
         reason = module.matches(path)
         if reason is None:
             instead = f"; not {', '.join(refused)}" if refused else ""
             return name, f"{path}: taken for {module.TITLE} (scene.reader={name}){instead}"
         refused.append(f"{module.TITLE} ({reason})")
-    known = "a layout that is known (driving logs: scene=kitti or scene=waymo)"
-    raise SceneError(path, known, f"none: not {', '.join(refused)}")
+    known = f"a layout that is known (driving logs: scene=kitti or scene=waymo){_near(path, in_order)}"
+    raise SceneError(path, known, f"none: it holds {contents(path)}; not {', '.join(refused)}")
+
+
+def _near(path: Path, readers: Sequence[tuple[str, Any]]) -> str:
+    """`, perhaps /data/jug (COLMAP)`: the folder of the data, above `path` or in it; "" without one."""
+    inner = sorted(folder for folder in path.iterdir() if folder.is_dir())[:MOST_LOOKED_AT] if path.is_dir() else []
+    outer = path.absolute().parents[:3]
+    for folder in (*outer, *inner):
+        for name, module in readers:
+            if (name != "video" or folder in inner) and module.matches(folder) is None:
+                return f", perhaps {folder} ({module.TITLE})"
+    return ""
 
 
 def _reader(name: str) -> Any:

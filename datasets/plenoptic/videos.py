@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from datasets.files.contents import contents
 from datasets.files.errors import SceneError
 from datasets.files.natural_order import natural_order
 from datasets.plenoptic.sync import drop_advice
@@ -68,7 +69,7 @@ def find_footage(root: Path) -> list[VideoFile]:
         raise SceneError(root, "a video, or a folder of videos or images in order", found)
     paths = sorted(video_paths(root), key=lambda path: natural_order(path.name))
     if not paths:
-        raise SceneError(root, f"videos ({', '.join(FOOTAGE_SUFFIXES)}) or images in order", "none")
+        raise SceneError(root, f"videos ({', '.join(FOOTAGE_SUFFIXES)}) or images in order", contents(root))
     stems = [path.stem for path in paths]
     for path in paths:
         if stems.count(path.stem) > 1:

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from datasets.cameras.lens import Undistortion
 from datasets.clip.clips import Clips, cameras_move, is_clip, open_clip, open_clips
+from datasets.files.contents import refuse_no_video
 from datasets.plenoptic.filmed import FilmedSource, footage_of, read_videos, videos_config
 from datasets.plenoptic.footage import Footage
 from datasets.plenoptic.unsynchronised import is_synchronised, offsets_of
@@ -35,6 +36,7 @@ def matches(path: Path) -> str | None:
 
 def open_source(cfg: SceneConfig, threads: int, log: Log) -> Source:
     path = data_path(cfg)
+    refuse_no_video(path)
     if is_clip(path):
         cfg = without_validation(cfg, "clips (scene.test_every holds out other frames)")
         return ClipSource(cfg, lambda: open_clip(path, cfg, log))

@@ -46,6 +46,7 @@ def test_full_disk_while_a_checkpoint_is_written(completed_run: Path) -> None:
         "stages.json",
         "log.jsonl",
         "init.ply",
+        "scene.json",
         "error_vs_time.csv",
     }
     Shell(completed_run)(*COMMAND, "out=third")  # with space again the run continues

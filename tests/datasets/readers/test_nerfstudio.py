@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -285,12 +284,6 @@ def test_poses_with_other_axes_are_refused(tmp_path: Path) -> None:
     """NeuS2's key for OpenCV's axes."""
     with pytest.raises(SceneError, match=r"from_na: expected poses with OpenGL's camera axes"):
         read(changed(tmp_path, lambda content: content.update(from_na=True)))
-
-
-def test_the_path_of_the_file_itself_is_answered_with_its_folder(tmp_path: Path) -> None:
-    root = write_nerfstudio(tmp_path)
-    with pytest.raises(SceneError, match=re.escape(f"expected the folder of the data, {root}, found a file in it")):
-        read(root / "transforms.json")
 
 
 def test_cameras_that_are_asked_for_are_held_out_instead_of_the_lists(tmp_path: Path) -> None:
