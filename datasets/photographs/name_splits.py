@@ -184,6 +184,7 @@ def _number_splits(pieces: Sequence[Sequence[str]], poses: np.ndarray) -> Iterat
     varying = [i for i in range(1, most, 2) if len({own[i] for own in pieces}) > 1]
     first = pieces[0]
     in_folder = [i for i in varying if os.sep in "".join(first[i + 1 :])]
+    several_folders = len({os.path.dirname("".join(own)) for own in pieces}) > 1
     for count in range(1, len(varying) + 1) if len(varying) <= MOST_NUMBERS else (1,):
         for chosen in combinations(varying, count):
             others = [i for i in varying if i not in chosen]
@@ -197,7 +198,7 @@ def _number_splits(pieces: Sequence[Sequence[str]], poses: np.ndarray) -> Iterat
                 )
                 and not any(MOMENT_WORD.search(first[i - 1]) for i in others)
                 and not any(CAMERA_WORD.search(first[i - 1]) for i in chosen),
-                by_folders=bool(in_folder) and others == in_folder,
+                by_folders=others == in_folder and several_folders,
             )
 
 
