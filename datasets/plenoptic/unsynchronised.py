@@ -36,7 +36,9 @@ def offsets_of(
     else:
         searched = find_offsets([video.film for video in videos], picture=not moving)
         if searched is None:
-            if moving or len({(video.film.size, video.film.rate, len(video.film.times)) for video in videos}) > 1:
+            films = [video.film for video in videos]
+            alike = {(f.size, f.rate, round(float(f.times[-1] - f.times[0]) * f.rate)) for f in films}
+            if moving or len(alike) > 1:
                 clue = "sound that all cameras hear" if moving else "sound, or motion that all cameras see"
                 raise SceneError(
                     root,

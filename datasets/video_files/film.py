@@ -111,13 +111,13 @@ class Film:
         if not self.stamped:
             found.append(f"no time stamps: {self.rate:g} frames a second are taken")
         if self.continued:
-            found.append(f"the clock jumps {self.continued} times: continued by a step of {1e3 / self.rate:.3g} ms")
+            found.append(f"its clock jumps ({self.continued} x): continued by a step of {1e3 / self.rate:.3g} ms")
         return found
 
     def damage(self) -> str | None:
         """What is left out as damaged, for the user; None if nothing is."""
         smeared = int((~self.intact).sum())
-        lost = f"{self.lost} packets give no frame" if self.lost else ""
+        lost = f"packets that give no frame: {self.lost}" if self.lost else ""
         if not smeared:
             return lost or None
         left = f"{smeared} of {self.count} frames are damaged, up to the next key frame, and left out"

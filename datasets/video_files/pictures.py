@@ -42,7 +42,7 @@ class Picture:
 def open_container(path: Path) -> InputContainer:
     """The opened file; SceneError if it is none."""
     try:
-        return av.open(str(path))
+        return av.open(f"file:{path}")  # a colon in a name is no protocol
     except (av.error.FFmpegError, OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise SceneError(path, "a video", f"a file that cannot be opened as one ({reason})") from None

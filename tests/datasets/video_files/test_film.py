@@ -108,7 +108,7 @@ def test_joined_recordings_go_on(tmp_path: Path) -> None:
     film = opened(joined)
     np.testing.assert_allclose(film.times, np.arange(32) / 24, atol=1e-4)
     check_frames(film, np.concatenate([by_the_program(part, (96, 64)) for part in parts]))
-    assert film.damage() is None and film.notes() == ["the clock jumps 1 times: continued by a step of 41.7 ms"]
+    assert film.damage() is None and film.notes() == ["its clock jumps (1 x): continued by a step of 41.7 ms"]
 
 
 def damaged(path: Path, change: str) -> Path:
