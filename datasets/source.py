@@ -76,7 +76,7 @@ class Size:
 
 
 class Source(ABC):
-    """Data on disk, checked as far as headers tell when it is opened. Nothing is decoded yet."""
+    """Data on disk, checked when it is opened as far as that goes without keeping an image."""
 
     cfg: SceneConfig  # as the reader takes it
     # "estimated": structure from motion finds the poses of cameras that stand still, "of every frame": of others

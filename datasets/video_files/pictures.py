@@ -25,6 +25,7 @@ from datasets.files.errors import SceneError
 av.logging.set_level(None)  # errors are reported in one SceneError
 
 NO_FILM = Disposition.attached_pic | Disposition.timed_thumbnails | Disposition.still_image
+MOST_THREADS = 16  # more keep more frames in memory and are not faster
 HOLE = bytes(16)  # H.264 and H.265 never have more than two zero bytes in a row, or a few more before a length
 SEAM = 2  # packets that the parser is behind where it finds bytes missing
 RESTARTING = 0x200  # AVFMT_TS_DISCONT: time stamps of such containers begin anywhere, and may jump
@@ -65,7 +66,7 @@ def clock_start(container: InputContainer) -> float:
 
 def pictures(container: InputContainer, stream: VideoStream, threads: int) -> Iterator[Picture]:
     """All that are shown, in order. A file that ends early just ends."""
-    stream.thread_type, stream.thread_count = ("AUTO" if threads > 1 else "SLICE"), threads
+    stream.thread_type, stream.thread_count = ("AUTO" if threads > 1 else "SLICE"), min(threads, MOST_THREADS)
     lost, number, numbers = 0, 0, dict[int | None, int]()  # of packets by the stamps of their pictures
     bad: int | None = None  # the last damaged packet, until a key frame after it
     for number, (packet, bytes_lost) in enumerate(_packets(container, stream)):
