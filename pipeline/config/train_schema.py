@@ -150,6 +150,7 @@ class TrainConfig:
     separate_tilt: bool = False  # Adam's coordinates of 4D rotations: spatial rotation and tilt, not both quaternions
     explicit_velocity: bool = False  # train velocities, spatial covariances and lifetimes instead of 4D rotations
     trajectories: int = 0  # that the Gaussians share, with `explicit_velocity`; 0: none
+    tracks: int = 0  # at most so many that brief Gaussians are linked to, with `explicit_velocity`; 0: none
     sh_degree_every: int = 1000  # iterations between increases of the SH degree, up to 3; 0: 3 from the start
     # Iterations from which Fourier order 1 and 2 are trained; empty: from the start
     fourier_at: list[int] = field(default_factory=lambda: [4000, 5000])
@@ -194,6 +195,7 @@ class TrainConfig:
             "dropout_lifetime": at_least(0).but("0: none"),
             "marginal_jitter": at_least(0).but("0: none"),
             "trajectories": at_least(0).but("0: none"),
+            "tracks": at_least(0).but("0: none"),
             "sh_degree_every": at_least(0).but("0: all at once"),
             "fourier_at": Range("at most two iterations in ascending order",
                                 lambda value: value == sorted(value) and len(value) <= 2),

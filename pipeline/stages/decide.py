@@ -182,7 +182,7 @@ def _has_validation(scene: Scene, views: int) -> bool:
 def short_schedule(cfg: TrainConfig, share: float) -> TrainConfig:
     """`share` of the schedule at half resolution, evaluated at its end only. Without the flow loss: measuring the flow
     would take longer than the training."""
-    short = schedule.shortened(cfg, share)
+    short = replace(schedule.shortened(cfg, share), tracks=0)
     return replace(
         short,
         resolution_scale=RESOLUTION * short.resolution_scale,

@@ -100,6 +100,15 @@ class Adam:
         for name, change in zip(QUATERNIONS, left_and_right(*steps)):
             self.model.parameters[name] += change
 
+    def adopt(self, model: Model) -> None:
+        """Go on with a model of the same Gaussians that has further tensors; their moments are zero."""
+        self.model = model
+        for moments in (self.first, self.second):
+            moments |= {name: torch.zeros_like(p) for name, p in model.parameters.items() if name not in moments}
+            moments["velocity"].zero_()  # now relative to the trajectories
+        for name, tensor in shared_tensors(model).items():
+            self.shared_moments.setdefault(name, (torch.zeros_like(tensor), torch.zeros_like(tensor)))
+
     def keep(self, mask: Tensor) -> None:
         """Remove the Gaussians where `mask` (N,) bool is False, with their moments; the others keep their order."""
         for tensors in (self.model.parameters, self.first, self.second):

@@ -123,6 +123,11 @@ def at_all_times(rates: dict[str, LearningRate]) -> dict[str, LearningRate]:
     return rates | {"mean": (*mean[:3], 0.0), "log_scale": (*scale[:3], 0.0), "velocity": 0.0}
 
 
+def on_tracks(rates: dict[str, LearningRate]) -> dict[str, LearningRate]:
+    """The rates where brief Gaussians follow tracks: which of them follow which is fixed."""
+    return rates | {"weights": 0.0}
+
+
 def sh_learning_rates(cfg: LearningRates) -> tuple[float, float, float, float]:
     """Rates of the coefficients that depend on neither view nor time, on view, on time, on both."""
     return (

@@ -24,7 +24,7 @@ from pipeline.training.density.statistics import Statistics
 from pipeline.training.optimiser import Adam
 from pipeline.training.reporting import RunLog
 from pipeline.training.sampling import BatchSampler
-from pipeline.training.schedule import Phase, at_all_times, clock_at, phase
+from pipeline.training.schedule import Phase, at_all_times, clock_at, on_tracks, phase
 from rasterizer import Gradients
 from rasterizer.cores import thread_count
 
@@ -83,14 +83,20 @@ class TrainState:
         clock = clock_at(self.iteration, self.stopwatch.seconds, cfg.train)
         kind = self.model.kind
         found = phase(clock, cfg.train, scene.extent, kind.sh_degree, kind.fourier_order)
-        return replace(found, lr=at_all_times(found.lr)) if kind.trajectories else found
+        if kind.trajectories:
+            found = replace(found, lr=at_all_times(found.lr) if cfg.train.trajectories else on_tracks(found.lr))
+        return found
 
     def zero_gradients(self) -> None:
         """Zero the gradients; allocate them again if the last iteration changed the number of Gaussians."""
         if len(self.gradients.mean) == len(self.model):
             self.gradients.zero_(self.threads)
         else:
-            self.gradients = Gradients.zeros_like(self.model.gaussians())
+            self.reset_gradients()
+
+    def reset_gradients(self) -> None:
+        """New gradients of the model's shapes."""
+        self.gradients = Gradients.zeros_like(self.model.gaussians())
 
     def reset_statistics(self) -> None:
         """Start new densification statistics for the current Gaussians."""
@@ -117,8 +123,12 @@ def start(model: Model, scene: Scene, cfg: Config, run: RunLog, start_seconds: f
             model.environment_map = CubeMap.grey(CUBE_MAP_RESOLUTION)
     if saved is not None:
         expected, found = (
-            f"seed {seed}, {of.kind} and background {of.background_model}"
-            for seed, of in ((cfg.seed, model), (saved.seed, saved.model))
+            f"seed {seed}, {kind} and background {of.background_model}"
+            for seed, of, kind in (
+                (cfg.seed, model, model.kind),
+                # Training adds the trajectories of tracks.
+                (saved.seed, saved.model, replace(saved.model.kind, trajectories=cfg.train.trajectories)),
+            )
         )
         if found != expected:
             raise ValueError(f"{path}: expected a checkpoint of {expected}, found {found}")

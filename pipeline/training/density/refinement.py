@@ -10,6 +10,7 @@ from pipeline.config.schema import Config
 from pipeline.training.density.densification import Densification, OpacityReset
 from pipeline.training.density.error_guided import ErrorGuidedDensification
 from pipeline.training.density.sensitivity_pruning import SensitivityPruning, scoring_views
+from pipeline.training.density.track_linking import TrackLinking
 from pipeline.training.density.trajectory_start import TrajectoryStart
 from pipeline.training.density.visibility_pruning import VisibilityPruning
 from pipeline.training.schedule import Phase
@@ -40,6 +41,8 @@ def refiners(scene: Scene, cfg: Config) -> list[Refiner]:
     ]
     if cfg.ablation.add_by_error:
         found.append(ErrorGuidedDensification(scene, cfg))
+    if cfg.train.tracks and cfg.ablation.shared_motion:
+        found.append(TrackLinking(scene, cfg))
     return [*found, OpacityReset(rules)]
 
 

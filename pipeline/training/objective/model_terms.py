@@ -51,10 +51,14 @@ class Rigid:
         if not model.kind.moves or view.number % RIGID_EVERY != 0:
             return 0.0
         weight = self.weight * RIGID_EVERY / view.batch  # as much as in every view
+        time, shared = view.target.time, None
+        if (of := model.trajectories) is not None:
+            along = torch.cat([of.values(time)[:, :3], of.drift(time, 0)], dim=1)
+            shared = model.parameters["weights"] @ along
         return view.batch * add_gradient(
             gradients,
             model,
-            lambda fields: weight * rigid_loss(fields, view.target.time, self.duration, NEIGHBOURS, self.threads),
+            lambda fields: weight * rigid_loss(fields, time, self.duration, NEIGHBOURS, self.threads, shared),
         )
 
 
@@ -163,11 +167,19 @@ def add_gradient(gradients: Gradients, model: Model, loss_of: Callable[[dict[str
 # ---- The rigid loss: differences between the velocities of neighbouring Gaussians -----------------------------
 
 
-def rigid_loss(fields: dict[str, Tensor], time: float, duration: float, neighbours: int, threads: int = 1) -> Tensor:
+def rigid_loss(
+    fields: dict[str, Tensor],
+    time: float,
+    duration: float,
+    neighbours: int,
+    threads: int = 1,
+    shared: Tensor | None = None,
+) -> Tensor:
     """Ours: the mean of exp(-100 d²) |u_i - u_j| over the Gaussians i with p(t) > MIN_MARGINAL and their neighbours j.
 
     u = Σ_xyz,t / Σtt × 0.1 duration is the displacement of the conditional mean in a tenth of the duration
     (docs/method.md 1.1). d is the distance at `time`, constant in the gradient. fields: the parameters among FIELDS.
+    shared: (N, 6) displacement and velocity along shared trajectories at `time`, beside their own.
     """
     moving = _moving_at(fields, time)
     fields = {name: tensor[moving] for name, tensor in fields.items()}
@@ -176,6 +188,8 @@ def rigid_loss(fields: dict[str, Tensor], time: float, duration: float, neighbou
         return mean.new_zeros(())
     velocity = _velocity(fields)
     position = mean[:, :3] + velocity * (time - mean[:, 3:])
+    if shared is not None:
+        position, velocity = position + shared[moving, :3], velocity + shared[moving, 3:]
     distance, index = _nearest(position, min(neighbours, len(mean) - 1), threads)
     return (torch.exp(-FALLOFF * distance**2) * _relative_speeds(velocity, index, duration)).mean()
 
