@@ -66,7 +66,8 @@ class Film:
     lost: int  # packets that gave no frame
     stamped: bool  # whether the file has times
     continued: int  # times the clock was continued where it jumped
-    streams: int  # films in the file; the one that a player shows is read
+    films: int  # in the file; the one that a player shows is read
+    covers: int  # pictures in the file that are no film
     threads: int  # that decoded it
 
     @property
@@ -92,8 +93,10 @@ class Film:
     def notes(self) -> list[str]:
         """What was done to the frames and their times, a few words each, for the user."""
         found = []
-        if self.streams > 1:
-            found.append(f"{self.streams} films in it, the one that players show is read")
+        if self.films > 1:
+            found.append(f"{self.films} films in it, the one that players show is read")
+        if self.covers:
+            found.append("its cover picture is left out")
         if self.turn != UNTURNED:
             found.append(f"{TURNS[self.turn]}, as its header says")
         if self.interlaced:
@@ -230,7 +233,8 @@ def _decoded(path: Path, threads: int) -> Film:
         stamped = any(stamp is not None for stamp in stamps)
         tick = float(unit)
         aspect = float(stream.sample_aspect_ratio or 1)
-        streams = sum(not other.disposition & NO_FILM for other in container.streams.video)
+        covers = sum(bool(other.disposition & NO_FILM) for other in container.streams.video)
+        films = len(container.streams.video) - covers
     if min(first.width, first.height) < SIZE_LIMIT:
         raise SceneError(path, f"at least {SIZE_LIMIT} pixels a side", f"{first.width} x {first.height}")
     rate, even = rate_of(times, tick, guessed)
@@ -249,7 +253,8 @@ def _decoded(path: Path, threads: int) -> Film:
         lost=lost,
         stamped=stamped,
         continued=continued,
-        streams=streams,
+        films=films,
+        covers=covers,
         threads=threads,
     )
 

@@ -50,13 +50,16 @@ def open_container(path: Path) -> InputContainer:
 
 
 def film_stream(path: Path, container: InputContainer) -> VideoStream:
-    """The stream that a player shows; SceneError for sound alone, with a cover or without."""
+    """The stream that a player shows; SceneError for sound alone, with a cover or without, or an unknown codec."""
     films = [stream for stream in container.streams.video if not stream.disposition & NO_FILM]
     if not films:
         found = "a cover picture alone" if container.streams.video else "no picture in it"
         raise SceneError(path, "a video", f"{found}: a sound file?")
     best = container.streams.best("video")
-    return next((stream for stream in films if best is not None and stream.index == best.index), films[0])
+    shown = next((stream for stream in films if best is not None and stream.index == best.index), films[0])
+    if shown.codec_context is None:
+        raise SceneError(path, "a video in a format that FFmpeg decodes", "another, or a damaged header")
+    return shown
 
 
 def clock_start(container: InputContainer) -> float:

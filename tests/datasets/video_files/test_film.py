@@ -66,7 +66,7 @@ def test_a_cover_picture_is_no_film(tmp_path: Path) -> None:
     ffmpeg("-f", "lavfi", "-i", "color=red:s=200x200", "-frames:v", 1, cover)
     film_only, sound = clip(tmp_path / "a.mp4"), ("-f", "lavfi", "-i", "sine=d=1")
     ffmpeg("-i", cover, "-i", film_only, "-map", 0, "-map", 1, "-c", "copy", "-disposition:v:0", "attached_pic", path)
-    assert opened(path).size == (96, 64) and opened(path).notes() == []
+    assert opened(path).size == (96, 64) and opened(path).notes() == ["its cover picture is left out"]
     check_frames(opened(path), by_the_program(film_only, (96, 64)))
     ffmpeg("-i", cover, *sound, "-c:v", "copy", "-c:a", "aac", "-disposition:v:0", "attached_pic", tmp_path / "a.m4a")
     with pytest.raises(SceneError, match="expected a video, found a cover picture alone: a sound file"):
