@@ -203,7 +203,7 @@ def test_invalid_cameras_are_refused_before_decoding(filmed: Path, tmp_path: Pat
         (lambda f: (shutil.rmtree(f), f.write_text("")), "folder of videos or images in order, found a file"),
         (
             lambda f: [path.unlink() for path in f.iterdir()],
-            r"expected videos \(\.mp4, \.mov, \.mkv, \.avi, \.m4v, \.webm, .*\) or images in order, found none",
+            r"expected videos \(\.mp4, \.mov, \.mkv, \.avi, \.m4v, \.webm, .*\) or images in order, found no",
         ),
         (
             lambda f: shutil.copy(f / NAMES[1], f / "left.mp4"),
