@@ -104,7 +104,6 @@ class RegularizationConfig:
     motion: float = 0.0  # towards no motion: × mean of 2 sin(θ/2), θ the tilt between space and time
     opacity: float = 0.0  # towards transparency: × mean opacity
     reference_views: float = 0.0  # `motion` and `opacity` are × this / number of training views; 0: they are as given
-    opacity_views: float = 0.0  # one camera: `opacity` is weaker where more views than this share a lifetime; 0: never
     rigid: float = 0.0  # towards neighbours that move alike
     rigid_neighbours: float = 0.0  # towards neighbours that move along the shared trajectories as a rigid body
     rigid_released: bool = False  # the rigid loss in the form of the released program, the same for all views
@@ -142,8 +141,7 @@ class TrainConfig:
     regularization: RegularizationConfig = field(default_factory=RegularizationConfig)
     depth: DepthConfig = field(default_factory=DepthConfig)
     dropout: float = 0.0  # share of the Gaussians left out of each training view, at random; 0: none
-    dropout_until: float = 1.0  # share of the schedule in which any of them may be
-    dropout_lifetime: float = 0.0  # after it only those of a smaller st may; × duration; 0: none
+    dropout_until: float = 1.0  # share of the schedule in which any of them may be; after it only short-lived ones
     # Each view takes its temporal marginals at a time off by up to this; × spacing of the training times; 0: none
     marginal_jitter: float = 0.0
     optimiser: str = "adam"  # adam (dense, the paper's) | sparse_adam (Gaussians of the batch's views only)
@@ -192,7 +190,6 @@ class TrainConfig:
             "init_points": positive_count(),
             "dropout": between("[0, 1)", 0, 1).but("0: none"),
             "dropout_until": between("[0, 1]", 0, 1),
-            "dropout_lifetime": at_least(0).but("0: none"),
             "marginal_jitter": at_least(0).but("0: none"),
             "trajectories": at_least(0).but("0: none"),
             "tracks": at_least(0).but("0: none"),

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 from pipeline.config.train_schema import LearningRates, ResolutionStep, TrainConfig
 
+LATE_DROPOUT_LIFETIME = 0.2  # × duration: late in the schedule dropout is of Gaussians with a smaller st
 SPHERE_FREEZE_AFTER = 10_000  # iterations for which the background sphere is trained, as in the paper
 MAP_UNTIL = 5000  # iterations for which the environment map or the cube map is trained
 MAP_LEARNING_RATE = 2.5e-3  # of their texels: that of the constant coefficients in 3DGS
@@ -84,8 +85,8 @@ def phase(clock: float, cfg: TrainConfig, extent: float, max_sh_degree: int, max
         sphere=clock <= SPHERE_FREEZE_AFTER,
         environment_map=clock <= MAP_UNTIL,
         depth_decay=math.exp(-fraction / DEPTH_DECAY),
-        dropout=cfg.dropout if any_dropped or cfg.dropout_lifetime > 0 else 0.0,
-        dropout_lifetime=None if any_dropped else cfg.dropout_lifetime,
+        dropout=cfg.dropout,
+        dropout_lifetime=None if any_dropped else LATE_DROPOUT_LIFETIME,
     )
 
 

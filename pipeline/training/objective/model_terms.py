@@ -33,6 +33,7 @@ FALLOFF = 100.0  # weight exp(-100 d²), d in world units: 1/e at 0.1; the relea
 MIN_MARGINAL = 0.7  # only Gaussians with temporal marginal p(t) above this
 # Velocities are displacements per this fraction of the duration; the release uses 0.1 with D-NeRF's duration of 1.
 VELOCITY_STEP = 0.1
+OPACITY_VIEWS = 10.0  # opacity counts less where more training views than this are within one st
 TILT_SOFTENING = 1e-3  # radians: smooths the norm at zero tilt
 
 # That the rigid loss depends on; a model has one of the last two, and without 4D rotation neither.
@@ -106,7 +107,6 @@ class Transparency:
     """`weight` × the mean opacity, weighted by `opacity_weight`. Gradient alone."""
 
     weight: float
-    views_for_full_weight: float  # train.regularization.opacity_views
     scene: Scene
 
     def add(self, gradients: Gradients, model: Model, view: DrawnView) -> float:
@@ -114,9 +114,7 @@ class Transparency:
             return 0.0
         opacity = torch.sigmoid(model.parameters["opacity_logit"])
         gradients.opacity_logit.addcmul_(
-            opacity * opacity_weight(model, self.views_for_full_weight, self.scene),
-            1 - opacity,
-            value=self.weight * (1.0 / len(model)),
+            opacity * opacity_weight(model, self.scene), 1 - opacity, value=self.weight * (1.0 / len(model))
         )
         return 0.0
 
@@ -128,7 +126,7 @@ def model_terms(rules: RegularizationConfig, scene: Scene, threads: int, seed: i
         rigid(rules.rigid, scene.duration, threads),
         RigidNeighbours(rules.rigid_neighbours, scene, seed),
         LittleMotion(rules.motion),
-        Transparency(rules.opacity, rules.opacity_views, scene),
+        Transparency(rules.opacity, scene),
     ]
     return [term for term in terms if term.weight > 0]
 
@@ -244,22 +242,20 @@ def _moving_at(fields: dict[str, Tensor], time: float) -> Tensor:
 # ---- Motion and opacity -----------------------------------------------------------------------------------------
 
 
-def opacity_weight(model: Model, opacity_views: float, scene: Scene) -> Tensor | float:
-    """(N,), or one number for all, in (0, 1]: opacity_views / number of training views within one st, at most 1.
+def opacity_weight(model: Model, scene: Scene) -> Tensor | float:
+    """(N,), or one number for all, in (0, 1]: OPACITY_VIEWS / number of training views within one st, at most 1.
 
-    It is 1 if opacity_views is 0, and for dynamic scenes with several cameras. There the cap on the number of Gaussians
+    It is 1 for dynamic scenes with several cameras. There the cap on the number of Gaussians
     binds and the opacity term distributes it (synthetic/counter at 160 px: 27.91 dB with weight 1, 27.24 dB without the
     term). The weight has no gradient.
     """
     views = len(scene.train)
-    if opacity_views == 0:
-        return 1.0
     if model.kind.dims == 3:
-        return min(1.0, opacity_views / views)
+        return min(1.0, OPACITY_VIEWS / views)
     if scene.several_cameras:
         return 1.0
     views_in_scale = torch.exp(model.parameters["log_scale"][:, 3]).mul_(views / scene.duration)
-    return (opacity_views / views_in_scale).clamp_(max=1.0)
+    return (OPACITY_VIEWS / views_in_scale).clamp_(max=1.0)
 
 
 def speed_gradient(velocity: Tensor) -> Tensor:

@@ -83,15 +83,8 @@ def test_background_models_are_trained_through_the_given_iteration() -> None:
     assert [found.sphere for found in trained.values()] == [True, True, True, False]
 
 
-def test_dropout_ends_after_its_share_of_the_schedule() -> None:
-    cfg = TrainConfig(iterations=5000, dropout=0.1, dropout_until=0.7)
-    assert [phase(now, cfg, EXTENT, 3, 2).dropout for now in (1.0, 3500.0, 3501.0, 5000.0)] == [0.1, 0.1, 0.0, 0.0]
-    assert phase(5000.0, replace(cfg, dropout_until=1.0), EXTENT, 3, 2).dropout == 0.1
-    assert phase(1.0, replace(cfg, dropout_until=0.0), EXTENT, 3, 2).dropout == 0.0
-
-
 def test_late_dropout_applies_to_short_lived_gaussians_only() -> None:
-    cfg = TrainConfig(iterations=5000, dropout=0.1, dropout_until=0.7, dropout_lifetime=0.2)
+    cfg = TrainConfig(iterations=5000, dropout=0.1, dropout_until=0.7)
     phases = [phase(now, cfg, EXTENT, 3, 2) for now in (1.0, 3500.0, 3501.0, 5000.0)]
     assert [(found.dropout, found.dropout_lifetime) for found in phases] == [(0.1, None)] * 2 + [(0.1, 0.2)] * 2
 

@@ -60,7 +60,7 @@ def test_a_static_model_has_no_short_lived_gaussians():
 
 
 def test_late_dropout_spares_long_lived_gaussians(tmp_path):
-    scene, cfg = tiny_scene(), tiny_config(iterations=10, dropout=0.5, dropout_until=0.5, dropout_lifetime=0.2)
+    scene, cfg = tiny_scene(), tiny_config(iterations=10, dropout=0.5, dropout_until=0.5)
     state = start(initialise(scene, cfg, np.random.default_rng(0)), scene, cfg, TinyRun(tmp_path))
     short = torch.arange(len(state.model)) % 2 == 0
     state.model.parameters["log_scale"][:, 3] = (torch.where(short, 0.19, 0.21) * scene.duration).log()

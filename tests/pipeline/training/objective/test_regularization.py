@@ -45,11 +45,11 @@ def penalty(p: dict[str, torch.Tensor], cfg: RegularizationConfig) -> torch.Tens
     """The sum of the terms as defined in the configuration; any dtype."""
     softened = torch.sqrt(tilt(p["quat_left"], p["quat_right"]) ** 2 + TILT_SOFTENING**2)
     lifetime = p["log_scale"][:, 3].exp()
-    weight = (cfg.opacity_views / (51 * lifetime.detach())).clamp(max=1) if cfg.opacity_views else 1.0
+    weight = (10 / (51 * lifetime.detach())).clamp(max=1)
     return cfg.motion * softened.mean() + cfg.opacity * (weight * p["opacity_logit"].sigmoid()).mean()
 
 
-@pytest.mark.parametrize("keys", [{"motion": 0.7}, {"opacity": 0.7}, {"opacity": 0.7, "opacity_views": 20.0}])
+@pytest.mark.parametrize("keys", [{"motion": 0.7}, {"opacity": 0.7}])
 def test_the_gradient_equals_autograd_of_the_penalty(keys):
     found, cfg = model(), RegularizationConfig(**keys)
     gradients = Gradients.zeros_like(found.gaussians())
@@ -76,23 +76,23 @@ def test_the_motion_of_velocities_is_the_angle_of_their_paths():
 
 
 def test_the_opacity_weight_falls_with_the_number_of_views_in_a_lifetime():
-    """opacity_views = 20 of 51 views: weight 1 for st = 0.1 s, ½ for 0.784 s, 20/51 for a static model."""
+    """10 of 51 views: weight 1 for st = 0.1 s, ½ for 0.392 s, 10/51 for a static model."""
     found = model()
-    found.parameters["log_scale"][:2, 3] = torch.tensor([0.1, 40 / 51]).log()
-    weight = opacity_weight(found, 20.0, SCENE)
+    found.parameters["log_scale"][:2, 3] = torch.tensor([0.1, 20 / 51]).log()
+    weight = opacity_weight(found, SCENE)
     torch.testing.assert_close(weight[:2], torch.tensor([1.0, 0.5]))
-    assert opacity_weight(model("static"), 20.0, SCENE) == pytest.approx(20 / 51)
-    assert opacity_weight(model("static"), 60.0, SCENE) == 1.0
+    assert opacity_weight(model("static"), SCENE) == pytest.approx(10 / 51)
+    assert opacity_weight(model("static"), tiny_scene(views=8)) == 1.0
 
 
 def test_the_opacity_weight_is_1_for_dynamic_scenes_with_several_cameras():
     film = replace(SCENE, capture="multi_view")
-    assert opacity_weight(model(), 20.0, film) == 1.0
+    assert opacity_weight(model(), film) == 1.0
 
 
 def test_weights_follow_the_covered_share_and_the_number_of_views():
     """tiny_scene's disc has a radius of 6 of 32 pixels; 51 views instead of 100."""
-    cfg = RegularizationConfig(motion=0.5, opacity=2.0, opacity_views=7.0, flow=3.0)
+    cfg = RegularizationConfig(motion=0.5, opacity=2.0, flow=3.0)
     red = np.stack([np.asarray(view.image)[..., 0] for view in SCENE.train])
     share = np.count_nonzero(red) / red.size
     assert share == pytest.approx(np.pi * 36 / 32**2, rel=0.05)  # the pixels whose centre is in the disc, not its area
