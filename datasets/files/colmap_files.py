@@ -84,7 +84,7 @@ def _entries(
             with open(path, "rb") as opened:
                 file = _Binary(path, opened)
                 return [binary(file) for _ in range(file.count())]
-        content = path.read_text(encoding="utf-8")
+        content = path.read_text(encoding="utf-8-sig")  # with or without a byte-order mark
     except (OSError, UnicodeDecodeError) as error:
         raise SceneError(path, "a file of COLMAP", str(error)) from None
     found: list[Parsed] = []
@@ -183,7 +183,7 @@ def _binary_image(file: _Binary) -> ImageRecord:
 
 
 def _text_image(line: str) -> ImageRecord:
-    parts = line.split(maxsplit=9)
+    parts = line.strip().split(maxsplit=9)
     numbers = np.array([_real(part) for part in parts[1:8]])
     return ImageRecord(parts[9], int(parts[8]), numbers[:4], numbers[4:])
 

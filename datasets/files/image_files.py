@@ -64,7 +64,8 @@ def exif_turn(path: Path) -> int:
     """The EXIF orientation, 1 to 8; 1: as stored, also where there is none."""
     try:
         with Image.open(path) as image:
-            return int(image.getexif().get(ExifTags.Base.Orientation, 1))
+            turn = int(image.getexif().get(ExifTags.Base.Orientation, 1))
+            return turn if 1 <= turn <= 8 else 1  # 0, as some programs write: unknown
     except Exception as error:  # PIL raises many types for broken files
         raise SceneError(path, "a readable image", str(error)) from None
 

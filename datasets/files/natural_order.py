@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -25,6 +26,18 @@ def last_number(stem: str) -> float | None:
         return float(decimal[1])
     found = re.findall(r"\d+", stem)
     return float(found[-1]) if found else None
+
+
+def starts_again(stems: Sequence[str]) -> bool:
+    """Whether the last number of names that differ in numbers alone falls where one before it rises: a fraction of a
+    second, as the 07 of IMG_101531_07 after IMG_101530_55."""
+    if len({re.sub(r"\d+", "", stem) for stem in stems}) > 1:
+        return False
+    numbers = sorted([int(digits) for digits in re.findall(r"\d+", stem)] for stem in stems)
+    if not numbers[0] or len({tuple(own[:-1]) for own in numbers}) < 2:
+        return False
+    in_seconds = any(last_number(stem) != int(re.findall(r"\d+", stem)[-1]) for stem in stems)  # with decimals
+    return not in_seconds and any(one[-1] > other[-1] for one, other in pairwise(numbers))
 
 
 def about_even(numbers: Sequence[float | None]) -> bool:

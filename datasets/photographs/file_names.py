@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from datasets.files.errors import SceneError
-from datasets.files.natural_order import about_even, last_number, natural_order
+from datasets.files.natural_order import about_even, last_number, natural_order, starts_again
 from datasets.photographs.name_splits import find_split
 from datasets.photographs.photograph import PosedFile
 from datasets.source import Log
@@ -34,7 +34,8 @@ def by_name(root: Path, photographs: Sequence[PosedFile], log: Log) -> list[Pose
 def with_times(photographs: Sequence[PosedFile], log: Log) -> list[PosedFile]:
     """All with a time, ascending: the layout's, else the numbers in the names, else evenly spaced for each camera.
 
-    Numbers are times if no camera has one twice and they are about evenly spaced; all cameras count alike.
+    Numbers are times if no camera has one twice, they are about evenly spaced, and they do not start again while a
+    number before them counts on, as fractions of a second do; all cameras count alike.
     """
     known = [photograph.time for photograph in photographs if photograph.time is not None]
     if known and len(known) < len(photographs):
@@ -42,9 +43,17 @@ def with_times(photographs: Sequence[PosedFile], log: Log) -> list[PosedFile]:
         raise SceneError(missing.path, "a time in every frame or in none", f"none here and {len(known)} elsewhere")
     if known:
         return sorted(photographs, key=lambda p: (p.time, p.name))
-    numbers = [last_number(p.path.stem if p.moment is None else p.moment) for p in photographs]
+    moments = [p.path.stem if p.moment is None else p.moment for p in photographs]
+    numbers = [last_number(moment) for moment in moments]
     of_cameras = {(photograph.group, number) for photograph, number in zip(photographs, numbers)}
-    if len(of_cameras) == len(numbers) and about_even(numbers):
+    if (
+        len(of_cameras) == len(numbers)
+        and about_even(numbers)
+        and not any(
+            starts_again([m for m, p in zip(moments, photographs) if p.group == group])
+            for group in {p.group for p in photographs}
+        )
+    ):
         times, how = [number for number in numbers if number is not None], "the numbers in the file names"
     else:
         counted: Counter[int] = Counter()

@@ -10,7 +10,7 @@ import numpy as np
 from datasets.cameras.transforms import read_pose
 from datasets.files.errors import SceneError
 from datasets.urban.log import SweepPoints
-from datasets.urban.sweep_columns import row_length
+from datasets.urban.sweep_columns import FEWEST_VALUES, row_length
 
 LONGEST_FILE = 64 * 2**20  # bytes: the poses of a log of a million frames
 FARTHEST = 1e4  # metres: no LiDAR reaches as far
@@ -121,13 +121,21 @@ def read_sweep(
     start: of the beams, in the same frame. SceneError for columns that do not stand out, no points or far ones.
     """
     values = read_floats(path)
-    found = row_length(values, columns, path)
+    found = row_length(_with_others(path, values), columns, path)
     if values.size == 0 or values.size % found:
         raise SceneError(path, f"rows of {found} float32 values", f"{values.size} values: the file is cut short")
     points = values.reshape(-1, found)[:, :3]
     check_reach(points, path)
     note = "" if found == columns else f"rows of {found} values, as theirs show, not {columns} as the layout has"
     return SweepPoints(transformed(points, to_world), transformed(np.array([start]), to_world)[0], note)
+
+
+def _with_others(path: Path, values: np.ndarray) -> np.ndarray:
+    """The values of a short sweep and of as many others of its folder, of the same columns, as tell them apart."""
+    others = (other for other in sorted(path.parent.glob(f"*{path.suffix}")) if other != path)
+    while values.size < FEWEST_VALUES and (other := next(others, None)):
+        values = np.concatenate([values, read_floats(other)])
+    return values
 
 
 def check_reach(points: np.ndarray, path: Path) -> None:

@@ -22,7 +22,7 @@ EQUAL, DIFFERENT = 0.1, 0.2  # nats; right and wrong numbers differ by 0.2 to 1,
 def row_length(values: np.ndarray, usual: int, path: Path) -> int:
     """The number of values a row, of all values (n,) of a file: the layout's `usual` one unless the values refute it.
 
-    SceneError where no number or several stand out. Short files are taken as the layout says.
+    SceneError where no number or several stand out. Of fewer than FEWEST_VALUES nothing is told: as usual.
     """
     if values.size < FEWEST_VALUES or not np.isfinite(values).all():
         return usual

@@ -13,6 +13,7 @@ from layout_scenes import check, read
 from PIL import Image
 
 from datasets.files.errors import SceneError
+from datasets.files.image_files import exif_turn
 
 
 def stored(upright: np.ndarray, path: Path, orientation: int = 6) -> None:
@@ -70,3 +71,11 @@ def test_a_turn_that_the_size_does_not_show_is_said(tmp_path: Path, shape: tuple
     assert any(
         line.startswith("EXIF: 6 of 6 images have a turn (r_0.png), and their size does not show") for line in lines
     )
+
+
+@pytest.mark.parametrize("orientation, expected", [(0, 1), (1, 1), (6, 6), (9, 1)])
+def test_orientations_that_exif_does_not_know_are_none(tmp_path: Path, orientation: int, expected: int) -> None:
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    Image.new("RGB", (40, 30)).save(tmp_path / "a.png", exif=exif)
+    assert exif_turn(tmp_path / "a.png") == expected

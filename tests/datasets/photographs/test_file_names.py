@@ -12,7 +12,7 @@ from layout_scenes import read
 from scipy.spatial.transform import Rotation
 
 from datasets.files.errors import SceneError
-from datasets.files.natural_order import about_even, last_number
+from datasets.files.natural_order import about_even, last_number, starts_again
 from datasets.photographs.file_names import by_name
 from datasets.photographs.photograph import PosedFile
 from datasets.scene import Scene
@@ -210,3 +210,34 @@ def test_the_number_of_a_name(stem: str, number: float | None) -> None:
 )
 def test_which_numbers_may_be_times(numbers: list[float | None], expected: bool) -> None:
     assert about_even(numbers) is expected
+
+
+def test_fractions_of_a_second_are_no_times(tmp_path: Path) -> None:
+    """A phone's names: second and hundredths. In the order of the names, which is that of time."""
+    write_nerfstudio(tmp_path)
+    file = tmp_path / "transforms.json"
+    content = json.loads(file.read_text())
+    names = [f"images/PXL_20241128_1015{i:02d}_{37 * i % 100:02d}.png" for i in range(12)]
+    for frame, name in zip(content["frames"], names):
+        (tmp_path / frame["file_path"]).rename(tmp_path / name)
+        frame["file_path"] = name
+    file.write_text(json.dumps(content))
+    scene, _ = read(tmp_path)
+    in_time = sorted((*scene.train, *scene.test), key=lambda view: view.time)
+    assert [view.name.split("/")[1] for view in in_time] == [Path(name).stem for name in names]
+
+
+@pytest.mark.parametrize(
+    "stems, expected",
+    [
+        (["a_1_90", "a_2_10"], True),
+        (["a_1_10", "a_2_90"], False),
+        (["a_1_10", "b_2_9"], False),  # words
+        (["20241128_2", "20241128_10"], False),
+        (["t_0.5", "t_0.25", "t_1.1"], False),  # decimals
+        (["1305031102.175304", "1305031103.075304"], False),
+        (["first", "second"], False),
+    ],
+)
+def test_last_numbers_that_start_again(stems: list[str], expected: bool) -> None:
+    assert starts_again(stems) == expected

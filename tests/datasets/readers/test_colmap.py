@@ -299,3 +299,13 @@ def test_a_rotation_is_colmaps() -> None:
     quaternion = np.array([0.3, -0.5, 0.7, 0.2])
     expected = Rotation.from_quat(quaternion[[1, 2, 3, 0]]).as_matrix()
     np.testing.assert_allclose(rotation_of(quaternion, "x"), expected, atol=1e-12)
+
+
+def test_a_byte_order_mark_and_spaces_at_the_ends_of_lines(tmp_path: Path) -> None:
+    """As editors of Windows save the files."""
+    folder = write_colmap(tmp_path, False) / "sparse/0"
+    for name in ("cameras.txt", "images.txt", "points3D.txt"):
+        lines = (folder / name).read_text().splitlines()
+        (folder / name).write_text("\ufeff" + "".join(f"{line} \r\n" for line in lines), encoding="utf-8", newline="")
+    scene, _ = read(tmp_path)
+    assert len(scene.train) + len(scene.test) == COUNT

@@ -12,6 +12,7 @@ from datasets.files.errors import SceneError
 from datasets.readers.kitti import open_kitti
 from datasets.settings import SceneConfig
 from datasets.urban.assemble import scene_of_log
+from datasets.urban.number_files import read_sweep
 from datasets.urban.sweep_columns import row_length
 
 HERE = Path("x.bin")
@@ -67,3 +68,14 @@ def test_a_log_whose_sweeps_have_other_columns(tmp_path: Path, columns: int) -> 
         np.testing.assert_allclose(
             one.read().points, written[one.frame].astype(float) @ expected[:3, :3].T + expected[:3, 3], atol=1e-4
         )  # six decimals in the files of poses and calibration
+
+
+@pytest.mark.parametrize("columns", [3, 4, 5, 6])
+def test_short_sweeps_are_judged_together(tmp_path: Path, columns: int) -> None:
+    """60 points each, a multiple of 4 in any number of columns: 40 sweeps tell what one does not."""
+    rows = beams(columns, 2400).reshape(40, 60, columns)
+    for i, values in enumerate(rows):
+        values.tofile(tmp_path / f"{i:06d}.bin")
+    for i in (0, 20):
+        found = read_sweep(tmp_path / f"{i:06d}.bin", np.eye(4), columns=4)
+        assert np.array_equal(found.points, rows[i, :, :3])
