@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 GAP = 10.0  # × the distance of the last one before the gap
-MOST = 0.25  # of the different positions are outliers, but one is always allowed
+MOST = 0.3  # of the different positions are outliers, but one is always allowed
 FEWEST = 5  # different positions: of fewer none can be told from the others
 
 

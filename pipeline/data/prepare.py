@@ -135,6 +135,7 @@ def name_outliers(scene: Scene, log: Callable[[str], None]) -> None:
     """A line on cameras that are outliers: they are trained on, but decide no centre, unit or extent."""
     views = scene.train + scene.test
     kept = inliers(np.stack([view.camera.position for view in views]))
+    kept[: len(scene.train)] = inliers(np.stack([view.camera.position for view in scene.train]))  # these decide
     if not kept.all():
         far = [view.name for view, inside in zip(views, kept) if not inside]
         log(
