@@ -63,5 +63,6 @@ def test_theirs_imported_before_is_said(folder: Path) -> None:
 
 def test_without_a_checkout_the_script_says_so(tmp_path: Path) -> None:
     (tmp_path / "gaussians_4d").symlink_to(ROOT / "gaussians_4d")
-    status, _, err = run(tmp_path, "-m", "gaussians_4d", path=())
+    # -S: an installed checkout would be found before the folder
+    status, _, err = run(tmp_path, "-S", "-m", "gaussians_4d", path=())
     assert status == 1 and err.startswith("error: gaussians-4d: expected a checkout") and err.count("\n") == 1

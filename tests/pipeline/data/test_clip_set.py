@@ -76,8 +76,8 @@ def kept(videos: Path) -> tuple[Prepared, list[str]]:
     return prepared(videos, color_correction="auto")
 
 
-def test_cameras_that_move_are_told_from_those_that_stand_still(videos: Path) -> None:
-    assert {path.stem: stands_still(path) for path in videos.iterdir()} == {
+def test_cameras_that_move_are_told_from_those_that_stand_still(videos: Path, tmp_path: Path) -> None:
+    assert {path.stem: stands_still(path, tmp_path) for path in videos.iterdir()} == {
         "left": False,
         "right": False,
         "tripod": True,
