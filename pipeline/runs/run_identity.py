@@ -66,9 +66,15 @@ def refuse_other_run(path: Path, config: dict, ignored: tuple[str, ...] = ()) ->
         first = differing[0]
         others = clear(", ".join(differing[1:4])) + (", …" if len(differing) > 4 else "")
         more = f" (and {others})" if differing[1:] else ""
+        # the folder of the data, which names the scene, was renamed
+        renamed = (
+            f"{clear('scene.name=' + stored['scene.name'])} continues it; or "
+            if differing == ["scene.name"] and "scene.name" in stored
+            else ""
+        )
         raise ValueError(
             f"{path}: holds another run, with {clear(f'{first}={stored.get(first)}')} but this "
-            f"command has {wanted.get(first)}{more}; give another out=DIR, or resume=false to "
+            f"command has {wanted.get(first)}{more}; {renamed}give another out=DIR, or resume=false to "
             "replace it"
         )
 

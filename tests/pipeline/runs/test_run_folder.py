@@ -13,7 +13,7 @@ from datasets.files.atomic_write import atomic_file, write_text
 from pipeline.runs.run_folder import CURVE_COLUMNS, RunFolder, write_csv, write_json
 
 CONFIG = {
-    "scene": {"path": None, "cache": "a"},
+    "scene": {"name": "auto/a", "path": None, "cache": "a"},
     "train": {"iterations": 60, "batch": 2},
     "seed": 0,
     "threads": 1,
@@ -130,6 +130,13 @@ def test_another_run_is_refused_and_what_differs_said(tmp_path: Path) -> None:
         opened(tmp_path / "run", changed(train={"batch": 4}, seed=1))
     with opened(tmp_path / "run", CONFIG):  # it was let go of, and is as it was
         pass
+
+
+def test_of_a_renamed_data_folder_the_name_that_continues_is_said(tmp_path: Path) -> None:
+    made(tmp_path / "run")
+    name = CONFIG["scene"]["name"]
+    with pytest.raises(ValueError, match=f"has auto/moved; scene.name={name} continues it; or give another out=DIR"):
+        opened(tmp_path / "run", changed(scene={"name": "auto/moved"}))
 
 
 def test_before_anything_is_made_a_mistake_may_be_corrected(tmp_path: Path) -> None:
