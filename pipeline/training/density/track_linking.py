@@ -27,7 +27,7 @@ TIMES_PER_INTERVAL = 3  # training times for each interval of the finest splines
 SMOOTHNESS = 1e-3  # weight of the squared control points, × the number of a level's intervals squared
 DISTANCE, SPEED = 0.08, 0.6  # bandwidths, × the diagonal of the brief Gaussians' box and × their median speed
 FASTEST_REST = 2.0  # × the bandwidth: Gaussians that would move less in the whole duration form no tracks
-UNEXPLAINED = 0.35  # a track's members have at most this share of their squared velocities relative to it
+UNEXPLAINED = 0.7  # a track's members have at most this share of their squared velocities relative to it
 
 
 class TrackLinking:
