@@ -9,11 +9,20 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from export_readers import read_fourdgs, read_ftgs, read_glb, read_ply, read_splat, read_splatv, read_spz, static_at
+from export_readers import (
+    in_time,
+    read_fourdgs,
+    read_ftgs,
+    read_glb,
+    read_ply,
+    read_splat,
+    read_splatv,
+    read_spz,
+    static_at,
+)
 
 from pipeline.data.training_views import evenly_spaced
 from pipeline.evaluation.image_metrics import psnr
@@ -21,7 +30,7 @@ from pipeline.evaluation.renderer import Renderer
 from pipeline.export.formats import FILM, FORMATS, FRAME
 from pipeline.export.pieces import film_of
 from pipeline.export.source import PLAYED_SECONDS, Timeline
-from pipeline.export.splats import MovingGaussians, frame_at
+from pipeline.export.splats import frame_at
 from pipeline.model.model import Model
 from pipeline.trained.open_run import TrainedRun, open_run
 from rasterizer import Rasterizer
@@ -63,17 +72,6 @@ def rows(run: TrainedRun) -> dict[str, tuple[float, float]]:
             film = in_time(FILM_READERS[name](content), line)
             found[name] = score(lambda time, film=film: static_at(film, time)), size_of([content])
     return found
-
-
-def in_time(moving: MovingGaussians, line: Timeline) -> MovingGaussians:
-    """From normalised times to the scene's."""
-    return replace(
-        moving,
-        velocity=moving.velocity / line.duration,
-        time=line.start + moving.time * line.duration,
-        sigma=moving.sigma * line.duration,
-        window=None if moving.window is None else line.start + moving.window * line.duration,
-    )
 
 
 def size_of(contents) -> float:
