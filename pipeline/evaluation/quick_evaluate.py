@@ -39,7 +39,7 @@ def quick_evaluate(
             image = renderer.tensor(target.camera, target.time).clamp_(0.0, 1.0)
             loss = criterion(image, target.image)
             render, truth = (pixels.numpy().transpose(1, 2, 0) for pixels in (image, target.image))
-            rows.append({"psnr": _valid_psnr(render, truth, target), "ssim": loss.ssim, "test_loss": loss.loss})
+            rows.append({"psnr": valid_psnr(render, truth, target), "ssim": loss.ssim, "test_loss": loss.loss})
             mask = moving.of(index) if views is scene.test else None
             rows[-1]["psnr_moving"] = masked_psnr(render, truth, mask)
         found = {name: mean(rows, name) for name in ("psnr", "ssim", "test_loss")}
@@ -55,11 +55,11 @@ def held_out_psnr(model: Model, scene: Scene, cfg: Config, threads: int) -> np.n
     for view in scene.test:
         target = target_of(view, cfg.train.resolution_scale)
         image, truth = renderer.image(target.camera, target.time), target.image.numpy().transpose(1, 2, 0)
-        found.append(_valid_psnr(image, truth, target))
+        found.append(valid_psnr(image, truth, target))
     return np.array(found)
 
 
-def _valid_psnr(image: np.ndarray, truth: np.ndarray, target: Target) -> float:
+def valid_psnr(image: np.ndarray, truth: np.ndarray, target: Target) -> float:
     """PSNR in dB of (H, W, 3) images over the pixels inside the view's mask; over all if there are none."""
     valid = masked_psnr(image, truth, None if target.mask is None else target.mask.numpy())
     return psnr(image, truth) if valid is None else valid

@@ -23,12 +23,15 @@ from pipeline.config.schema import Config
 from pipeline.config.train_schema import TrainConfig
 from pipeline.data.sfm.reconstruction import Reconstruction
 from pipeline.evaluation.quick_evaluate import held_out_psnr
+from pipeline.evaluation.renderer import Renderer
+from pipeline.evaluation.rivals import AgainstRivals, Rivals
 from pipeline.model.initialise import initialise
 from pipeline.model.model import Model, kind_of
 from pipeline.stages.training_progress import TrainingProgress
 from pipeline.training import schedule
 from pipeline.training.loop import train
 from pipeline.training.reporting import Progress, temporary_run
+from rasterizer import Rasterizer
 from rasterizer.cores import thread_count
 
 VALIDATION_EVERY = 4  # every fourth pose is a validation pose
@@ -55,6 +58,7 @@ class Comparison:
     gain: float  # dB, mean over the poses
     standard_error: float  # dB, of the gain
     fit_gain: float  # dB, of the mean PSNR of training views
+    against: AgainstRivals  # of the better one
     views: int
     seconds: float  # of both trainings
 
@@ -63,6 +67,12 @@ class Comparison:
             f"on {self.views} validation views {self.psnr_with:.2f} dB with, {self.psnr_without:.2f} dB without "
             f"({self.gain:+.2f} ± {self.standard_error:.2f}; on training views {self.fit_gain:+.2f})"
         )
+
+    @property
+    def decidable(self) -> bool:
+        """Whether one of both shows more than a blur; of two blurs neither is better. The nearest view is no bar: of a
+        slow clip it is better than any model after so few iterations."""
+        return self.against.learnt
 
     @property
     def beyond_chance(self) -> bool:
@@ -155,19 +165,21 @@ def _compared(
 ) -> Comparison:
     """Train both on `scene.train`. Deterministic in scene, configuration and seed, except for the seconds."""
     started, split = time.perf_counter(), hold_out_poses(scene, VALIDATION_EVERY)
-    psnr, fit = [], []
+    psnr, fit, standings, rivals = [], [], [], Rivals(split, with_part.train.resolution_scale)
     for cfg, label in ((with_part, "with"), (without, "without")):
         log(
             f"settle: {label} {part}, {cfg.train.iterations} iterations; {len(split.train)} training views, "
             f"{len(split.test)} validation views"
         )
-        held_out, fitted = trained_psnr(split, cfg, cloud)
+        held_out, fitted, renderer = trained_psnr(split, cfg, cloud)
+        standings.append(rivals.compare(renderer))
         psnr.append(held_out)
         fit.append(fitted)
     gain, error = mean_and_error(psnr[0] - psnr[1], [view.camera.world_to_cam.tobytes() for view in split.test])
     seconds = time.perf_counter() - started
     means = float(psnr[0].mean()), float(psnr[1].mean())
-    return Comparison(*means, gain, error, fit[0] - fit[1], len(split.test), seconds)
+    against = max(standings, key=lambda standing: standing.model)
+    return Comparison(*means, gain, error, fit[0] - fit[1], against, len(split.test), seconds)
 
 
 def _has_validation(scene: Scene, views: int) -> bool:
@@ -205,9 +217,9 @@ def mean_and_error(gains: np.ndarray, poses: Sequence[Hashable]) -> tuple[float,
     return float(samples.mean()), float(samples.std(ddof=1) / len(samples) ** 0.5)
 
 
-def trained_psnr(split: Scene, cfg: Config, cloud: Reconstruction | None) -> tuple[np.ndarray, float]:
-    """Of a model trained on `split.train`, with smaller batches if it has fewer views than one: (test views,) dB, and
-    the mean over about as many training views."""
+def trained_psnr(split: Scene, cfg: Config, cloud: Reconstruction | None) -> tuple[np.ndarray, float, Renderer]:
+    """Of a model trained on `split.train`, with smaller batches if it has fewer views than one: (test views,) dB, the
+    mean over about as many training views, and the model."""
     cfg = replace(cfg, train=replace(cfg.train, batch=min(cfg.train.batch, len(split.train))))
     threads = thread_count(cfg.threads)
 
@@ -218,7 +230,9 @@ def trained_psnr(split: Scene, cfg: Config, cloud: Reconstruction | None) -> tup
     with temporary_run() as run, TrainingProgress(cfg.train.iterations, None) as bar:
         model = train(initial, split, cfg, run, evaluate_fn, observers=[bar]).model
     fitted = replace(split, test=split.train[:: -(-len(split.train) // len(split.test))])
-    return held_out_psnr(model, split, cfg, threads), float(held_out_psnr(model, fitted, cfg, threads).mean())
+    renderer = Renderer(model, split, cfg, Rasterizer(threads=threads))
+    fit = float(held_out_psnr(model, fitted, cfg, threads).mean())
+    return held_out_psnr(model, split, cfg, threads), fit, renderer
 
 
 def _faster_colour(cfg: TrainConfig) -> TrainConfig:

@@ -21,6 +21,7 @@ from pipeline.data.prepare import Prepared
 from pipeline.model.model import kind_of
 from pipeline.runs.run_identity import FREE_KEYS, flat
 from pipeline.stages.decide import (
+    Comparison,
     colour_is_open,
     compare_colour,
     compare_shared_motion,
@@ -67,24 +68,32 @@ def decide(command: Command, data: Prepared, log: Callable[[str], None]) -> dict
     compared: dict[str, Any] = {}
     if time_is_open(cfg, scene):
         found = compare_time(cfg, scene, data.cloud, log)
-        decided["static"] = not found.beyond_chance
+        decided["static"] = found.decidable and not found.beyond_chance
         compared["time"] = asdict(found)
-        kept = "dynamic" if found.beyond_chance else "static"
-        log(f"settle: {kept}: time, {found}; ablation.static=true or false decides otherwise")
+        taken = "static" if decided["static"] else "dynamic"
+        log(f"settle: {taken}{_default(found)}: time, {found}; ablation.static=true or false decides otherwise")
     if not decided.get("static") and shared_motion_is_open(cfg, scene):
         shared = _of_kind(command, data, "shared")
         found = compare_shared_motion(cfg, shared, scene, data.cloud, log)
-        if found.takes_shared_motion:
+        followed = found.decidable and found.takes_shared_motion
+        if followed:
             decided["shared_motion"], cfg = True, shared
         compared["shared_motion"] = asdict(found)
-        log(f"settle: shared motion {'taken' if found.takes_shared_motion else 'left out'}: {found}")
+        log(f"settle: shared motion {'taken' if followed else 'left out'}{_default(found)}: {found}")
     if not decided.get("static") and colour_is_open(cfg, scene):
         found = compare_colour(cfg, scene, data.cloud, log)
-        if not found.keeps_colour:
+        if not (kept := found.keeps_colour or not found.decidable):
             decided["fourier_order"] = 0
         compared["time_colour"] = asdict(found)
-        log(f"settle: time-varying colour {'kept' if found.keeps_colour else 'left out'}: {found}")
+        log(f"settle: time-varying colour {'kept' if kept else 'left out'}{_default(found)}: {found}")
     return {"decided": decided, "compared": compared, "seconds": sum(c["seconds"] for c in compared.values())}
+
+
+def _default(found: Comparison) -> str:
+    """What a line adds where the comparison decides nothing."""
+    if found.decidable:
+        return ""
+    return f" by default, as it is not decidable: neither shows more than a blur ({found.against})"
 
 
 def changes(command: Command, scene: Scene) -> dict[str, Any]:

@@ -17,13 +17,15 @@ from pipeline.evaluation.evaluate import Evaluation, evaluate, evaluate_with_ima
 from pipeline.evaluation.moving_pixels import MovingPixels
 from pipeline.evaluation.outlook import outlook, path_angles
 from pipeline.evaluation.quick_evaluate import quick_evaluate
+from pipeline.evaluation.renderer import Renderer
+from pipeline.evaluation.rivals import AgainstRivals, Rivals
 from pipeline.model.initialise import initialise
 from pipeline.model.model import Model
 from pipeline.model.ply import load_ply, save_ply
 from pipeline.model.transformed import in_rotations
 from pipeline.runs.provenance import peak_memory_mb, reset_peak_memory
 from pipeline.runs.run_folder import RunFolder, now, write_csv
-from pipeline.stages.doubts import doubt
+from pipeline.stages.doubts import EarlyDoubts, doubt
 from pipeline.stages.settle import changes, decide
 from pipeline.stages.training_progress import TrainingProgress
 from pipeline.training import checkpoint as checkpoints
@@ -104,8 +106,14 @@ def train_model(job: Job) -> dict:
     initial = load_ply(folder.init_ply)
     before = folder.values_of("settle")["seconds"]
     progress = TrainingProgress(cfg.train.iterations, cfg.train.time_budget_s, cfg.out)
+
+    def say(row: dict, line: str) -> None:
+        folder.log(row)
+        progress.say(line)
+
     with progress, _live_view(cfg, job) as live:
-        observers: list[Observer] = [progress] if live is None else [progress, live]
+        observers: list[Observer] = [progress, EarlyDoubts(len(initial), scene, cfg, rasterizer, say)]
+        observers += [] if live is None else [live]
         result = train(initial, scene, cfg, folder, evaluate_fn, before, observers)
         if live is not None:
             live.see_last(result.model, result.iteration)
@@ -132,6 +140,9 @@ def evaluate_model(job: Job) -> dict:
         best = final if is_final else evaluate(in_rotations(saved.best_model), scene, cfg, threads)
         best_metrics = {**best.metrics, "iteration": saved.best["iteration"]}
 
+    against = Rivals(scene, cfg.train.resolution_scale).compare(
+        Renderer(model, scene, cfg, Rasterizer(threads=threads))
+    )
     settled, own_clip = folder.values_of("settle"), job.data.poses_estimated and scene.capture == "clip"
     write_csv(folder.per_image, _per_image(final, best))
     write_json(folder.metrics, {
@@ -142,7 +153,7 @@ def evaluate_model(job: Job) -> dict:
         **({} if scene.test_split is None else {"test_split": scene.test_split}),
         "kind": asdict(model.kind), "decided": settled["decided"], "compared": settled["compared"],
         **({"outlook": _outlook(final, model, job.data)} if own_clip else {}),
-        "doubt": _doubt(job, len(model), final),
+        "rivals": asdict(against), "doubt": _doubt(job, len(model), against),
         "note": final.note(), "n_alive_mean": final.n_alive_mean, "n_test_views": len(scene.test),
         **folder.values_of("train"),
     })  # fmt: skip
@@ -200,11 +211,11 @@ def _outlook(final: Evaluation, model: Model, data: Prepared) -> str:
     return outlook(path_angles(data.scene, seconds), psnr, dynamic=model.kind.dims == 4)
 
 
-def _doubt(job: Job, left: int, final: Evaluation) -> str | None:
-    initial, ssim = job.folder.values_of("init")["n_gaussians"], final.metrics["ssim"]
+def _doubt(job: Job, left: int, against: AgainstRivals) -> str | None:
+    initial = job.folder.values_of("init")["n_gaussians"]
     densified = any(row.get("event") == Densification.event for row in job.folder.log_rows())
     below_cap = initial < job.cfg.train.densify.max_gaussians
-    return doubt(initial, left, densified and below_cap, ssim if isinstance(ssim, float) else None)
+    return doubt(initial, left, densified and below_cap, against)
 
 
 def _per_image(final: Evaluation, best: Evaluation | None) -> list[dict]:

@@ -79,11 +79,13 @@ class TrainingProgress:
 
     def evaluated(self, model: Model, progress: reporting.Progress, metrics: dict) -> None:
         """One line above the bar."""
-        interruption.raise_if_lost()
-        if self._quiet:
-            return
-        text = (
+        self.say(
             f"iteration {progress.iteration}: held-out psnr {metrics['psnr']:.2f} after "
             f"{progress.train_seconds:.0f} s of training, {len(model)} Gaussians"
         )
-        self._bar.console.print(text, highlight=False, soft_wrap=True)
+
+    def say(self, text: str) -> None:
+        """A line above the bar."""
+        interruption.raise_if_lost()
+        if not self._quiet:
+            self._bar.console.print(text, highlight=False, soft_wrap=True)

@@ -10,8 +10,12 @@ from tiny import tiny_config, tiny_scene
 from tiny_film import tiny_film
 
 from datasets.scene import Scene, View
+from pipeline.config.compose import Command
 from pipeline.config.schema import AblationConfig, Config
 from pipeline.config.train_schema import LearningRates
+from pipeline.data.prepare import Prepared
+from pipeline.evaluation.rivals import AgainstRivals
+from pipeline.stages import settle
 from pipeline.stages.decide import (
     Comparison,
     colour_is_open,
@@ -105,7 +109,7 @@ def test_batches_larger_than_the_part_of_the_views_become_smaller() -> None:
 
 
 def compared(gain: float, error: float) -> Comparison:
-    return Comparison(20.0 + gain, 20.0, gain, error, 0.0, 6, 1.0)
+    return Comparison(20.0 + gain, 20.0, gain, error, 0.0, AgainstRivals(20.0, 12.0, 14.0), 6, 1.0)
 
 
 def test_time_must_gain_more_than_two_standard_errors() -> None:
@@ -183,3 +187,14 @@ def test_shared_motion_is_compared_by_its_own_settings() -> None:
     )
     assert replace(again, seconds=found.seconds) == found and found.views == VIEWS // 4
     assert lines[0].startswith("settle: with shared motion, 20 iterations") and "30 iterations" in lines[1]
+
+
+@pytest.mark.parametrize("model, static, kept", [(20.0, True, "static: time,"), (14.9, False, "dynamic by default, ")])
+def test_of_two_blurs_the_default_is_taken(
+    model: float, static: bool, kept: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    against, lines = AgainstRivals(model, 30.0, 14.0), []
+    monkeypatch.setattr(settle, "compare_time", lambda *args: replace(compared(-0.5, 0.2), against=against))
+    command = Command(("scene=synthetic/wheel", "train.select_motion=0.1", "train.select_time_colour=0"))
+    found = settle.decide(command, Prepared(one_camera(changes=True), None, None), lines.append)
+    assert found["decided"] == {"static": static} and lines[-1].startswith(f"settle: {kept}")

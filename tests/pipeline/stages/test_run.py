@@ -14,7 +14,6 @@ from pipeline.config.compose import Command
 from pipeline.config.schema import Config
 from pipeline.data.prepare import Prepared
 from pipeline.runs.run_folder import RunFolder
-from pipeline.stages.doubts import doubt
 from pipeline.stages.run import chosen_stages, run
 from pipeline.stages.stages import Job, prepare_points
 
@@ -126,20 +125,3 @@ def test_cameras_without_points_have_files_too(tmp_path: Path) -> None:
     with RunFolder(tmp_path / "run") as folder:
         assert prepare_points(Job(Command(()), Config(), data, folder, print)) == {}
         assert folder.sfm.read_text() == "sfm.json" and folder.sfm_picture.read_text() == "sfm.png"
-
-
-@pytest.mark.parametrize(
-    "left, densified, ssim, said",
-    [
-        (199, True, 0.5, "199 of 20000 initial Gaussians are left: the poses"),
-        (200, True, 0.5, None),
-        (20_000, True, 0.5, "the 20000 initial Gaussians are all that there are, though densification was due: the"),
-        (20_000, False, 0.5, None),  # too short for densification
-        (40_000, True, 0.05, "SSIM is 0.050, which is near 0: the poses"),
-        (53, True, -0.01, "53 of 20000 initial Gaussians are left and SSIM is -0.010"),
-        (40_000, True, None, None),
-    ],
-)
-def test_a_training_that_has_learnt_nothing_is_doubted(left: int, densified: bool, ssim: float, said: str) -> None:
-    found = doubt(20_000, left, densified, ssim)
-    assert found is None if said is None else found is not None and found.startswith(said)
