@@ -81,7 +81,7 @@ def rasterize(
     time, duration, flow_dt: in the unit of μt. background: RGB. outputs: names among "color", "alpha", "depth", "flow",
     "stats"; only these are computed. flow_dt: δ of the optical flow. near: near plane, world units. sh_degree,
     fourier_order: use the coefficients up to these; None: all. threads: 0 for all cores; never changes the bits.
-    marginal_offset: temporal marginals are those of time + this, all else is that of time (docs/method.md 5.5).
+    marginal_offset: temporal marginals are those of time + this, all else is that of time (docs/method.md 5.2).
     flow_camera: the camera at time + δ, whose motion is part of the flow then; None: it stands still.
 
     `rasterizer.reference.rasterize` is the same function in plain PyTorch. Raises ValueError for wrong shapes or types,

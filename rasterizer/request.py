@@ -34,7 +34,7 @@ class Request:
     near: float = 0.2  # near plane: world units along the optical axis
     sh_degree: int | None = None  # use the coefficients up to this degree; None: all stored ones
     fourier_order: int | None = None  # likewise
-    # p is evaluated at time + this; means, covariances and colours at time. Training alone uses it (docs/method.md 5.5)
+    # p is evaluated at time + this; means, covariances and colours at time. Training alone uses it (docs/method.md 5.2)
     marginal_offset: float = 0.0
     flow_camera: Camera | None = None  # the camera at time + flow_dt, for the flow; None: it stands still
 

@@ -48,7 +48,7 @@ class AblationConfig:
     fourier_order: int = 2  # highest Fourier order of 4DSH; 0: colour constant in time
     time_split: bool = True  # False: split in space only, no temporal indicator
     shared_motion: bool = True  # False: no Gaussians that share trajectories, whatever validation would find
-    add_by_error: bool = True  # whether Gaussians are added where and when the error is (docs/method.md 5.1)
+    add_by_error: bool = True  # whether Gaussians are added where and when the error is (docs/method.md 5.4)
     sh_degree: int = 3  # highest degree of spherical harmonics
     static: Optional[bool] = None  # None: as the scene is; True: no time at all, ordinary 3DGS
 

@@ -27,7 +27,7 @@ class LearningRates:
     opacity: float = 5e-2  # of the logit
     scale: float = 5e-3  # of the log scales, all four
     rotation: float = 1e-3  # of both quaternions
-    velocity: float = 1.0  # with `explicit_velocity`: of what a Gaussian moves in one st; × the rate of μ_xyz
+    velocity: float = 1.0  # of what a Gaussian moves in one st; × the rate of μ_xyz
     trajectories: float = 1.0  # × those of the control points of shared trajectories; weights: × its square root
     final_factor: float = 1.0  # every learning rate × this at the end (pipeline/training/schedule.py)
 
@@ -59,10 +59,9 @@ class DensifyConfig:
     # Gaussians of which less than this share reaches the camera in every training view, because others hide them, are
     # pruned (pipeline/training/density/visibility_pruning.py); 0: none
     prune_hidden: float = 0.0
-    # Gaussians added where and when the error is (pipeline/training/density/error_guided.py): at most so many
-    error_points: int = 0
-    error_points_share: float = 1.0  # and at most this × the number that there are
-    error_points_every: int = 500  # iterations between such additions
+    # Gaussians added where and when the error is (pipeline/training/density/error_guided.py); × their number; 0: none
+    add_by_error: float = 0.0
+    add_by_error_every: int = 500  # iterations between such additions
     opacity_reset_every: int = 3000  # iterations between opacity resets; 0: never
 
     def __post_init__(self) -> None:
@@ -74,9 +73,8 @@ class DensifyConfig:
             "prune_sensitivity": between("[0, 1)", 0, 1).but("0: nothing"),
             "prune_hidden": between("[0, 1)", 0, 1).but("0: nothing"),
             "prune_sensitivity_every": positive_count(),
-            "error_points": at_least(0).but("0: none"),
-            "error_points_share": above(0),
-            "error_points_every": positive_count(),
+            "add_by_error": at_least(0).but("0: none"),
+            "add_by_error_every": positive_count(),
             "every": positive_count(),
             "max_gaussians": positive_count(),
         })  # fmt: skip
@@ -104,8 +102,7 @@ class RegularizationConfig:
     motion: float = 0.0  # towards no motion: × mean of 2 sin(θ/2), θ the tilt between space and time
     opacity: float = 0.0  # towards transparency: × mean opacity
     reference_views: float = 0.0  # `motion` and `opacity` are × this / number of training views; 0: they are as given
-    rigid: float = 0.0  # towards neighbours that move alike
-    rigid_neighbours: float = 0.0  # towards neighbours that move along the shared trajectories as a rigid body
+    rigid: float = 0.0  # towards neighbours that move alike; along shared trajectories, as a rigid body
     rigid_released: bool = False  # the rigid loss in the form of the released program, the same for all views
     still_lifetime: float = 0.0  # Gaussians of a larger st do not move (still_gaussians.py); × duration; 0: all may
     flow: float = 0.0  # towards the optical flow measured in videos: × mean error, image widths
@@ -145,10 +142,10 @@ class TrainConfig:
     # Each view takes its temporal marginals at a time off by up to this; × spacing of the training times; 0: none
     marginal_jitter: float = 0.0
     optimiser: str = "adam"  # adam (dense, the paper's) | sparse_adam (Gaussians of the batch's views only)
-    separate_tilt: bool = False  # Adam's coordinates of 4D rotations: spatial rotation and tilt, not both quaternions
-    explicit_velocity: bool = False  # train velocities, spatial covariances and lifetimes instead of 4D rotations
-    trajectories: int = 0  # that the Gaussians share, with `explicit_velocity`; 0: none
-    tracks: int = 0  # at most so many that brief Gaussians are linked to, with `explicit_velocity`; 0: none
+    # How motion is trained (docs/method.md 5.1). rotations: the paper's two quaternions; tilt: other coordinates of them
+    # for Adam; velocities, with spatial covariances and lifetimes; tracks: velocities, and brief Gaussians are linked
+    # to the tracks of what flies; trajectories: Gaussians exist at all times and share these
+    motion: str = "rotations"
     sh_degree_every: int = 1000  # iterations between increases of the SH degree, up to 3; 0: 3 from the start
     # Iterations from which Fourier order 1 and 2 are trained; empty: from the start
     fourier_at: list[int] = field(default_factory=lambda: [4000, 5000])
@@ -176,6 +173,7 @@ class TrainConfig:
             "iterations": positive_count(),
             "batch": positive_count(),
             "optimiser": one_of("adam", "sparse_adam"),
+            "motion": one_of("rotations", "tilt", "velocities", "tracks", "trajectories"),
             "resolution_scale": between("(0, 1]", 0, 1),
             "mse_weight": at_least(0),
             "time_budget_s": above(0),
@@ -191,13 +189,9 @@ class TrainConfig:
             "dropout": between("[0, 1)", 0, 1).but("0: none"),
             "dropout_until": between("[0, 1]", 0, 1),
             "marginal_jitter": at_least(0).but("0: none"),
-            "trajectories": at_least(0).but("0: none"),
-            "tracks": at_least(0).but("0: none"),
             "sh_degree_every": at_least(0).but("0: all at once"),
             "fourier_at": Range("at most two iterations in ascending order",
                                 lambda value: value == sorted(value) and len(value) <= 2),
         })  # fmt: skip
-        required = "0 without train.explicit_velocity"
-        require(self.trajectories == 0 or self.explicit_velocity, "train.trajectories", required, self.trajectories)
         untils = [step.until for step in self.resolution_steps]
         require(untils == sorted(set(untils)), "train.resolution_steps", "`until` in ascending order", untils)

@@ -86,7 +86,7 @@ def quaternions_of(rotation: Tensor) -> tuple[Tensor, Tensor]:
 # A 4D covariance has ten numbers: six of the ellipsoid Σ(t) at any time, three of the velocity v and one of the
 # temporal scale √Σtt (docs/method.md 1.1). In them nothing keeps a Gaussian from moving: a 4D rotation moves one with
 # the scales s_x and st with at most |s_x² - st²| / (2 s_x st), and not at all where both are equal. Training has them
-# with `train.explicit_velocity`; all that reads a trained model gets rotations.
+# with `train.motion` velocities, tracks and trajectories; all that reads a trained model gets rotations.
 
 
 def in_velocities(model: Model) -> Model:

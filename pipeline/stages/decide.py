@@ -194,9 +194,10 @@ def _has_validation(scene: Scene, views: int) -> bool:
 def short_schedule(cfg: TrainConfig, share: float) -> TrainConfig:
     """`share` of the schedule at half resolution, evaluated at its end only. Without the flow loss: measuring the flow
     would take longer than the training."""
-    short = replace(schedule.shortened(cfg, share), tracks=0)
+    short = schedule.shortened(cfg, share)
     return replace(
         short,
+        motion="velocities" if short.motion == "tracks" else short.motion,
         resolution_scale=RESOLUTION * short.resolution_scale,
         eval_every=short.iterations,
         checkpoint_every=short.iterations,

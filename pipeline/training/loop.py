@@ -34,7 +34,7 @@ LOG_EVERY = 100  # iterations between lines of log.jsonl; a multiple of REPORT_E
 @dataclass(frozen=True)
 class TrainResult:
     """The trained model, in rotations, and its statistics. The run folder's checkpoint has what is trained: velocities
-    with `train.explicit_velocity`."""
+    where `train.motion` says so."""
 
     model: Model
     iteration: int
@@ -58,7 +58,7 @@ def train(
 ) -> TrainResult:
     """Train `model` on `scene.train`, or continue from the run folder's checkpoint if `cfg.resume`.
 
-    `model` is changed in place, unless a checkpoint replaces it or with `train.explicit_velocity`.
+    `model` is changed in place, unless a checkpoint replaces it or velocities are trained.
 
     evaluate_fn: called every `train.eval_every` iterations and at the end; its time is not training time.
     start_seconds: of training, before a new run.

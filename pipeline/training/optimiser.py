@@ -33,7 +33,7 @@ class Adam:
 
     With `separate_tilt`, the coordinates of 4D rotations are spatial rotation and tilt (pipeline/model/tilt.py), whose
     moments are those under "quat_left" and "quat_right". Adam divides each coordinate of the gradient by its own size,
-    and that of the tilt is larger (docs/method.md 5.6): in the quaternions' components it would slow down the other.
+    and that of the tilt is larger (docs/method.md 5.1): in the quaternions' components it would slow down the other.
 
     The rate of velocities is that of the displacement in a Gaussian's temporal scale √Σtt: short-lived ones
     may be fast.

@@ -84,7 +84,8 @@ class TrainState:
         kind = self.model.kind
         found = phase(clock, cfg.train, scene.extent, kind.sh_degree, kind.fourier_order)
         if kind.trajectories:
-            found = replace(found, lr=at_all_times(found.lr) if cfg.train.trajectories else on_tracks(found.lr))
+            rates = at_all_times if cfg.train.motion == "trajectories" else on_tracks
+            found = replace(found, lr=rates(found.lr))
         return found
 
     def zero_gradients(self) -> None:
@@ -112,10 +113,10 @@ def start(model: Model, scene: Scene, cfg: Config, run: RunLog, start_seconds: f
     if not cfg.resume:
         path.unlink(missing_ok=True)  # otherwise a later resume would continue the replaced run
     saved = checkpoints.load(path) if path.exists() else None
-    if cfg.train.explicit_velocity:
+    if cfg.train.motion in ("velocities", "tracks", "trajectories"):
         model = in_velocities(model)
-    if cfg.train.trajectories > 0 and model.kind.motion == "velocity" and model.trajectories is None:
-        model = with_trajectories(model, scene, cfg.train)
+    if cfg.train.motion == "trajectories" and model.kind.motion == "velocity" and model.trajectories is None:
+        model = with_trajectories(model, scene)
     if model.environment_map is None:  # a new model: init.ply has none
         if cfg.scene.background_model == "envmap":
             model.environment_map = EnvironmentMap.grey(MAP_HEIGHT)
@@ -127,7 +128,7 @@ def start(model: Model, scene: Scene, cfg: Config, run: RunLog, start_seconds: f
             for seed, of, kind in (
                 (cfg.seed, model, model.kind),
                 # Training adds the trajectories of tracks.
-                (saved.seed, saved.model, replace(saved.model.kind, trajectories=cfg.train.trajectories)),
+                (saved.seed, saved.model, replace(saved.model.kind, trajectories=model.kind.trajectories)),
             )
         )
         if found != expected:
@@ -135,7 +136,7 @@ def start(model: Model, scene: Scene, cfg: Config, run: RunLog, start_seconds: f
         model = saved.model
     state = TrainState(
         model,
-        Adam(model, threads, cfg.train.separate_tilt),
+        Adam(model, threads, separate_tilt=cfg.train.motion == "tilt"),
         Statistics(len(model)),
         # One random stream per purpose, so that the draws of one never shift those of another.
         BatchSampler(len(scene.train), cfg.train.batch, stream(cfg.seed, Stream.BATCHES)),

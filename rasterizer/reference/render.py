@@ -49,7 +49,7 @@ def slice_in_time(gaussians: Gaussians, time: float, marginal_offset: float = 0.
     p(t) = exp(-½ (t-μt)²/Σtt) and μ(t) = μ_xyz + Σ_xyz,t Σtt⁻¹ (t-μt). The textbook form of the conditional
     covariance, Σ_xyz - Σ_xyz,t Σtt⁻¹ Σ_t,xyz, cancels catastrophically for fast motion. With m_t the time row of M and
     v = m_t/|m_t| it equals A Aᵀ with A = M_xyz (I - v vᵀ), which is positive semi-definite by construction.
-    marginal_offset: p alone is that of time + this (docs/method.md 5.5). flow_dt: the velocity along trajectories is
+    marginal_offset: p alone is that of time + this (docs/method.md 5.2). flow_dt: the velocity along trajectories is
     the mean one until time + this.
     """
     gaussians, drift = moved(gaussians, time, flow_dt)

@@ -30,6 +30,7 @@ from pipeline.training.state import TrainState
 from rasterizer import Rasterizer, Request
 
 IMAGE_SIDE = 100  # pixels of the longer side at which errors are measured: objects, not texture
+MOST_ADDED = 2000  # each time
 MAX_VIEWS = 200  # rendered each time; of more, the windows of random times
 CANDIDATES = 10  # for each new Gaussian
 SEVERAL_CAMERAS = 3  # as many views of one time need no neighbouring times
@@ -53,14 +54,14 @@ class ErrorGuidedDensification:
 
     def due(self, iteration: int, clock: float) -> bool:
         rules = self._rules
-        wanted = rules.error_points > 0 and iteration % rules.error_points_every == 0
+        wanted = rules.add_by_error > 0 and iteration % rules.add_by_error_every == 0
         return wanted and iteration >= rules.start and clock < rules.stop
 
     def apply(self, state: TrainState, phase: Phase) -> dict[str, int]:
         """Add as many Gaussians as the three limits of their number allow."""
         rules, sphere = self._rules, state.model.sphere
         present = len(state.model) if sphere is None else int((~sphere).sum())
-        limits = (rules.error_points, int(rules.error_points_share * present), rules.max_gaussians - present)
+        limits = (MOST_ADDED, int(rules.add_by_error * present), rules.max_gaussians - present)
         count, rows = min(limits), None
         if count > 0 and state.model.kind.dims == 4:
             rng = stream(self._seed, Stream.ERROR_POINTS, state.iteration)

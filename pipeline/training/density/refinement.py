@@ -33,7 +33,7 @@ class Refiner(Protocol):
 def refiners(scene: Scene, cfg: Config) -> list[Refiner]:
     """Those of a schedule, in the order in which they are applied."""
     rules, views = cfg.train.densify, scoring_views(scene)
-    found: list[Refiner] = [TrajectoryStart(cfg)] if cfg.train.trajectories else []
+    found: list[Refiner] = [TrajectoryStart(cfg)] if cfg.train.motion == "trajectories" else []
     found += [
         Densification(rules, scene.extent, cfg.ablation.time_split),
         SensitivityPruning(scene, cfg, views),
@@ -41,7 +41,7 @@ def refiners(scene: Scene, cfg: Config) -> list[Refiner]:
     ]
     if cfg.ablation.add_by_error:
         found.append(ErrorGuidedDensification(scene, cfg))
-    if cfg.train.tracks and cfg.ablation.shared_motion:
+    if cfg.train.motion == "tracks" and cfg.ablation.shared_motion:
         found.append(TrackLinking(scene, cfg))
     return [*found, OpacityReset(rules)]
 

@@ -22,6 +22,7 @@ from pipeline.training.state import TrainState
 from rasterizer.trajectories import MAX_INTERVALS, Trajectories, level_intervals
 
 START = 0.4  # of the iterations
+MOST_TRACKS = 32
 BRIEF, OPAQUE = 0.15, 0.05  # largest st, × duration, and least opacity of Gaussians that form tracks
 TIMES_PER_INTERVAL = 3  # training times for each interval of the finest splines
 SMOOTHNESS = 1e-3  # weight of the squared control points, × the number of a level's intervals squared
@@ -36,7 +37,7 @@ class TrackLinking:
     event = "link_tracks"
 
     def __init__(self, scene: Scene, cfg: Config) -> None:
-        self._scene, self._most = scene, cfg.train.tracks
+        self._scene = scene
         self._start = round(START * cfg.train.iterations)
 
     def due(self, iteration: int, clock: float) -> bool:
@@ -47,7 +48,7 @@ class TrackLinking:
         if model.kind.motion != "velocity" or len(times) < 2:
             return {"tracks": 0, "linked": 0}
         rows, particles, bandwidths = brief_particles(model, self._scene.duration)
-        tracks = find_tracks(particles, times, bandwidths, self._most) if len(rows) else []
+        tracks = find_tracks(particles, times, bandwidths, MOST_TRACKS) if len(rows) else []
         linked, explained = link(model, rows, particles, times, tracks)
         if explained:
             state.optimiser.adopt(linked)

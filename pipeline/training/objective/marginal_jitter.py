@@ -6,7 +6,7 @@ the jitter the Gaussians of t + δ must explain the image of t too, moved along 
 the Gaussians of neighbouring times, and their velocities. Jitter of the whole view's time, which does not move them,
 blurs instead.
 
-A Gaussian that lives for less than the spacing of the training times hardly moves (docs/method.md 5.5). Where many do,
+A Gaussian that lives for less than the spacing of the training times hardly moves (docs/method.md 5.2). Where many do,
 what they show is too fast to be followed from one image to the next, and nothing is jittered.
 """
 

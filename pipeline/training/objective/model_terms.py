@@ -119,12 +119,14 @@ class Transparency:
         return 0.0
 
 
-def model_terms(rules: RegularizationConfig, scene: Scene, threads: int, seed: int) -> list[ModelTerm]:
+def model_terms(
+    rules: RegularizationConfig, shared_motion: bool, scene: Scene, threads: int, seed: int
+) -> list[ModelTerm]:
     """The losses of a schedule, in the order in which their gradients are added. rules: of `relative_to_data`."""
-    rigid = ReleasedRigid if rules.rigid_released else Rigid
     terms: list[ModelTerm] = [
-        rigid(rules.rigid, scene.duration, threads),
-        RigidNeighbours(rules.rigid_neighbours, scene, seed),
+        RigidNeighbours(rules.rigid, scene, seed)
+        if shared_motion
+        else (ReleasedRigid if rules.rigid_released else Rigid)(rules.rigid, scene.duration, threads),
         LittleMotion(rules.motion),
         Transparency(rules.opacity, scene),
     ]

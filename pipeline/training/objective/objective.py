@@ -38,7 +38,8 @@ class Objective:
         self._scene, self._near = scene, cfg.scene.near * scene.unit
         self._rasterizer = Rasterizer(threads=threads)
         self._image_terms = image_terms(cfg.train, scene, threads)
-        self._model_terms = model_terms(self.regularization, scene, threads, cfg.seed)
+        shared_motion = cfg.train.motion == "trajectories"
+        self._model_terms = model_terms(self.regularization, shared_motion, scene, threads, cfg.seed)
 
     def backward(
         self, model: Model, view: DrawnView, gradients: Gradients, d_environment_map: Tensor | None = None

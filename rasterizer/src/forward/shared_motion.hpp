@@ -1,4 +1,4 @@
-// Moves Gaussians along trajectories that many of them share (docs/method.md 5).
+// Moves Gaussians along trajectories that many of them share (docs/method.md 5.1).
 //
 // At the time of the view, trajectory k has a displacement c_k, a rotation vector r_k and a drift c'_k, the
 // mean velocity until the later time of the optical flow. A Gaussian has a weight w_k for each, and

@@ -82,7 +82,7 @@ def test_what_stands_still_has_velocity_zero_and_other_fields_stay():
 
 
 def test_the_largest_speed_of_a_rotation():
-    """At most |s_x² - st²| / (2 s_x st), of axes s_x and st tilted by any angle (docs/method.md 5.6)."""
+    """At most |s_x² - st²| / (2 s_x st), of axes s_x and st tilted by any angle (docs/method.md 5.1)."""
     long, short = 0.3, 0.02
     angle = np.linspace(0, np.pi / 2, 1001)
     cos, sin = torch.from_numpy(np.cos(angle)), torch.from_numpy(np.sin(angle))

@@ -181,7 +181,7 @@ def test_shared_motion_is_open_for_one_camera_that_films_from_everywhere() -> No
 def test_shared_motion_is_compared_by_its_own_settings() -> None:
     """Both without colours that change in time; the same comparison twice."""
     scene, lines = one_camera(changes=True), []
-    shared = config(40, trajectories=2, explicit_velocity=True, init_time_scale=1000)
+    shared = config(40, motion="trajectories", init_time_scale=1000)
     found, again = (
         compare_shared_motion(config(60, select_shared_motion=0.5), shared, scene, None, lines.append) for _ in range(2)
     )

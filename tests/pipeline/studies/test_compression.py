@@ -145,7 +145,7 @@ def test_retraining_keeps_the_number_of_gaussians(trained):
     cfg = tiny_config(60)
     rules = replace(
         cfg.train.densify, prune_hidden=0.9, prune_sensitivity=0.1, prune_sensitivity_every=10,
-        error_points=20, error_points_every=10,
+        add_by_error=1.0, add_by_error_every=10,
     )  # fmt: skip
     cfg = replace(cfg, train=replace(cfg.train, densify=rules))
     after = retrain(trained.copy(), tiny_scene(), cfg, 0.8, lambda model, progress: {"psnr": 0.0})
@@ -165,7 +165,7 @@ def test_shared_trajectories_are_kept(precision, tmp_path):
 
 
 def test_retraining_goes_on_with_the_trajectories(tmp_path):
-    cfg = tiny_config(60, explicit_velocity=True, trajectories=3)
+    cfg = tiny_config(60, motion="trajectories")
     trained = train_tiny(tmp_path / "run", cfg).model
     assert trained.trajectories is not None and trained.parameters["weights"].any()
     small = prune_by_sensitivity(trained, torch.rand(len(trained), generator=torch.Generator().manual_seed(0)), 0.5)

@@ -159,7 +159,7 @@ def test_resuming_between_checkpoints(uninterrupted: Path, tmp_path, stop: int, 
 
 def test_training_in_velocities_learns_resumes_and_ends_in_rotations(tmp_path, monkeypatch) -> None:
     """The disc of the scene moves. An interrupted training is the same to the bit."""
-    cfg = tiny_config(120, eval_every=60, checkpoint_every=30, explicit_velocity=True)
+    cfg = tiny_config(120, eval_every=60, checkpoint_every=30, motion="velocities")
     first, last = batch_losses(tmp_path / "whole", tiny_scene(), cfg)
     assert last < 0.5 * first, "noise between batches is much less than half"
     interrupted_in(75, tmp_path / "parts", monkeypatch, cfg)
@@ -215,7 +215,7 @@ def test_a_checkpoint_of_another_run_is_refused(tmp_path) -> None:
 @pytest.mark.parametrize(
     "keys",
     [
-        {"explicit_velocity": True, "regularization": RegularizationConfig(rigid=1.0, motion=1.0, still_lifetime=0.3)},
+        {"motion": "velocities", "regularization": RegularizationConfig(rigid=1.0, motion=1.0, still_lifetime=0.3)},
         {"optimiser": "sparse_adam"},
         {"batch": 1},
         {"resolution_steps": [ResolutionStep(0.5, 0.5)]},

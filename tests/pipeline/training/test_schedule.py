@@ -110,7 +110,7 @@ def test_a_shortened_schedule_is_the_whole_one_scaled(now: int) -> None:
     assert replace(whole, **same) == replace(scaled, **same)
     assert (short.densify.start, short.densify.stop, short.densify.every) == (50, 1500, cfg.densify.every)
     # What is added by error is removed by pruning only: both keep their pace.
-    assert short.densify.error_points_every == cfg.densify.error_points_every
+    assert short.densify.add_by_error_every == cfg.densify.add_by_error_every
     assert short.densify.prune_sensitivity_every == cfg.densify.prune_sensitivity_every
 
 

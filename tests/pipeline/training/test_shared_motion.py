@@ -16,7 +16,7 @@ from pipeline.config.train_schema import LearningRates, RegularizationConfig
 from pipeline.data.training_views import target_of
 from pipeline.model.initialise import initialise
 from pipeline.model.model import Model, ModelKind
-from pipeline.model.shared_motion import with_trajectories
+from pipeline.model.shared_motion import TRAJECTORIES, with_trajectories
 from pipeline.model.transformed import in_velocities
 from pipeline.training import checkpoint
 from pipeline.training.density.trajectory_start import anchor_weights, farthest_points, opaque_points
@@ -29,8 +29,8 @@ from rasterizer.trajectories import Trajectories
 
 SCENE = tiny_scene()
 CFG = tiny_config(
-    120, eval_every=60, checkpoint_every=30, explicit_velocity=True, trajectories=3, init_time_scale=1000,
-    lr=LearningRates(trajectories=40), regularization=RegularizationConfig(rigid_neighbours=0.02),
+    120, eval_every=60, checkpoint_every=30, motion="trajectories", init_time_scale=1000,
+    lr=LearningRates(trajectories=40), regularization=RegularizationConfig(rigid=0.02),
 )  # fmt: skip
 
 
@@ -47,9 +47,9 @@ def shared_model(seed: int = 0) -> Model:
 def test_the_number_of_control_points_follows_from_the_times(views: int, control_points: int) -> None:
     """Intervals of nine times: 2 at least, 2 + 3 + 5 of 45, 2 + 3 + 6 + 11 + 22 of 200; 3 points more a level."""
     scene = tiny_scene(views)
-    model = with_trajectories(in_velocities(initialise(scene, CFG, np.random.default_rng(0))), scene, CFG.train)
+    model = with_trajectories(in_velocities(initialise(scene, CFG, np.random.default_rng(0))), scene)
     assert model.trajectories is not None
-    assert model.trajectories.control_points.shape == (control_points, 3, 6)
+    assert model.trajectories.control_points.shape == (control_points, TRAJECTORIES, 6)
     assert not model.trajectories.control_points.any() and not model.parameters["weights"].any()
     assert model.trajectories.span == (scene.time_start, scene.time_end)
 
@@ -62,7 +62,8 @@ def test_training_follows_what_moves_and_resumes_to_the_bit(tmp_path, monkeypatc
     interrupted_in(75, tmp_path / "parts", monkeypatch, CFG)
     model = train_tiny(tmp_path / "parts", CFG).model
     assert_same_state(tmp_path / "whole", tmp_path / "parts")
-    assert [row["anchors"] for row in TinyRun(tmp_path / "parts").rows("log.jsonl") if "anchors" in row] == [3]
+    rows = TinyRun(tmp_path / "parts").rows("log.jsonl")
+    assert [row["anchors"] for row in rows if "anchors" in row] == [TRAJECTORIES]
     assert model.trajectories is not None and model.kind.motion == "velocity"
     ends = [model.parameters["weights"] @ model.trajectories.values(time) for time in (0.0, 1.0)]
     opaque = torch.sigmoid(model.parameters["opacity_logit"]) > 0.3
@@ -70,10 +71,10 @@ def test_training_follows_what_moves_and_resumes_to_the_bit(tmp_path, monkeypatc
 
 
 def test_trajectories_are_a_part_of_checkpoints(tmp_path) -> None:
-    train_tiny(tmp_path, tiny_config(20, explicit_velocity=True, trajectories=3))
+    train_tiny(tmp_path, tiny_config(20, motion="trajectories"))
     path = tmp_path / checkpoint.FILE_NAME
     saved, model = checkpoint.load(path), checkpoint.load_model(path)
-    assert saved.shared_moments.keys() == {"trajectories"} and saved.model.kind.trajectories == 3
+    assert saved.shared_moments.keys() == {"trajectories"} and saved.model.kind.trajectories == TRAJECTORIES
     assert model.kind == saved.model.kind, "there are no 4D rotations with trajectories"
     state = saved.model.state()
     assert all(torch.equal(tensor, state[name]) for name, tensor in model.state().items())

@@ -108,14 +108,14 @@ def test_linked_gaussians_stay_where_they_were_at_their_own_times() -> None:
 
 def test_what_does_not_move_is_not_linked(tmp_path) -> None:
     """An initial model at rest: the run goes on without trajectories."""
-    model = train_tiny(tmp_path, tiny_config(20, explicit_velocity=True, tracks=8)).model
+    model = train_tiny(tmp_path, tiny_config(20, motion="tracks")).model
     assert model.trajectories is None
     assert [row["tracks"] for row in TinyRun(tmp_path).rows("log.jsonl") if "tracks" in row] == [0]
 
 
 def test_training_goes_on_with_tracks_and_resumes_to_the_bit(tmp_path) -> None:
     """Interrupted after the linking of iteration 12 of 30; membership does not change, the paths do."""
-    scene, cfg = tiny_scene(61), tiny_config(30, explicit_velocity=True, tracks=8)
+    scene, cfg = tiny_scene(61), tiny_config(30, motion="tracks")
     with pytest.MonkeyPatch.context() as given, pytest.MonkeyPatch.context() as dying:
         given.setattr(tiny, "initialise", lambda *rest: flying_model())
         given.setattr(tiny, "tiny_scene", lambda: scene)
