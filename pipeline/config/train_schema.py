@@ -142,7 +142,7 @@ class TrainConfig:
     # Each view takes its temporal marginals at a time off by up to this; × spacing of the training times; 0: none
     marginal_jitter: float = 0.0
     optimiser: str = "adam"  # adam (dense, the paper's) | sparse_adam (Gaussians of the batch's views only)
-    # How motion is trained (docs/method.md 5.1). rotations: the paper's two quaternions; tilt: other coordinates of them
+    # How motion is trained (docs/method.md 5.1). rotations: the paper's quaternions; tilt: other coordinates of these
     # for Adam; velocities, with spatial covariances and lifetimes; tracks: velocities, and brief Gaussians are linked
     # to the tracks of what flies; trajectories: Gaussians exist at all times and share these
     motion: str = "rotations"

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from rasterizer import Camera, Gaussians, Request
 from rasterizer.reference.render import slice_in_time
+from rasterizer.trajectories import Trajectories
 
 Scene = tuple[Gaussians, Request]
 COUNT = 24  # Gaussians, where they are not the parameter
@@ -247,6 +248,37 @@ def epoch(duration: float, seed: int) -> Scene:
 def _keeping_time(left: torch.Tensor, fallback: torch.Tensor) -> torch.Tensor:
     _, right = moving_quaternions(torch.full((len(left),), 1e30, dtype=left.dtype), left)
     return torch.where(torch.isfinite(right), right, fallback)
+
+
+# ---- Shared trajectories ----
+
+
+def sharing(gaussians: Gaussians, seed: int, displacement: float, angle: float) -> Gaussians:
+    """All Gaussians on two trajectories that change by about `displacement`, world units, and `angle`, radians."""
+    rng, still = generator(seed + 2), Trajectories.still(2, 8, (0.0, 1.0))
+    size = torch.tensor([displacement] * 3 + [angle] * 3, dtype=torch.float64)
+    points = size * torch.randn(still.control_points.shape, generator=rng, dtype=torch.float64)
+    weights = uniform((len(gaussians), 2), 0.2, 1.0, rng)
+    return replace(gaussians, quat_right=None, weights=weights, trajectories=Trajectories(points))
+
+
+@family(1e-3, 1e2, "displacement along shared trajectories, world units, to where the base scene is")
+def shared_displacement(displacement: float, seed: int) -> Scene:
+    gaussians, request = sharing(base_gaussians(COUNT, seed), seed, displacement, 0.3), base_request()
+    assert gaussians.weights is not None and gaussians.trajectories is not None
+    moved = gaussians.weights @ gaussians.trajectories.values(request.time)[:, :3]
+    return with_mean(gaussians, space=gaussians.mean[:, :3] - moved), request
+
+
+@family(1e-3, 3e2, "angle that shared trajectories turn Gaussians by, radians")
+def shared_rotation(angle: float, seed: int) -> Scene:
+    return sharing(base_gaussians(COUNT, seed), seed, 0.05, angle), base_request()
+
+
+@family(1e-6, 1e6, "t beyond the end of shared trajectories, durations; Gaussians do not fade")
+def shared_end(beyond: float, seed: int) -> Scene:
+    gaussians = with_log_scale(sharing(base_gaussians(COUNT, seed), seed, 0.05, 0.3), None, None, None, 1e7)
+    return gaussians, base_request(time=1 + beyond)
 
 
 # ---- Opacity ----

@@ -45,7 +45,7 @@ def indefinite(gaussians: Gaussians, request: Request) -> int:
     """Number of Gaussians in view whose computed 2D covariance, with dilation, is not positive definite."""
     with torch.no_grad():
         index = reference.blending_order(gaussians, request)
-        gaussians = gaussians.rows(index)
+        gaussians, _ = reference.moved(gaussians.rows(index), request.time)
         mean = reference.slice_in_time(gaussians, request.time).mean
         sigma = covariance_2d(gaussians, reference.world_to_camera(mean, request.camera), request)
         xx, xy, yy = sigma[:, 0, 0], sigma[:, 0, 1], sigma[:, 1, 1]
@@ -56,7 +56,7 @@ def rasterize(gaussians: Gaussians, **arguments) -> RenderOutput:
     """As `reference.rasterize`, for OUTPUTS only."""
     request = Request(**arguments)
     index = reference.blending_order(gaussians, request)
-    gaussians = gaussians.rows(index)
+    gaussians, _ = reference.moved(gaussians.rows(index), request.time)
     sliced = reference.slice_in_time(gaussians, request.time)
     mean_cam = reference.world_to_camera(sliced.mean, request.camera)
     features = torch.cat([reference.colors(gaussians, sliced, request), mean_cam[:, 2:]], dim=1)
