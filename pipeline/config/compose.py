@@ -6,7 +6,8 @@ import difflib
 import os
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, field, is_dataclass
+from dataclasses import dataclass, field, is_dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -19,6 +20,7 @@ from hydra.errors import HydraException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 
 from datasets.files.errors import clear
+from pipeline.config.scaled import ITERATIONS, scaled, scaled_keys
 from pipeline.config.schema import Config
 
 CONFIG_DIR = Path(__file__).resolve().parents[2] / "conf"
@@ -34,13 +36,36 @@ class Command:
     _configs: dict[str | None, Config] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def config(self, capture: str | None = None) -> Config:
-        """The configuration where the scene is of this kind (conf/capture); None: where that is not known yet.
+        """The configuration where the scene is of this kind (conf/capture); None: where that is not known yet. With
+        `train.iterations` on the command line the schedule's other iteration numbers are scaled, unless they are given.
 
         Raises what Hydra, OmegaConf and the schema raise.
         """
         if capture not in self._configs:
-            self._configs[capture] = to_config(_composed([*self.overrides, *self._of_kind(capture)]))
+            cfg = to_config(_composed([*self.overrides, *self._of_kind(capture)]))
+            if ITERATIONS in self.given:
+                share = cfg.train.iterations / self.preset(capture).train.iterations
+                cfg = replace(cfg, train=scaled(cfg.train, cfg.train.iterations, share, self.given))
+            self._configs[capture] = cfg
         return self._configs[capture]
+
+    @cached_property
+    def given(self) -> frozenset[str]:
+        """The dotted keys that the command line sets."""
+        found: set[str] = set()
+        for override in self.overrides:
+            if (read := _read(override)) is not None:
+                key = read.key_or_group.lstrip("+")
+                value = read.value() if not read.is_sweep_override() else None
+                found |= {key} | (set(_keys_of(value, f"{key}.")) if isinstance(value, dict) else set())
+        return frozenset(found)
+
+    def scaled_values(self, capture: str | None = None) -> dict[str, tuple[Any, Any]]:
+        """Dotted key -> (in the preset, in this run) of what was scaled with `train.iterations`; empty without it."""
+        if ITERATIONS not in self.given:
+            return {}
+        before, now = (scaled_keys(cfg.train, 1) for cfg in (self.preset(capture), self.config(capture)))
+        return {key: (before[key], now[key]) for key in now if key not in self.given and before[key] != now[key]}
 
     def preset(self, capture: str | None = None) -> Config:
         """The same with nothing but the choices of scene, schedule and ablation: what else differs, the command set."""

@@ -129,7 +129,8 @@ class TrainConfig:
     """The schedule. The defaults are `train=paper`."""
 
     name: str = "paper"  # names the run folder
-    iterations: int = 30_000  # optimiser steps
+    # Optimiser steps. On the command line it scales the schedule's other iteration numbers (pipeline/config/scaled.py)
+    iterations: int = 30_000
     batch: int = 4  # views an iteration
     resolution_scale: float = 1.0  # × the size images were read at, throughout; evaluation too
     resolution_steps: list[ResolutionStep] = field(default_factory=list)  # coarse to fine; empty: full size throughout
@@ -166,7 +167,7 @@ class TrainConfig:
     densify: DensifyConfig = field(default_factory=DensifyConfig)
     eval_every: int = 500  # iterations between evaluations on held-out views
     eval_views: int = 30  # held-out views of such an evaluation, evenly spread; the final evaluation takes all
-    checkpoint_every: int = 1000  # iterations between checkpoints
+    checkpoint_every: int = 1000  # iterations between checkpoints; more where these take minutes
 
     def __post_init__(self) -> None:
         check("train", self, {

@@ -18,7 +18,7 @@ from pipeline.runs.run_folder import RunFolder
 from pipeline.runs.run_identity import read_stages, refuse_foreign, refuse_other_run
 from pipeline.stages.estimate import estimate_if_large, training_minutes
 from pipeline.stages.inputs import code_hash, config_hash, data_hash
-from pipeline.stages.settle import for_scene
+from pipeline.stages.settle import for_scene, scaling
 from pipeline.stages.stages import NAMES, STAGES, Job, Stage
 from pipeline.training import checkpoint as checkpoints
 from pipeline.training.sampling import refuse_large_batch
@@ -79,6 +79,7 @@ def _go_through(job: Job, chosen: list[str]) -> None:
     folder, log = job.folder, job.log
     data, commit = data_hash(job.data), git_commit()
     code: tuple[str, ...] = ()
+    settled: dict = {}
     if folder.data not in (None, data):
         raise ValueError(
             f"{folder.path}: holds a run made from other data than {job.data.scene.source} holds now, or normalised "
@@ -100,9 +101,12 @@ def _go_through(job: Job, chosen: list[str]) -> None:
             if state == "other code":
                 log(f"{stage.name}: other code made it (commit {made_by}); made again")
             log(f"{stage.name}: {folder.path}")
+            if stage.name == "train" and (line := scaling(job.command, job.data.scene, settled)):
+                log(line)
             _do(stage, job, inputs, commit)
         if stage.name == "settle":
-            job = replace(job, cfg=for_scene(job.command, job.data, folder.values_of("settle")["decided"]))
+            settled = folder.values_of("settle")["decided"]
+            job = replace(job, cfg=for_scene(job.command, job.data, settled))
             folder.write_config(asdict(job.cfg))
 
 

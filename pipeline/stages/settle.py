@@ -100,7 +100,18 @@ def changes(command: Command, scene: Scene) -> dict[str, Any]:
     """Dotted key -> value of what the command changed: where scene, schedule and ablation alone give another value."""
     kind = schedule_kind(command.config(), scene)
     given, preset = (flat(asdict(cfg), NOT_CHANGES) for cfg in (command.config(kind), command.preset(kind)))
-    return {key: value for key, value in given.items() if value != preset.get(key)}
+    scaled = command.scaled_values(kind)  # which follows from train.iterations
+    return {key: value for key, value in given.items() if value != preset.get(key) and key not in scaled}
+
+
+def scaling(command: Command, scene: Scene, decided: Decided) -> str | None:
+    """A line on what was scaled with train.iterations; None if nothing was."""
+    kind = schedule_kind(command.config(), scene, decided)
+    if not (scaled := command.scaled_values(kind)):
+        return None
+    numbers = command.config(kind).train.iterations, command.preset(kind).train.iterations
+    keys = ", ".join(f"{key}={now}".replace(" ", "") for key, (_, now) in scaled.items())
+    return f"train.iterations={numbers[0]} of {numbers[1]}: scaled with it are {keys}; a key that is given stays"
 
 
 def _closed(cfg: Config, scene: Scene, decided: Decided) -> Config:

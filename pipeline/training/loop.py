@@ -28,6 +28,8 @@ from pipeline.training.state import TrainState, save, start
 from pipeline.training.step import Batch, draw_batch, optimiser_step, render_batch
 
 REPORT_EVERY = 10  # iterations between reports, whose PSNR costs half a millisecond
+# Seconds of training without a checkpoint, before the first and later: little is lost where iterations are slow.
+FIRST_SAVE_S, SAVE_EVERY_S = 45.0, 600.0
 LOG_EVERY = 100  # iterations between lines of log.jsonl; a multiple of REPORT_EVERY
 
 
@@ -74,6 +76,7 @@ def train(
     for observer in observers:
         observer.start(state.iteration)
 
+    saved, unsaved_for = state.stopwatch.seconds, FIRST_SAVE_S if state.iteration == 0 else SAVE_EVERY_S
     finished = state.is_finished(cfg.train)
     while not finished:
         phase = state.begin_iteration(scene, cfg)
@@ -90,8 +93,10 @@ def train(
         if not finished:
             for event in refine(state, phase, density):
                 run.log(event)
-        if finished or state.iteration % cfg.train.checkpoint_every == 0:
+        due = state.stopwatch.seconds - saved >= unsaved_for or state.iteration % cfg.train.checkpoint_every == 0
+        if finished or due:
             save(state, run)
+            saved, unsaved_for = state.stopwatch.seconds, SAVE_EVERY_S
     best = None if state.best_model is None else in_rotations(state.best_model)
     return TrainResult(
         in_rotations(state.model), state.iteration, state.stopwatch.seconds, state.best, best, state.optimiser.bytes

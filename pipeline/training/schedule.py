@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+from pipeline.config.scaled import scaled
 from pipeline.config.train_schema import LearningRates, ResolutionStep, TrainConfig
 
 LATE_DROPOUT_LIFETIME = 0.2  # × duration: late in the schedule dropout is of Gaussians with a smaller st
@@ -47,28 +48,8 @@ def clock_at(iteration: int, train_seconds: float, cfg: TrainConfig) -> float:
 
 
 def shortened(cfg: TrainConfig, share: float) -> TrainConfig:
-    """The whole schedule in `share` (0 to 1) of its iterations: every iteration number is scaled. No time budget.
-
-    The intervals of densification, pruning and opacity resets are kept, because each needs the statistics of a number
-    of views; that of additions by error is, too, because only pruning removes those that fit single views. Background
-    models freeze after as many iterations.
-    """
-
-    def scaled(iteration: int) -> int:
-        return round(iteration * share)
-
-    dense = cfg.densify
-    return replace(
-        cfg,
-        iterations=max(1, scaled(cfg.iterations)),
-        time_budget_s=None,
-        sh_degree_every=scaled(cfg.sh_degree_every),
-        fourier_at=[scaled(start) for start in cfg.fourier_at],
-        lr=replace(cfg.lr, decay_iterations=max(1, scaled(cfg.lr.decay_iterations))),
-        densify=replace(
-            dense, start=scaled(dense.start), stop=scaled(dense.stop), prune_big_after=scaled(dense.prune_big_after)
-        ),
-    )
+    """The whole schedule in `share` (0 to 1) of its iterations (pipeline/config/scaled.py). No time budget."""
+    return replace(scaled(cfg, max(1, round(cfg.iterations * share)), share), time_budget_s=None)
 
 
 def phase(clock: float, cfg: TrainConfig, extent: float, max_sh_degree: int, max_fourier_order: int) -> Phase:

@@ -12,7 +12,7 @@ from datasets.scene import Scene
 from pipeline.config.compose import Command
 from pipeline.data.prepare import Prepared
 from pipeline.runs.run_identity import flat
-from pipeline.stages.settle import changes, for_scene, schedule_kind
+from pipeline.stages.settle import changes, for_scene, scaling, schedule_kind
 
 WHEEL = ("scene=synthetic/wheel", "train=fast")
 MOVING, STATIC = tiny_scene(), tiny_scene(static=True)
@@ -100,3 +100,24 @@ def test_shared_motion_has_a_file_of_its_own() -> None:
     for scene in (FILM, CLIP, STATIC):  # it is not compared there
         assert settled(scene)["train.motion"] != "trajectories"
     assert settled(MOVING, "train.iterations=77", decided={"shared_motion": True})["train.iterations"] == 77
+
+
+def test_fewer_iterations_take_the_schedule_with_them() -> None:
+    """`fast`: 5000 iterations, densification from 300 to 3500."""
+    found = settled(MOVING, "train.iterations=500", "train.fourier_at=[7,8]", "train.densify={start: 33}")
+    assert (found["train.densify.stop"], found["train.lr.decay_iterations"]) == (350, 500)
+    assert (found["train.fourier_at"], found["train.densify.start"]) == ([7, 8], 33), "what is given stays"
+    assert found["train.densify.every"] == 100, "intervals stay"
+    more = settled(MOVING, "train.iterations=10000", decided={"shared_motion": True})
+    assert more["train.densify.stop"] == 4 * 1750
+    in_preset = settled(MOVING, "train.iterations=5000")
+    assert in_preset == settled(MOVING)
+
+
+def test_what_was_scaled_is_said_in_a_line_and_is_no_change_of_the_command() -> None:
+    command = Command((*WHEEL, "train.iterations=500", "train.fourier_at=[7,8]"))
+    line = scaling(command, MOVING, {})
+    assert line is not None and line.startswith("train.iterations=500 of 5000: scaled with it are ")
+    assert "train.densify.stop=350" in line and "fourier_at" not in line
+    assert changes(command, MOVING) == {"train.iterations": 500, "train.fourier_at": [7, 8]}
+    assert scaling(Command(WHEEL), MOVING, {}) is None

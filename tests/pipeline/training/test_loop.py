@@ -157,6 +157,16 @@ def test_resuming_between_checkpoints(uninterrupted: Path, tmp_path, stop: int, 
         assert without_seconds(TinyRun(tmp_path).rows(name)) == without_seconds(TinyRun(uninterrupted).rows(name))
 
 
+def test_the_first_checkpoint_comes_by_time(uninterrupted: Path, tmp_path, monkeypatch) -> None:
+    """After no second here: then at the first iteration, in the middle of every interval of the schedule."""
+    monkeypatch.setattr(loop, "FIRST_SAVE_S", 0.0)
+    cfg = tiny_config(checkpoint_every=1000)
+    interrupted_in(23, tmp_path, monkeypatch, cfg)
+    assert checkpoint.saved_iteration(tmp_path / checkpoint.FILE_NAME) == 1
+    train_tiny(tmp_path, cfg)
+    assert_same_state(uninterrupted, tmp_path)
+
+
 def test_training_in_velocities_learns_resumes_and_ends_in_rotations(tmp_path, monkeypatch) -> None:
     """The disc of the scene moves. An interrupted training is the same to the bit."""
     cfg = tiny_config(120, eval_every=60, checkpoint_every=30, motion="velocities")
