@@ -1,4 +1,4 @@
-"""Statistics over seeds: mean, standard deviation, standard error, and the verdict on a difference."""
+"""Statistics over seeds: means with their 95 % t-intervals, paired differences, and verdicts on these."""
 
 from __future__ import annotations
 
@@ -7,28 +7,41 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import stats
 
-MIN_SEEDS = 3  # with fewer the standard error is too uncertain
-STANDARD_ERRORS = 2.0  # of the difference; a verdict needs a larger difference than this
+CONFIDENCE = 0.95
+MIN_SEEDS = 3  # with fewer the standard deviation is too uncertain
 FORMULA = (
-    "Differences are over the seeds that both sides have, ± 2 SE. Verdict: worse or better where the difference "
-    "exceeds 2 SE, else no difference shown. SE = √(s₁²/n₁ + s₂²/n₂) is the standard error of the difference of two "
-    "independent means, s the standard deviation over n seeds (n − 1). A verdict needs n ≥ 3."
+    "Differences are paired: of the runs with the same seed, means ± half the 95 % t-interval, t(n − 1) s / √n with s "
+    "the standard deviation of the n differences. A mean over scenes has the interval of its n scenes. Verdict: worse "
+    "or better where the paired t-test's p is at most 5 % after Holm's correction over the verdicts of the table, else "
+    "no difference shown. A verdict needs n ≥ 3."
 )
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A quantity measured once per seed."""
+    """The mean of a quantity that is measured once per seed."""
 
     mean: float
     std: float  # over seeds, n - 1 in the denominator; NaN for one seed
     n: int
 
     @property
-    def standard_error(self) -> float:
-        """Of the mean: std / √n."""
-        return self.std / math.sqrt(self.n)
+    def half_width(self) -> float:
+        """Of the t-interval of the mean; NaN for one seed."""
+        if self.n < 2:
+            return math.nan
+        return float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, self.n - 1)) * self.std / math.sqrt(self.n)
+
+    @property
+    def p_value(self) -> float:
+        """Two-sided, of the hypothesis that the true mean is 0; NaN for one seed."""
+        if self.n < 2 or self.mean == self.std == 0:
+            return math.nan if self.n < 2 else 1.0
+        if self.std == 0:
+            return 0.0
+        return float(2 * stats.t.sf(abs(self.mean) * math.sqrt(self.n) / self.std, self.n - 1))
 
 
 def estimate(values: Iterable[float]) -> Estimate | None:
@@ -39,29 +52,27 @@ def estimate(values: Iterable[float]) -> Estimate | None:
     return Estimate(float(array.mean()), float(array.std(ddof=1)) if array.size > 1 else math.nan, array.size)
 
 
-@dataclass(frozen=True)
-class Difference:
-    """A quantity minus that of a baseline."""
-
-    mean: float
-    standard_error: float  # NaN where a side has one seed
-    n: int  # seeds of the side that has fewer
-
-    def verdict(self, better: str) -> str:
-        """`worse`, `better`, `no difference shown` or `too few seeds`, by FORMULA. better: as in metrics.Metric."""
-        if self.n < MIN_SEEDS:
-            return f"too few seeds ({self.n} of {MIN_SEEDS})"
-        gain = -self.mean if better == "lower" else self.mean
-        limit = STANDARD_ERRORS * self.standard_error
-        return "better" if gain > limit else "worse" if gain < -limit else "no difference shown"
+def holm(p_values: Sequence[float]) -> list[float]:
+    """p values adjusted by Holm's step-down method (Holm 1979), in the order given."""
+    order = np.argsort(p_values, kind="stable")
+    adjusted, largest = [0.0] * len(p_values), 0.0
+    for place, index in enumerate(order):
+        largest = max(largest, min(1.0, (len(p_values) - place) * p_values[index]))
+        adjusted[index] = largest
+    return adjusted
 
 
-def difference(changed: Estimate, baseline: Estimate) -> Difference:
-    error = math.sqrt(changed.standard_error**2 + baseline.standard_error**2)
-    return Difference(changed.mean - baseline.mean, error, min(changed.n, baseline.n))
-
-
-def mean_difference(found: Sequence[Difference]) -> Difference:
-    """The mean over scenes, with the propagated standard error."""
-    error = math.sqrt(sum(one.standard_error**2 for one in found)) / len(found)
-    return Difference(float(np.mean([one.mean for one in found])), error, min(one.n for one in found))
+def verdicts(differences: Sequence[Estimate], better: Sequence[str]) -> list[str]:
+    """Of each difference `worse`, `better`, `no difference shown` or `too few`, by FORMULA. better: which
+    direction is, `higher` or `lower`, as in metrics.Metric."""
+    enough = [found for found in differences if found.n >= MIN_SEEDS]
+    adjusted = iter(holm([found.p_value for found in enough]))
+    words = []
+    for found, direction in zip(differences, better, strict=True):
+        if found.n < MIN_SEEDS:
+            words.append(f"too few ({found.n} of {MIN_SEEDS})")
+        elif next(adjusted) > 1 - CONFIDENCE:
+            words.append("no difference shown")
+        else:
+            words.append("better" if (found.mean > 0) == (direction != "lower") else "worse")
+    return words

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from pipeline.presentation.statistics import STANDARD_ERRORS, Difference, Estimate
+from pipeline.presentation.statistics import Estimate
 
 EMPTY_NOTE = "Empty cell: no run."
 NOT_REPORTED_NOTE = "–: not reported."
 NOT_MEASURED_NOTE = "n/a: not measured in these runs."
-SEEDS_NOTE = "±: standard deviation over seeds (n − 1); no ±: one seed."
+SEEDS_NOTE = "±: half the 95 % t-interval of the mean over the seeds; no ±: one seed."
 
 
 @dataclass(frozen=True)
 class Column:
-    """A column. `key` heads the CSV (the error goes to `key_ERROR`), `header` the other formats.
+    """A column. `key` heads the CSV (half the interval goes to `key_ci95`), `header` the other formats.
 
     CSV and LaTeX have all columns. `fold`, `group` and `ours_only` control table_layout.py.
     """
@@ -25,7 +25,6 @@ class Column:
     fold: bool = False  # moved to the caption where all rows have the same text
     group: str = ""  # a wide table is split between groups; "": repeated in each part
     ours_only: bool = False  # hidden where no row of ours has a number
-    error: str = "std"  # what follows ±: std, or 2se for two standard errors
 
 
 @dataclass(frozen=True)
@@ -88,20 +87,21 @@ def number(value: float, decimals: int = 2) -> Cell:
 
 
 def measured(estimate: Estimate | None, decimals: int = 2) -> Cell:
-    """mean ± std over seeds; None: not measured."""
+    """mean ± half its t-interval; None: not measured."""
     if estimate is None:
         return NOT_MEASURED
-    if estimate.std != estimate.std:
-        return Cell(f"{estimate.mean:,.{decimals}f}", estimate.mean)
-    return Cell(f"{estimate.mean:,.{decimals}f} ± {estimate.std:,.{decimals}f}", estimate.mean, estimate.std)
+    return _with_interval(estimate, f"{estimate.mean:,.{decimals}f}", decimals)
 
 
-def signed(found: Difference, decimals: int = 2) -> Cell:
-    """difference ± two standard errors; with one seed without ±."""
-    if found.standard_error != found.standard_error:
-        return Cell(f"{found.mean:+,.{decimals}f}", found.mean)
-    error = STANDARD_ERRORS * found.standard_error
-    return Cell(f"{found.mean:+,.{decimals}f} ± {error:,.{decimals}f}", found.mean, error)
+def signed(found: Estimate, decimals: int = 2) -> Cell:
+    """difference ± half its t-interval."""
+    return _with_interval(found, f"{found.mean:+,.{decimals}f}", decimals)
+
+
+def _with_interval(found: Estimate, mean: str, decimals: int) -> Cell:
+    """Without ± for one seed."""
+    half = found.half_width
+    return Cell(mean, found.mean) if half != half else Cell(f"{mean} ± {half:,.{decimals}f}", found.mean, half)
 
 
 def printed(value: str) -> Cell:

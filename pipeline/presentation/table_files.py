@@ -53,7 +53,7 @@ def _grid(table: Table, columns: tuple[Column, ...]) -> list[str]:
 def comma_separated(table: Table) -> str:
     """CSV at full precision, one number per cell: errors in columns of their own, footnote marks in `note`."""
     with_error = {c.key for c in table.columns if any(table.cell(row, c).error is not None for row in table.rows)}
-    head = [name for c in table.columns for name in ([c.key, f"{c.key}_{c.error}"] if c.key in with_error else [c.key])]
+    head = [name for c in table.columns for name in ([c.key, f"{c.key}_ci95"] if c.key in with_error else [c.key])]
     lines = []
     for row in table.rows:
         line: list[str] = [row.kind]

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from pipeline.evaluation.metrics import METRICS, Metric
-from pipeline.presentation.statistics import FORMULA, Difference, Estimate, difference, estimate, mean_difference
+from pipeline.presentation.statistics import FORMULA, Estimate, estimate, verdicts
 from pipeline.presentation.table import NO_RUN, NOTHING, Cell, Column, Row, Table, measured, number, signed
 from pipeline.report import scenes
 from pipeline.report.runs import BEST, FINAL, Collection
@@ -63,7 +63,7 @@ class Shown:
         return self.metric.scale * runs[self.column]
 
     def estimate(self, runs: pd.DataFrame) -> Estimate | None:
-        """Over the seeds; over several scenes the mean of their means, with the std of the seeds that all have."""
+        """Over the seeds; over several scenes the mean of their means, and the std of the seeds that all have."""
         if runs["scene_label"].nunique() <= 1:
             return estimate(self.numbers(runs))
         if self.numbers(runs).isna().any():
@@ -76,11 +76,11 @@ class Shown:
     def cell(self, runs: pd.DataFrame) -> Cell:
         return measured(self.estimate(runs), self.metric.decimals)
 
-    def difference(self, runs: pd.DataFrame, baseline: pd.DataFrame) -> Difference | None:
-        """Of one scene, over the seeds that both sides have; None where a number is missing."""
-        changed = estimate(self.numbers(runs[runs["seed"].isin(baseline["seed"])]))
-        base = estimate(self.numbers(baseline[baseline["seed"].isin(runs["seed"])]))
-        return difference(changed, base) if changed and base else None
+    def difference(self, runs: pd.DataFrame, baseline: pd.DataFrame) -> Estimate | None:
+        """Of one scene, over the seeds that both sides have; None where there is none or a number is missing."""
+        changed, base = (self.numbers(side).groupby(side["seed"]).mean() for side in (runs, baseline))
+        common = changed.index.intersection(base.index)
+        return estimate(changed[common] - base[common])
 
 
 def shown(*groups: str, protocol: str = FINAL) -> tuple[Shown, ...]:
@@ -142,25 +142,32 @@ class RunTable:
         groups = dict(_groups(runs, self.rows))
         bases = {key: self.against(key, groups) if self.against else None for key in groups}
         if self.only_compared:
-            compared = {key: bases[key] for key in groups if bases[key] in groups}
-            groups = {key: group for key, group in groups.items() if key in {*compared, *compared.values()}}
+            with_base = {key: bases[key] for key in groups if bases[key] in groups}
+            groups = {key: group for key, group in groups.items() if key in {*with_base, *with_base.values()}}
             if not groups:
                 return None
+        found: dict[tuple, list[Estimate | None]] = {}  # key -> its differences
+        for key, group in groups.items():
+            if differences and (base := groups.get(bases[key] or ())) is not None:
+                found[key] = [one.difference(group, base) for one in differences]
+        by_scene = _over_scenes(self, found) if self.across_scenes else {}
+        compared = found | {rest: means for rest, (_, means) in by_scene.items()}
+        words = dict(zip(compared, _judged(differences[: self.verdicts], list(compared.values()))))
         rows: list[Row] = []
-        found: dict[tuple, dict[tuple, list[Difference | None]]] = {}  # key without scene -> key -> its differences
         for key, group in groups.items():
             cells = {name: Cell(str(value)) for name, value in zip(self.rows, key)}
             cells |= {"seeds": number(len(group), 0)} | {one.column: one.cell(group) for one in columns}
-            if differences:
-                base = groups.get(bases[key] or ())
-                values = [None if base is None else one.difference(group, base) for one in differences]
-                missing = f"no run of {self.baseline_name}" if base is None else "not measured"
-                cells |= _difference_cells(differences, values, "" if bases[key] is None else missing)
-                if base is not None:
-                    found.setdefault(_without_scene(self, key), {})[key] = values
+            missing = "" if bases[key] is None else f"no run of {self.baseline_name}"
+            cells |= _difference_cells(differences, found.get(key), words.get(key, ()), missing)
             rows.append(Row(cells))
-        if self.across_scenes:
-            rows += _means_over_scenes(self, columns, differences, groups, found)
+        for rest, (keys, means) in by_scene.items():
+            names = iter(rest)
+            heads = {
+                name: Cell(f"mean of {len(keys)}" if name == "scene_label" else str(next(names))) for name in self.rows
+            }
+            every = pd.concat([groups[key] for key in keys])
+            cells = heads | {"seeds": NO_RUN} | {one.column: one.cell(every) for one in columns}
+            rows.append(Row(cells | _difference_cells(differences, means, words[rest], "")))
         return Table(
             self.slug,
             self.title,
@@ -190,24 +197,33 @@ def _columns(spec: RunTable, columns: Sequence[Shown], differences: Sequence[Sho
     compared = []
     for i, one in enumerate(differences):
         header = f"this − {spec.baseline_name}, {one.title}"
-        compared.append(Column(f"{one.column}.difference", header, group="difference", error="2se"))
+        compared.append(Column(f"{one.column}.difference", header, group="difference"))
         if i < spec.verdicts:
             compared.append(Column(f"{one.column}.verdict", "Verdict", False, group="difference"))
     values = [Column(one.column, one.header, group=one.metric.group) for one in columns]
     return (*heads, *values, *compared)
 
 
+def _judged(differences: Sequence[Shown], rows: Sequence[Sequence[Estimate | None]]) -> list[list[str]]:
+    """The verdicts of each row of differences; "" where one was not measured. Holm's correction is over all."""
+    known = [(one, value) for values in rows for one, value in zip(differences, values) if value is not None]
+    words = iter(verdicts([value for _, value in known], [one.metric.better for one, _ in known]))
+    return [["" if value is None else next(words) for _, value in zip(differences, values)] for values in rows]
+
+
 def _difference_cells(
-    differences: Sequence[Shown], values: Sequence[Difference | None], missing: str
+    differences: Sequence[Shown], values: Sequence[Estimate | None] | None, words: Sequence[str], missing: str
 ) -> dict[str, Cell]:
-    """missing: why a difference is; "": of a baseline."""
+    """values: None without a baseline; missing: why there is none, "" for a baseline itself."""
     cells: dict[str, Cell] = {}
-    for one, value in zip(differences, values):
-        name, word = f"{one.column}.difference", f"{one.column}.verdict"
+    for i, one in enumerate(differences):
+        name, verdict = f"{one.column}.difference", f"{one.column}.verdict"
+        value = None if values is None else values[i]
         if value is None:
-            cells |= {name: NOTHING, word: Cell(missing) if missing else NOTHING}
+            why = missing if values is None else "not measured"
+            cells |= {name: NOTHING, verdict: Cell(why) if why else NOTHING}
         else:
-            cells |= {name: signed(value, one.metric.decimals), word: Cell(value.verdict(one.metric.better))}
+            cells |= {name: signed(value, one.metric.decimals), verdict: Cell(words[i] if i < len(words) else "")}
     return cells
 
 
@@ -215,30 +231,23 @@ def _without_scene(spec: RunTable, key: tuple) -> tuple:
     return tuple(value for name, value in zip(spec.rows, key) if name != "scene_label")
 
 
-def _means_over_scenes(
-    spec: RunTable,
-    columns: Sequence[Shown],
-    differences: Sequence[Shown],
-    groups: Mapping[tuple, pd.DataFrame],
-    found: Mapping[tuple, Mapping[tuple, list[Difference | None]]],
-) -> list[Row]:
-    """A row for each change that several scenes have: means over them, of the differences with propagated error."""
-    rows = []
-    for rest, by_scene in found.items():
-        if len(by_scene) < 2:
-            continue
-        names = iter(rest)
-        cells = {
-            name: Cell(f"mean of {len(by_scene)}" if name == "scene_label" else str(next(names))) for name in spec.rows
-        }
-        every = pd.concat([groups[key] for key in by_scene])
-        means = [
-            mean_difference(known) if (known := [value for value in column if value is not None]) else None
-            for column in zip(*by_scene.values())
-        ]
-        cells |= {"seeds": NO_RUN} | {one.column: one.cell(every) for one in columns}
-        rows.append(Row(cells | _difference_cells(differences, means, "not measured")))
-    return rows
+def _over_scenes(
+    spec: RunTable, found: Mapping[tuple, list[Estimate | None]]
+) -> dict[tuple, tuple[list[tuple], list[Estimate | None]]]:
+    """For each change that several scenes have: their keys, and the mean differences over them."""
+    of_change: dict[tuple, list[tuple]] = {}
+    for key in found:
+        of_change.setdefault(_without_scene(spec, key), []).append(key)
+    return {
+        rest: (keys, [_over([found[key][i] for key in keys]) for i in range(len(found[keys[0]]))])
+        for rest, keys in of_change.items()
+        if len(keys) > 1
+    }
+
+
+def _over(of_scenes: Sequence[Estimate | None]) -> Estimate | None:
+    """The mean of those that were measured."""
+    return estimate(one.mean for one in of_scenes if one is not None)
 
 
 def _notes(

@@ -23,10 +23,10 @@ def test_latex_escapes_every_special_character() -> None:
 
 
 def test_csv_names_what_follows_the_sign_of_uncertainty() -> None:
-    columns = (Column("a", "A", False), Column("b", "B"), Column("c", "C", error="2se"))
+    columns = (Column("a", "A", False), Column("b", "B"), Column("c", "C"))
     row = Row({"a": Cell("x|y"), "b": Cell("1.0 ± 0.5", 1.0, 0.5), "c": Cell("+2.0 ± 0.3", 2.0, 0.3)})
     assert comma_separated(Table("t", "T", columns, (row,))).splitlines() == [
-        "kind,a,b,b_std,c,c_2se,note",
+        "kind,a,b,b_ci95,c,c_ci95,note",
         "ours,x|y,1,0.5,2,0.3,",
     ]
 

@@ -94,24 +94,24 @@ def test_runs_of_all_six_scenes_fill_table_1(tmp_path: Path) -> None:
         for seed in (0, 1):
             write_run(tmp_path, scene, recipe="paper", seed=seed, psnr=psnr[scene] + seed, **values)
     collection = collect(tmp_path)
-    mean = statistics.mean(psnr.values()) + 0.5  # 31.85 + 0.5 over two seeds, std of (0, 1): sqrt(1/2)
+    mean = statistics.mean(psnr.values()) + 0.5  # 31.85 + 0.5 over two seeds, t(1) / 2 is half the interval of (0, 1)
     final, best = ours(TABLE1.build(collection))
     assert {key: text for key, text in final.items() if key != "model"} == {
         "method": "Ours, paper, final",
         "scenes": "6",
-        "psnr": f"{mean:.2f} ± 0.71",
+        "psnr": f"{mean:.2f} ± 6.35",
         "dssim": "0.0200 ± 0.0000",
         "dssim1": "0.0500 ± 0.0000",
         "dssim2": "0.0400 ± 0.0000",
         "lpips_alex": "0.050 ± 0.000",
         "fps_render": "60.0 ± 0.0",
     }
-    assert (best["method"], best["psnr"]) == ("Ours, paper, best on test", f"{mean + 0.25:.2f} ± 0.71")
+    assert (best["method"], best["psnr"]) == ("Ours, paper, best on test", f"{mean + 0.25:.2f} ± 6.35")
     final = ours(PER_SCENE.build(collection))[0]
     assert [final[scenes.short(s)] for s in scenes.PLENOPTIC] == [
-        f"{psnr[s] + 0.5:.2f} ± 0.71" for s in scenes.PLENOPTIC
+        f"{psnr[s] + 0.5:.2f} ± 6.35" for s in scenes.PLENOPTIC
     ]
-    assert final["mean"] == f"{mean:.2f} ± 0.71"
+    assert final["mean"] == f"{mean:.2f} ± 6.35"
     assert any("of a CPU; the others' is of GPUs" in note for _, note in TABLE1.build(collection).notes)
 
 
@@ -177,16 +177,17 @@ def test_csv_parses_back_to_full_precision(tmp_path: Path) -> None:
     rows = read_csv(tmp_path / "report/tables/table2_dnerf.csv")
     final = next(r for r in rows if r["method"] == "Ours, fast, final")
     assert float(final["psnr"]) == pytest.approx(statistics.mean(values), rel=1e-12)  # summation order: 1 ulp
-    assert float(final["psnr_std"]) == pytest.approx(statistics.stdev(values), rel=1e-12)
+    half = 4.302652730 * statistics.stdev(values) / 3**0.5  # t(2)
+    assert float(final["psnr_ci95"]) == pytest.approx(half, rel=1e-8)
     assert final["lpips_vgg"] == ""
     assert next(r for r in rows if r["method"] == "4DGS (Wu)") == {
         "kind": "other",
         "method": "4DGS (Wu)",
         "scenes": "8",
         "psnr": "33.30",
-        "psnr_std": "",
+        "psnr_ci95": "",
         "ssim": "0.98",
-        "ssim_std": "",
+        "ssim_ci95": "",
         "lpips_vgg": "0.03",
         "note": "⁶",
     }

@@ -21,6 +21,7 @@ from pipeline.report.runs import collect
 
 DROPOUT = "fast (train.dropout=0.1)"
 DIFFERENCE, VERDICT = "final.psnr.difference", "final.psnr.verdict"
+T1, T2 = 12.706205, 4.302653  # the 97.5 % quantiles of Student's t with 1 and 2 degrees of freedom
 
 
 def texts(table: Table, *keys: str) -> list[tuple[str, ...]]:
@@ -53,7 +54,7 @@ def test_a_new_metric_is_a_column_of_the_report(tmp_path: Path, monkeypatch) -> 
     for table in (scene_table(tmp_path, "synthetic"), tables.RAW[0].build(collect(tmp_path))):
         assert column_of(table, "final.shade").header == "Shade, % ↓"
         assert ("", "Shade: how dark.") in table.notes
-    assert texts(scene_table(tmp_path, "synthetic"), "final.shade") == [("20.0 ± 14.1",)]
+    assert texts(scene_table(tmp_path, "synthetic"), "final.shade") == [("20.0 ± 127.1",)]
 
 
 def test_a_new_table_is_one_entry_of_the_list(tmp_path: Path, monkeypatch) -> None:
@@ -79,10 +80,12 @@ def test_a_new_table_is_one_entry_of_the_list(tmp_path: Path, monkeypatch) -> No
 # --- means ----------------------------------------------------------------------------------------
 
 
-def test_a_row_has_mean_and_std_over_its_seeds(tmp_path: Path) -> None:
+def test_a_row_has_the_mean_over_its_seeds_and_its_interval(tmp_path: Path) -> None:
     write_seeds(tmp_path, [24.0, 25.0, 27.0])
     (cell,) = [row.cells["final.psnr"] for row in scene_table(tmp_path, "synthetic").rows]
-    assert cell.value == pytest.approx(76 / 3) and cell.error == pytest.approx(statistics.stdev([24.0, 25.0, 27.0]))
+    assert cell.value == pytest.approx(76 / 3) and cell.error == pytest.approx(
+        T2 * statistics.stdev([24.0, 25.0, 27.0]) / math.sqrt(3)
+    )
 
 
 def test_mean_over_scenes_is_a_mean_of_scene_means(tmp_path: Path) -> None:
@@ -119,11 +122,11 @@ def test_only_what_runs_have_numbers_of_is_a_column(tmp_path: Path) -> None:
 
 def test_an_ablation_is_compared_with_the_full_model_over_common_seeds(tmp_path: Path) -> None:
     write_seeds(tmp_path, [30.0, 31.0, 32.0, 50.0])
-    write_seeds(tmp_path, [25.0, 26.0, 27.0], model="no_4drot")
+    write_seeds(tmp_path, [25.0, 25.0, 28.0], model="no_4drot")
     full, ablated = scene_table(tmp_path, "synthetic").rows
     cell = ablated.cells[DIFFERENCE]
-    # Both sides have a standard deviation of 1 over three seeds: 2 SE = 2 √(1/3 + 1/3).
-    assert (cell.value, cell.error) == (pytest.approx(-5.0), pytest.approx(2 * math.sqrt(2 / 3)))
+    # Pairs differ by -5, -6 and -4, with a standard deviation of 1.
+    assert (cell.value, cell.error) == (pytest.approx(-5.0), pytest.approx(T2 / math.sqrt(3)))
     assert (ablated.cells[VERDICT].text, full.cells[VERDICT].text) == ("worse", "·")
 
 
@@ -134,7 +137,7 @@ def test_the_baseline_has_the_same_recipe_and_changes(tmp_path: Path) -> None:
     write_seeds(tmp_path, [18.0], out="c", changes={"train.batch": 2}, model="no_4drot")
     table = scene_table(tmp_path, "synthetic")
     found = dict(zip(texts(table, "recipe_label", "model"), texts(table, DIFFERENCE, VERDICT)))
-    assert found[("fast (train.batch=4)", "no_4drot")] == ("-1.00", "too few seeds (1 of 3)")
+    assert found[("fast (train.batch=4)", "no_4drot")] == ("-1.00", "too few (1 of 3)")
     assert found[("fast (train.batch=2)", "no_4drot")] == ("·", "no run of full")
 
 
@@ -154,7 +157,8 @@ def test_ablations_are_shown_on_the_scenes_made_for_them(tmp_path: Path) -> None
     ):
         for model in models:
             worse = 5.0 if (scene, model) == ("wheel", "no_4drot") else 0.0
-            write_seeds(tmp_path, [30 - worse + 0.1 * seed for seed in range(3)], f"synthetic/{scene}", model)
+            off = [0.0, 0.0, 0.0] if model == "full" else [-0.1, 0.0, 0.1]
+            write_seeds(tmp_path, [30 - worse + of_seed for of_seed in off], f"synthetic/{scene}", model)
     write_seeds(tmp_path, [30.0], out="other", changes={"train.batch": 4})  # has no ablation
     collection = collect(tmp_path)
     table = tables.ABLATIONS.build(collection)
@@ -166,8 +170,8 @@ def test_ablations_are_shown_on_the_scenes_made_for_them(tmp_path: Path) -> None
     ]
     verdicts = content_of(collection).verdicts
     assert [(v["model"], v["scene"], v["word"], v["difference"]) for v in verdicts] == [
-        ("no_4drot", "synthetic/wheel", "worse", "-5.00 ± 0.16"),
-        ("no_4dsh", "synthetic/lamp", "no difference shown", "+0.00 ± 0.16"),
+        ("no_4drot", "synthetic/wheel", "worse", "-5.00 ± 0.25"),
+        ("no_4dsh", "synthetic/lamp", "no difference shown", "+0.00 ± 0.25"),
     ]
 
 
@@ -192,9 +196,9 @@ def test_changes_are_compared_per_scene_and_over_scenes(tmp_path: Path) -> None:
         write_seeds(tmp_path, [psnr, psnr], scene, out="dropout", changes={"train.dropout": 0.1})
     rows = changed(tmp_path)
     wheel, mean = rows["synthetic/wheel", DROPOUT], rows["mean of 2", DROPOUT]
-    # Seeds 0 and 1: 23 against 21 ± √2, whose standard error is √2/√2; the cell has two of them.
-    assert (wheel.cells[DIFFERENCE].value, wheel.cells[DIFFERENCE].error) == (pytest.approx(2.0), pytest.approx(2.0))
-    assert (mean.cells[DIFFERENCE].value, mean.cells[DIFFERENCE].error) == (pytest.approx(1.5), pytest.approx(1.0))
+    # Seeds 0 and 1 differ by 3 and 1, the scenes by 2 and 1: t(1) / √2 × their standard deviations √2 and 1/√2.
+    assert (wheel.cells[DIFFERENCE].value, wheel.cells[DIFFERENCE].error) == (pytest.approx(2.0), pytest.approx(T1))
+    assert (mean.cells[DIFFERENCE].value, mean.cells[DIFFERENCE].error) == (pytest.approx(1.5), pytest.approx(T1 / 2))
     assert list(rows)[0] == ("synthetic/wheel", "fast") and len(rows) == 5
 
 
@@ -245,10 +249,10 @@ def test_lower_is_better_for_some(tmp_path: Path) -> None:
     for seed, off in enumerate((-0.001, 0.0, 0.001)):
         for name, flicker in (("pairs", 0.01), ("times", 0.008), ("views", 0.014)):
             changes = {} if name == "pairs" else {"train.optimiser": name}
-            values = {"final.flicker": flicker + off}
+            values = {"final.flicker": flicker + (0.1 * off if changes else 0.0)}
             write_run(tmp_path, "synthetic/counter", seed=seed, out=f"{name}{seed}", changes=changes, **values)
     found = table.build(collect(tmp_path))
-    error = 2 * math.sqrt(2 * 0.255**2 / 3)
+    error = T2 * 0.0255 / math.sqrt(3)
     assert texts(found, "final.flicker.difference", "final.flicker.verdict")[1:] == [
         (f"-0.51 ± {error:.2f}", "better"),
         (f"+1.02 ± {error:.2f}", "worse"),

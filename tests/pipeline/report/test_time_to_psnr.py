@@ -45,7 +45,9 @@ def test_level_that_is_never_reached() -> None:
         )
     )
     fast, slow = table.rows
-    assert fast.cells["seconds"].value == pytest.approx(10.0) and fast.cells["seconds"].error == pytest.approx(50**0.5)
+    assert fast.cells["seconds"].value == pytest.approx(10.0) and fast.cells["seconds"].error == pytest.approx(
+        12.706205 * 5
+    )  # t(1) × √50 / √2
     assert fast.cells["reached"].text == "2 of 2"
     assert slow.cells["seconds"].text == "never reached" and slow.cells["reached"].text == "0 of 1"
     assert "never reached" in markdown(table)
