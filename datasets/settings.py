@@ -25,6 +25,8 @@ class SceneConfig:
     # llff | kitti | waymo (a module of datasets/readers) | auto: found out and said
     reader: str = "dnerf"
     path: Optional[str] = None  # folder of the data; not used by synthetic scenes
+    # Folders of synchronised videos or images: the file or folder with intrinsics, lenses and poses of their cameras
+    calibration: Optional[str] = None
     test_split: str = "test"  # dnerf: the held-out split, test | val
     # Validation: every n-th training view replaces the test views, so that settings are not selected by these. 0: off
     validation_every: int = 0

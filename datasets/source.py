@@ -34,6 +34,7 @@ from rasterizer.camera import Camera
 if TYPE_CHECKING:  # imports OpenCV
     from datasets.cameras.color import ColorCorrection
 
+CALIBRATED = ("auto", "video")  # values of scene.reader with which scene.calibration gives the poses
 MOST_LOOKED_AT = 20  # folders in one that is no layout
 Log = Callable[[str], None]  # called with a line of text for the user
 
@@ -150,6 +151,10 @@ def open_source(cfg: SceneConfig, *, threads: int = 0, log: Log = print) -> Sour
     Synthetic videos and logs are made first, unless they are in the cache. threads: for decoding; 0: all cores. Raises
     SceneError for invalid data and settings that do not fit them.
     """
+    if cfg.calibration is not None:
+        if cfg.reader not in (*CALIBRATED, "calibrated"):
+            raise SceneError("scene.calibration", f"none for scene.reader={cfg.reader}, whose files have poses", "one")
+        cfg = replace(cfg, reader="calibrated")
     reader = None if cfg.reader == "auto" else _reader(cfg.reader)
     if reader is None:
         name, line = detect(data_path(cfg))

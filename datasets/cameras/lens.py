@@ -29,6 +29,11 @@ class Lens(ABC):
     def names(self) -> tuple[str, ...]:
         """Of the coefficients."""
 
+    @property
+    def bends(self) -> bool:
+        """Whether it is no pinhole."""
+        return any(self.coefficients)
+
     def maps(self, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
         """Source position of each pixel of the undistorted image (width, height), in the format of cv2.remap."""
         # OpenCV's pixel centres lie at integers.
@@ -85,6 +90,7 @@ class FisheyeLens(Lens):
     θ (1 + k1 θ² + k2 θ⁴ + k3 θ⁶ + k4 θ⁸) focal lengths."""
 
     names = ("k1", "k2", "k3", "k4")
+    bends = True  # also with coefficients of 0
 
     def _maps(self, matrix: np.ndarray, bent: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
         return cv2.fisheye.initUndistortRectifyMap(matrix, bent, np.eye(3), matrix, size, cv2.CV_16SC2)

@@ -25,7 +25,7 @@ import cv2
 import numpy as np
 
 from datasets.cameras.color import ColorCorrection
-from datasets.cameras.lens import Undistortion, undistort
+from datasets.cameras.lens import Lens, undistort
 from datasets.files.atomic_write import TEMPORARY, DiskFull
 from datasets.files.errors import SceneError
 from datasets.files.frame_store import StoredFrame, read_frames, write_frames
@@ -64,7 +64,7 @@ class Decoding:
     first_frame: int
     frames: int
     downscale: int
-    undistortion: Mapping[str, Undistortion]  # by the name of the camera; of distorted images
+    undistortion: Mapping[str, Lens]  # by the name of the camera; of distorted images
     colors: Mapping[str, ColorCorrection]  # the same, of the cameras whose colours are corrected
 
     def shape(self, stream: Stream) -> tuple[int, int, int, int]:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from datasets.cameras.color import ColorCorrection
-from datasets.cameras.lens import Undistortion, imaged, undistort
+from datasets.cameras.lens import Lens, imaged, undistort
 from datasets.canonical import FRAMES_PER_UNIT
 from datasets.composition import BLACK, background_color, reduced_camera
 from datasets.files.errors import SceneError
@@ -81,13 +81,13 @@ class Footage:
         """Frames a second of rendered videos."""
         return self.rate if PLAYBACK_RATES[0] <= self.rate <= PLAYBACK_RATES[1] else FRAMES_PER_UNIT
 
-    def first_images(self, undistortion: Mapping[str, Undistortion] | None = None) -> dict[str, np.ndarray]:
+    def first_images(self, undistortion: Mapping[str, Lens] | None = None) -> dict[str, np.ndarray]:
         """Name -> the first frame in use of each camera, (height, width, 3) uint8 RGB at full size, undistorted."""
 
         def first(stream: Stream) -> np.ndarray:
             image = next(iter(stream.read(1)))
             lens = (undistortion or {}).get(stream.name)
-            return undistort(image, lens.maps(stream.size)) if lens and any(lens.coefficients) else image
+            return undistort(image, lens.maps(stream.size)) if lens and lens.bends else image
 
         with ThreadPoolExecutor(thread_count(self.threads)) as pool:
             return dict(zip(self.names, pool.map(first, self.streams)))
@@ -95,7 +95,7 @@ class Footage:
     def to_scene(
         self,
         cameras: Mapping[str, Camera],
-        undistortion: Mapping[str, Undistortion] | None = None,
+        undistortion: Mapping[str, Lens] | None = None,
         unit: float = 1.0,
         init_box: Box | None = None,
         colors: Mapping[str, ColorCorrection] | None = None,
@@ -110,7 +110,7 @@ class Footage:
         """
         cfg = self.cfg
         self._check_cameras(cameras)
-        undistortion = {name: lens for name, lens in (undistortion or {}).items() if any(lens.coefficients)}
+        undistortion = {name: lens for name, lens in (undistortion or {}).items() if lens.bends}
         small = {
             name: make_camera(self.source / name, partial(reduced_camera, cameras[name], cfg.downscale))
             for name in self.names

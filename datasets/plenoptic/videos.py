@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -60,10 +60,7 @@ def video_paths(folder: Path) -> list[Path]:
 
 
 def find_footage(root: Path) -> list[VideoFile]:
-    """All videos of a folder, in the natural order of their names.
-
-    A camera's number is the one that its name ends in, if all names end in different ones, else its place.
-    """
+    """All videos of a folder, in the natural order of their names."""
     if not root.is_dir():
         found = "a file" if root.exists() else "nothing there"
         raise SceneError(root, "a video, or a folder of videos or images in order", found)
@@ -75,9 +72,14 @@ def find_footage(root: Path) -> list[VideoFile]:
         if stems.count(path.stem) > 1:
             raise SceneError(path, "one video a camera", f"several called {path.stem}")
     _refuse_chapters(paths)
-    stated = [int(end[0]) for stem in stems if (end := re.search(r"[0-9]+$", stem))]
-    numbers = stated if len(set(stated)) == len(paths) else range(len(paths))
-    return [VideoFile(path.stem, number, path) for number, path in zip(numbers, paths, strict=True)]
+    return numbered({path.stem: path for path in paths})
+
+
+def numbered(videos: Mapping[str, Path]) -> list[VideoFile]:
+    """Cameras by their names, with the number that the name ends in, if all end in different ones, else their place."""
+    stated = [int(end[0]) for name in videos if (end := re.search(r"[0-9]+$", name))]
+    numbers = stated if len(set(stated)) == len(videos) else range(len(videos))
+    return [VideoFile(name, number, path) for number, (name, path) in zip(numbers, videos.items(), strict=True)]
 
 
 def open_videos(

@@ -3,6 +3,7 @@
 dnerf              D-NeRF (Blender): transforms_train.json, transforms_test.json
 plenoptic          Plenoptic Video: cam00.mp4 … and poses_bounds.npy, or images/ and transforms_*.json
 video              videos or images in order, without poses
+calibrated         videos or images of several cameras, with poses in a file (scene.calibration)
 colmap             COLMAP: images/, sparse/0
 nerfstudio         nerfstudio: transforms.json
 dynamic_gaussians  Dynamic 3D Gaussians: train_meta.json, ims/

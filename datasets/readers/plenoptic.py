@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from datasets.cameras.lens import Undistortion
+from datasets.cameras.lens import Lens
 from datasets.canonical import canonical_space
 from datasets.composition import BLACK, background_color
 from datasets.files.errors import SceneError
@@ -73,7 +73,7 @@ class PosedFootage(FilmedSource):
     cfg: SceneConfig
     footage: Footage
     cameras: Mapping[str, Camera]  # by name; of the full-size images
-    undistortion: Mapping[str, Undistortion] | None = None  # by name; None: no distortion
+    undistortion: Mapping[str, Lens] | None = None  # by name; None: no distortion
     unit: float = 1.0  # world units per normalised unit
     init_box: Box | None = None  # None: a cube around the cameras
 
