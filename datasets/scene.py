@@ -140,11 +140,33 @@ class Scene:
         return max(map(len, self._times_of_cameras))
 
     @property
+    def has_seconds(self) -> bool:
+        """Whether it is known how long it lasts: not of photographs."""
+        return self.capture == "drive" or self.frame_rate is not None or self.playback_rate is not None
+
+    @property
+    def clock(self) -> float:
+        """Seconds per unit of its times, as played; 1 for photographs."""
+        if self.capture == "drive":
+            return self.seconds_per_unit
+        if self.frame_rate is not None:
+            return self.frame_rate / (self.playback_rate or self.frame_rate)
+        if self.playback_rate is None or self.frame_count < 2:
+            return 1.0
+        return (self.frame_count - 1) / (self.playback_rate * self.duration)
+
+    @property
     def played_seconds(self) -> float | None:
         """How long a player shows it; None for photographs, which have no frame rate."""
-        if self.frame_rate is not None:
-            return self.duration * self.frame_rate / (self.playback_rate or self.frame_rate)
-        return None if self.playback_rate is None else self.frame_count / self.playback_rate
+        return self.duration * self.clock if self.has_seconds else None
+
+    def seconds_at(self, time: float) -> float:
+        """`time`, in seconds since the first one: as times are shown and given."""
+        return (time - self.time_start) * self.clock
+
+    def time_at(self, seconds: float) -> float:
+        """The inverse of `seconds_at`."""
+        return self.time_start + seconds / self.clock
 
     @property
     def several_cameras(self) -> bool:

@@ -2,8 +2,8 @@
 
 --path orbit is an ellipse among the training cameras, once round while time runs; a FILE has poses of its own, and
 their times (datasets/cameras/pose_file.py; a data set's transforms_test.json is one). --times 0.5 stops time,
---times 0:1 lets it run, --times 0,0.2,0.4 are the frames' own; the unit is canonical: photographs take 0 to 1, 30
-frames of a film are 1. Depth is yellow near and blue far, flow coloured by direction, white at rest.
+--times 0:1 lets it run, --times 0,0.2,0.4 are the frames' own: seconds since the start, of photographs 0 to 1. Depth is
+yellow near and blue far, flow coloured by direction, white at rest.
 """
 
 from __future__ import annotations
@@ -70,8 +70,8 @@ def path_frames(
     if times is None and any(time is not None for time in own):
         where = f"frames[{own.index(None)}]"
         raise ValueError(f"{path}: expected a time in every frame or in none, found none in {where}; or give --times")
-    times = times or Times((scene.time_start, scene.time_end), listed=False)
-    return [PathFrame(camera, time) for camera, time in zip(cameras, times.of(len(cameras)))]
+    times = times or Times((0.0, scene.seconds_at(scene.time_end)), listed=False)
+    return [PathFrame(camera, scene.time_at(second)) for camera, second in zip(cameras, times.of(len(cameras)))]
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,9 @@ class Evaluation:
 
     # metrics.METRICS but for costs; *_note where a number is missing; moving_by: how the dynamic region is known
     metrics: dict[str, float | str | None]
-    per_image: list[dict]  # view, time, the metrics of a view, moving_share (of its pixels), n_alive
+    per_image: list[
+        dict
+    ]  # view, time (seconds since the first), the metrics of a view, moving_share (of its pixels), n_alive
     n_alive_mean: float  # Gaussians with temporal marginal p(t) >= 0.05, mean over the views
 
     def note(self) -> str | None:
@@ -111,7 +113,13 @@ def evaluate(
             for index, seen, alive, row in zip(indices, measured, n_alive, pool.map(measure, measured)):
                 view = scene.test[index]
                 share = None if seen.dynamic is None else float(seen.dynamic.mean())
-                rows[index] = {"view": view.name, "time": view.time, **row, "moving_share": share, "n_alive": alive}
+                rows[index] = {
+                    "view": view.name,
+                    "time": scene.seconds_at(view.time),
+                    **row,
+                    "moving_share": share,
+                    "n_alive": alive,
+                }
                 if save is not None and index in saved:
                     save(view.name, seen)
                 if film is not None:

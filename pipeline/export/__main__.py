@@ -2,7 +2,8 @@
 
 MODEL is a run folder, or a file: a checkpoint (.safetensors), a model (.ply) or a checkpoint of the released program
 (.pth). A static format holds one frame: without --times there are 30, from the first time to the last, as a sequence
-that SuperSplat plays. Lengths and times are canonical (docs/conventions.md); --world gives those of the data's files.
+that SuperSplat plays. --times are seconds since the start of a run (of photographs 0 to 1), of a file its own times.
+Lengths and times in the files are canonical (docs/conventions.md); --world gives those of the data's files.
 """
 
 from __future__ import annotations
@@ -52,10 +53,7 @@ def _times(wanted: list[float] | None, source: Source) -> list[float]:
         return [line.start]
     if wanted is None:
         return np.linspace(line.start, line.end, SEQUENCE).tolist()
-    for time in wanted:
-        if not line.start <= time <= line.end:
-            raise ValueError(f"--times: expected times in {line.start:g} to {line.end:g}, found {time:g}")
-    return wanted
+    return [line.at(time) for time in wanted]
 
 
 def _parser() -> CommandParser:

@@ -25,11 +25,23 @@ class Timeline:
     duration: float
     seconds: float = PLAYED_SECONDS  # of playback
     frames: int = FRAMES  # Scene.frame_count; for a player's slider
+    clock: float | None = None  # seconds per unit of time, of a run; None: of a file, whose times are its own
     camera: Camera | None = None  # that a player begins with; None: one that has the Gaussians before it
 
     @property
     def end(self) -> float:
         return self.start + self.duration
+
+    def at(self, given: float) -> float:
+        """The time of a value of --times: seconds since the start of a run, or a file's own time. ValueError outside.
+
+        A hundredth of a second beyond the end is rounding of what viewer and tables show.
+        """
+        rounding = 0.0 if self.clock is None else 0.01
+        low, high = (self.start, self.end) if self.clock is None else (0.0, self.duration * self.clock)
+        if not low <= given <= high + rounding:
+            raise ValueError(f"--times: expected times in {low:g} to {high:g}, found {given:g}")
+        return given if self.clock is None else self.start + min(given, high) / self.clock
 
 
 @dataclass(frozen=True)
@@ -71,5 +83,5 @@ def open_source(path: Path, start: float | None, duration: float | None, log: Ca
     run = open_run(path, log, needs_images=False)
     scene = run.scene
     seconds, camera = scene.played_seconds or PLAYED_SECONDS, scene.train[0].camera
-    timeline = Timeline(scene.time_start, scene.duration, seconds, scene.frame_count, camera)
+    timeline = Timeline(scene.time_start, scene.duration, seconds, scene.frame_count, scene.clock, camera)
     return Source(run.model, timeline, run.canonical, run.cfg.scene.name.replace("/", "_"), path / "exports")

@@ -68,6 +68,8 @@ def _page(
             "end": scene.time_end,
             "duration": scene.duration,
             "seconds": seconds,
+            "clock": scene.clock,
+            "unit": " s" if scene.has_seconds else "",
             "frame_spacing": scene.frame_spacing,
             "background": list(scene.background),
             "near": cfg.scene.near * scene.unit,

@@ -32,7 +32,8 @@ export class Transport {
         }
         $("time").value = state.time;
         $("time").style.setProperty("--done", `${(100 * (state.time - scene.start)) / (scene.end - scene.start)}%`);
-        $("clock").value = `${state.time.toFixed(3)} / ${scene.end.toFixed(2)}`;
+        const [now, all] = [state.time - scene.start, scene.end - scene.start].map((t) => (t * scene.clock).toFixed(2));
+        $("clock").value = `${now} / ${all}${scene.unit}`;
         $("speed").value = String(state.speed);
     }
 

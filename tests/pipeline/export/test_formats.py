@@ -166,3 +166,12 @@ def test_a_degree_without_directions_is_written(tmp_path: Path) -> None:
 def written(path: Path, content: bytes) -> Path:
     path.write_bytes(content)
     return path
+
+
+def test_times_are_given_in_seconds_of_a_run_and_as_they_are_in_a_file() -> None:
+    of_run, of_file = Timeline(2.0, 3.0, clock=0.5), Timeline(2.0, 3.0)
+    assert [of_run.at(seconds) for seconds in (0.0, 0.5, 1.5, 1.505)] == [2.0, 3.0, 5.0, 5.0]  # shown as 1.51
+    assert of_file.at(2.5) == 2.5
+    for line, outside in ((of_run, 2.0), (of_file, 0.5)):
+        with pytest.raises(ValueError, match="--times: expected times in"):
+            line.at(outside)
