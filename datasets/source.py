@@ -185,7 +185,7 @@ def detect(path: Path) -> tuple[str, str]:
             return name, f"{path}: taken for {module.TITLE} (scene.reader={name}){instead}"
         refused.append(f"{module.TITLE} ({reason})")
     known = f"a layout that is known (driving logs: scene=kitti or scene=waymo){_near(path, in_order)}"
-    raise SceneError(path, known, f"none: it holds {contents(path)}; not {', '.join(refused)}")
+    raise SceneError(path, known, [f"none: it holds {contents(path)}; not {refused[0]}", *refused[1:]])
 
 
 def _near(path: Path, readers: Sequence[tuple[str, Any]]) -> str:

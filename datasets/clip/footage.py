@@ -15,6 +15,7 @@ from datasets.clip.survey import MOST_SURVEYED, survey
 from datasets.composition import BLACK, background_color, chosen_downscale, reduced_camera
 from datasets.files.errors import SceneError
 from datasets.files.image_files import read_rgba
+from datasets.files.unused_masks import unused_masks
 from datasets.plenoptic.align import covering
 from datasets.plenoptic.decode import reduce_image
 from datasets.scene import make_camera
@@ -98,6 +99,8 @@ def survey_clip(path: Path, cfg: SceneConfig, most: int, log: Log, still: bool =
         frames, total = film.frames, film.count
     else:
         images, background = image_paths(path), background_color(cfg.background) or BLACK
+        if masks := unused_masks(images):
+            log(f"{masks}: not used; the region that moves is found and left out of structure from motion")
         frames, total = partial(image_frames, images, background=background), len(images)
     every = max(1, -(-total // MOST_SURVEYED))
     found = survey((f for f in frames(every=every) if f.index >= cfg.first_frame), total)

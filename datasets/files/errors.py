@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,10 @@ LONGEST_PART = 400  # characters of a message's part: a file may hold a name or 
 class DataError(ValueError):
     """A file is invalid. One line: the file or key, what was expected, what was found."""
 
-    def __init__(self, where: str | Path, expected: str, found: str) -> None:
-        super().__init__(f"{clear(where)}: expected {clear(expected)}, found {clear(found)}")
+    def __init__(self, where: str | Path, expected: str, found: str | Sequence[str]) -> None:
+        """found: several parts are joined and none is left out; long ones lose their middle."""
+        parts = [found] if isinstance(found, str) else found
+        super().__init__(f"{clear(where)}: expected {clear(expected)}, found {', '.join(map(clear, parts))}")
 
 
 class SceneError(DataError):

@@ -29,6 +29,7 @@ from datasets.composition import (
 from datasets.files.errors import SceneError
 from datasets.files.image_files import has_alpha
 from datasets.files.natural_order import natural_order
+from datasets.files.unused_masks import unused_masks
 from datasets.photographs.file_names import stand_still, with_times
 from datasets.photographs.masks import read_mask, say_masks
 from datasets.photographs.photograph import PosedFile, of_one_size, say_folds, say_turns
@@ -120,6 +121,8 @@ def to_scene(
     background = _background(views["train"], requested, log)
     if any(photograph.mask for photograph in photographs):
         say_masks(root, [*views["train"], *views["test"]], points, log)
+    elif found := unused_masks([photograph.path for photograph in photographs]):
+        log(f"{found}: not used, as it may show what counts or what does not; mask_path in transforms.json names masks")
     space = canonical_space(train_cameras)
     times = [photograph.time for photograph in photographs if photograph.time is not None]
     low, high = min(times), max(times)

@@ -23,6 +23,7 @@ from datasets.video_files.film import Film
 
 FEWEST_TICKS = 4
 MOST_MISSING = 0.5  # of the ticks in use
+CODEC_PADDING = 15  # pixels: codecs code blocks of 16, and some files show all of them: 1088 lines for 1080
 NAMED = 6  # ticks in a line
 
 
@@ -40,11 +41,18 @@ class FilmStream(Stream):
             yield covering(frame.image, self.size)
 
 
+def padded(size: tuple[int, int], other: tuple[int, int]) -> bool:
+    """Whether sizes (width, height) differ by no more than the padding that codecs add at the right and below."""
+    return all(abs(a - b) <= CODEC_PADDING for a, b in zip(size, other, strict=True))
+
+
 def covering(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """The image scaled to cover (width, height), its middle."""
+    """The image scaled to cover (width, height), its middle; of one with a codec's padding what is not padding."""
     width, height = size
     if image.shape[:2] == (height, width):
         return image
+    if image.shape[1] >= width and image.shape[0] >= height and padded((image.shape[1], image.shape[0]), size):
+        return np.ascontiguousarray(image[:height, :width])
     scale = max(width / image.shape[1], height / image.shape[0])
     larger = max(width, round(image.shape[1] * scale)), max(height, round(image.shape[0] * scale))
     interpolation = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
@@ -59,7 +67,10 @@ def synchronised(videos: Sequence[Video], first_frame: int, frames: int) -> tupl
     SceneError if sizes or rates differ, if a frame at equal steps is asked for beyond the end, or if a camera lacks
     more than MOST_MISSING of the ticks.
     """
-    require_equal(_named(videos), " pixels", [v.film.size for v in videos], "{0[0]} x {0[1]}".format)
+    require_equal(
+        _named(videos), " pixels", [v.film.size for v in videos], "{0[0]} x {0[1]}".format, absolute=CODEC_PADDING
+    )
+    size = min(v.film.size[0] for v in videos), min(v.film.size[1] for v in videos)
     even = [v for v in videos if v.film.even]
     require_equal(_named(even), " frames a second", [v.film.rate for v in even], "{:.6g}".format, RATE_TOLERANCE)
     rate = Counter(v.film.rate for v in even or videos).most_common(1)[0][0]
@@ -74,7 +85,7 @@ def synchronised(videos: Sequence[Video], first_frame: int, frames: int) -> tupl
             f"{first_frame}",
         )
     numbers = np.arange(len(ticks))[first_frame : first_frame + frames]
-    streams = tuple(_stream(v, v.film.size, rate, numbers, ticks[numbers], v.film.times, low) for v in videos)
+    streams = tuple(_stream(v, size, rate, numbers, ticks[numbers], v.film.times, low) for v in videos)
     for video, stream in zip(videos, streams, strict=True):
         if stream.count < (1 - MOST_MISSING) * len(numbers) or not stream.count:
             film = video.film

@@ -16,7 +16,7 @@ from datasets.canonical import FRAMES_PER_UNIT
 from datasets.composition import BLACK, background_color, reduced_camera
 from datasets.files.errors import SceneError
 from datasets.ground_truth import StoredTruth
-from datasets.plenoptic.align import FilmStream
+from datasets.plenoptic.align import FilmStream, padded
 from datasets.plenoptic.decode import Decoding, Stream, decode
 from datasets.plenoptic.sync import drop_advice
 from datasets.scene import (
@@ -148,7 +148,8 @@ class Footage:
     @property
     def mixed_lenses(self) -> bool:
         """Whether cameras differ in size, so that they cannot share a lens."""
-        return len({s.film.size for s in self.streams if isinstance(s, FilmStream)}) > 1
+        films = [stream.film for stream in self.streams if isinstance(stream, FilmStream)]
+        return not all(padded(film.size, films[0].size) for film in films)
 
     def _check_cameras(self, cameras: Mapping[str, Camera]) -> None:
         for stream in self.streams:

@@ -8,10 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from datasets.files.errors import SceneError
+from datasets.plenoptic.align import padded
 from datasets.plenoptic.sync import RATE_TOLERANCE
 from datasets.plenoptic.videos import Video
 from datasets.source import Log
 from datasets.sync.offsets import Offsets, find_offsets
+from datasets.video_files.film import Film
 
 SAME_START = 0.5  # frames: cameras that start nearer to each other than this, at one rate, are synchronised
 
@@ -37,15 +39,17 @@ def offsets_of(
         searched = find_offsets([video.film for video in videos], picture=not moving)
         if searched is None:
             films = [video.film for video in videos]
-            alike = {(f.size, f.rate, round(float(f.times[-1] - f.times[0]) * f.rate)) for f in films}
-            if moving or len(alike) > 1:
+            equal = all(padded(f.size, films[0].size) and same_rate(f, films[0]) for f in films)
+            lengths = {round(float(f.times[-1] - f.times[0]) * f.rate) for f in films}
+            if moving or not equal or len(lengths) > 1:
                 clue = "sound that all cameras hear" if moving else "sound, or motion that all cameras see"
+                none = ", scene.sync=none takes them as synchronised" if moving or equal else ""
                 raise SceneError(
                     root,
                     f"{clue}, to find out when each camera started",
                     f"{'it does not decide' if moving else 'neither decides'}; scene.sync=given scene.offsets=[0,…] "
-                    "states the seconds at which each started, scene.sync=none takes them as synchronised; film 6 "
-                    "seconds and more, a clap makes it certain",
+                    f"states the seconds at which each started (0 for all: at once){none}; film 6 seconds and more, a "
+                    "clap makes it certain",
                 )
             log(
                 "neither sound nor picture says when each camera started; of one size, rate and length they are taken "
@@ -58,12 +62,16 @@ def offsets_of(
     return found
 
 
+def same_rate(film: Film, other: Film) -> bool:
+    return abs(film.rate - other.rate) <= RATE_TOLERANCE * other.rate
+
+
 def is_synchronised(videos: Sequence[Video], offsets: Offsets) -> bool:
     """Whether the cameras have one size and rate, and frames within half a frame of each other's, without drift."""
     first = videos[0].film
     starts = np.array(offsets.seconds)
     if (
-        any(v.film.size != first.size or abs(v.film.rate - first.rate) > RATE_TOLERANCE * first.rate for v in videos)
+        not all(padded(v.film.size, first.size) and same_rate(v.film, first) for v in videos)
         or float(np.ptp(starts * first.rate)) >= SAME_START
         or any(offsets.drift)
     ):

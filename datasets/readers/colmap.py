@@ -85,8 +85,6 @@ def read(root: Path, cfg: SceneConfig, log: Log) -> Scene:
         photographs.append(PosedFile(name, path, camera, lens))
     say_renamed(file, (pictures / image.name for image in parts[file]), (p.path for p in photographs), log)
     points = _points(folder, max(max(lenses[n].width, lenses[n].height) for n in used), log)
-    if (pictures.parent / "masks").is_dir():
-        log(f"{pictures.parent / 'masks'} is not used: masks for structure from motion leave out what moves")
     if unused := sorted(set(lenses) - used):
         log(f"{cameras.name}: left out, as no image is by them: {clear(', '.join(f'camera {n}' for n in unused))}")
     kinds = ", ".join(sorted({lenses[number].model for number in used}))

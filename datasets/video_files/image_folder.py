@@ -11,6 +11,7 @@ from datasets.composition import BLACK, Color, compose
 from datasets.files.errors import SceneError
 from datasets.files.image_files import read_rgba
 from datasets.files.natural_order import about_even, last_number, natural_order
+from datasets.files.unused_masks import is_mask
 from datasets.video_files.frame import Frame
 from datasets.video_files.times import USUAL_RATE
 
@@ -18,8 +19,10 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
 
 
 def image_paths(folder: Path) -> list[Path]:
-    """The images of a folder in the natural order of their names."""
+    """The images of a folder in the natural order of their names, without the masks of others."""
     paths = [p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(".")]
+    if not all(map(is_mask, paths)):
+        paths = [path for path in paths if not is_mask(path)]
     return sorted(paths, key=lambda path: natural_order(path.name))
 
 

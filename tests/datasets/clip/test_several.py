@@ -71,6 +71,18 @@ def scene_of(found: Clips) -> Scene:
     return found.to_scene(poses, dict.fromkeys(poses, 0.0), 1.0)
 
 
+def test_a_large_mover_close_to_a_still_camera_does_not_move_it(tmp_path: Path) -> None:
+    """It covers 60 % of the picture, with as much texture as the rest."""
+    size = (160, 96)
+    frames = []
+    for i in range(18):
+        image = textured_plane(0.0, size)
+        image[:, 48:144] = textured_plane(7.0 * i + 400, (96, 96))
+        frames.append(image)
+    write_clip(tmp_path / "cam.mp4", frames, [i / 10 for i in range(18)])
+    assert stands_still(tmp_path / "cam.mp4", tmp_path)
+
+
 def test_who_moves(videos: Path) -> None:
     assert [stands_still(videos / f"{name}.mp4", videos) for name in RATES] == [False, False, True]
     cfg = SceneConfig("set", "video", str(videos), moving_cameras="auto")

@@ -10,8 +10,10 @@ from layout_folders import write_nerfstudio
 
 from datasets.files.contents import contents
 from datasets.files.errors import SceneError
+from datasets.files.unused_masks import unused_masks
 from datasets.settings import SceneConfig
 from datasets.source import open_source
+from datasets.video_files.image_folder import image_paths
 
 
 def refused(path: Path, reader: str = "auto") -> str:
@@ -53,3 +55,22 @@ def test_the_folder_of_the_data_is_named(tmp_path: Path) -> None:
     (root / "colmap/points").mkdir(parents=True)
     assert hint in refused(root / "colmap/points")
     assert "perhaps" not in refused(tmp_path / "jug/colmap/points", "nerfstudio")
+
+
+def test_masks_beside_images_are_named(tmp_path: Path) -> None:
+    images = [tmp_path / "images" / name for name in ("a.png", "b.png")]
+    masks = [tmp_path / name for name in ("masks/a.png", "masks/b.png", "images/a_mask.png")]
+    for file in (*images, *masks):
+        file.parent.mkdir(exist_ok=True)
+        file.touch()
+    said = f"{tmp_path}/masks (2 files), {tmp_path}/images/*_mask.* (1 files)"
+    assert unused_masks(images) == said
+    assert image_paths(tmp_path / "images") == images, "a mask is no frame"
+    assert unused_masks([*images, *masks]) is None, "they are in use"
+
+
+def test_a_message_of_many_parts_is_whole() -> None:
+    """A list of layouts may be long; a single name in it may not."""
+    parts = [f"layout {i} (no file of it at all, which takes some words to say)" for i in range(40)]
+    text = str(SceneError("here", "one", [*parts, "x" * 5000]))
+    assert all(part in text for part in parts) and len(text) < sum(map(len, parts)) + 1000

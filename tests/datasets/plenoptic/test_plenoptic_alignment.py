@@ -126,6 +126,15 @@ def test_a_camera_whose_frames_are_all_one_is_refused(folder: Path) -> None:
         read(folder)
 
 
+def test_a_codecs_padding_is_cut_off_and_no_loss_of_synchrony(folder: Path) -> None:
+    """One camera's file shows the lines that its codec added below."""
+    taller = [np.concatenate([clock(i), clock(i)[-8:]]) for i in range(FRAMES)]
+    write_clip(folder / "cam01.mp4", taller, [i / RATE for i in range(FRAMES)])
+    scene, _ = read(folder)
+    padded = [np.asarray(view.image) for view in scene.train if view.filmed_by == "cam01"]
+    assert [shown(image) for image in padded] == list(range(FRAMES)) and padded[0].shape[:2] == (HEIGHT, WIDTH)
+
+
 def test_chapters_of_one_take_are_named(tmp_path: Path) -> None:
     for name in ("GX010042", "GX020042"):
         write(tmp_path / f"{name}.MP4", range(4))
