@@ -164,8 +164,10 @@ def test_shared_motion_must_fit_the_training_views() -> None:
 
 
 def test_shared_motion_is_open_for_one_camera_that_films_from_everywhere() -> None:
-    scene, cfg = replace(one_camera(changes=True), capture="monocular"), config(select_shared_motion=0.5)
+    few, cfg = replace(one_camera(changes=True), capture="monocular"), config(select_shared_motion=0.5)
+    scene = replace(few, train=4 * few.train)
     assert shared_motion_is_open(cfg, scene)
+    assert not shared_motion_is_open(cfg, replace(few, train=3 * few.train)), "72 views are too few"
     assert not shared_motion_is_open(config(), scene)
     for capture in ("clip", "multi_view", "drive", "static"):
         assert not shared_motion_is_open(cfg, replace(scene, capture=capture)), capture
