@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
@@ -11,7 +12,8 @@ import cv2
 import numpy as np
 
 from datasets.clip.choose import Choice, choose
-from datasets.clip.survey import MOST_SURVEYED, survey
+from datasets.clip.progress import counted
+from datasets.clip.survey import FEWEST_SURVEYED, MOST_SURVEYED, SURVEYED_PER_FRAME, survey
 from datasets.composition import BLACK, background_color, chosen_downscale, reduced_camera
 from datasets.files.errors import SceneError
 from datasets.files.image_files import read_rgba
@@ -27,7 +29,9 @@ from datasets.video_files.image_folder import image_frames, image_paths
 from rasterizer.camera import Camera
 
 FEWEST_FRAMES = 12  # with fewer neither motion nor a held-out frame can be told
-SFM_SIDE = 1024  # pixels: the longer side of the images that structure from motion gets is not longer
+# Pixels of the images for structure from motion: of the longer side, of wide ones of the area. What tells the motion of
+# a car is a band of small details.
+SFM_SIDE, SFM_AREA = 1024, 1024 * 576
 
 Frames = Callable[..., Iterator[Frame]]  # Film.frames or image_frames, but for `keep` and `every`
 
@@ -71,7 +75,7 @@ class Clip:
         return _sfm_reduction((self.size[0] // self.reduced, self.size[1] // self.reduced))
 
     def photograph(self, frame: ClipFrame) -> np.ndarray:
-        """(H, W, 3) uint8: the frame for structure from motion, SFM_SIDE pixels at most on the longer side."""
+        """(H, W, 3) uint8: the frame for structure from motion, reduced to SFM_SIDE or SFM_AREA."""
         return reduce_image(frame.image, self.further)
 
     def frame_camera(self, camera: Camera) -> Camera:
@@ -102,8 +106,9 @@ def survey_clip(path: Path, cfg: SceneConfig, most: int, log: Log, still: bool =
         if masks := unused_masks(images):
             log(f"{masks}: not used; the region that moves is found and left out of structure from motion")
         frames, total = partial(image_frames, images, background=background), len(images)
-    every = max(1, -(-total // MOST_SURVEYED))
-    found = survey((f for f in frames(every=every) if f.index >= cfg.first_frame), total)
+    every = max(1, -(-total // min(MOST_SURVEYED, max(FEWEST_SURVEYED, SURVEYED_PER_FRAME * most))))
+    looked_at = counted(frames(every=every), -(-total // every), path.name, log)
+    found = survey((f for f in looked_at if f.index >= cfg.first_frame), total)
     if found is None:
         last = max((f.index for f in frames(every=every) if f.image is not None), default=cfg.first_frame)
         if last < cfg.first_frame:
@@ -169,4 +174,5 @@ class SurveyedClip:
 
 def _sfm_reduction(size: tuple[int, int]) -> int:
     """By which images of `size` are reduced for structure from motion."""
-    return max(1, -(-max(size) // SFM_SIDE))
+    by_area = math.ceil(math.sqrt(size[0] * size[1] / SFM_AREA))
+    return max(1, min(-(-max(size) // SFM_SIDE), by_area))

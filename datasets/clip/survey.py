@@ -1,8 +1,8 @@
 """One pass over a clip in small images: how sharp, bright and different the frames are, where it is cut, and its bars.
 
-Nothing of a frame is kept but a few numbers, so that memory does not grow with the length of the clip. At most
-MOST_SURVEYED frames are looked at, evenly spread. Fewer tell whether the camera stands still: a good part of the
-picture's texture then stays where it is.
+Nothing of a frame is kept but a few numbers, so that memory does not grow with the length of the clip. Of a long clip
+SURVEYED_PER_FRAME times the frames in use are looked at, evenly spread. Fewer tell whether the camera stands still: a
+good part of the picture's texture then stays where it is.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from datasets.video_files.film import Film, open_film
 from datasets.video_files.frame import Frame
 
 WIDTH = 192  # pixels of the small images
-MOST_SURVEYED = 2000
+# Frames looked at: so many for each that is used, for the sharpest of them, within two bounds.
+SURVEYED_PER_FRAME, FEWEST_SURVEYED, MOST_SURVEYED = 8, 300, 2000
 DARK, FLAT = 16.0, 4.0  # of 255: mean brightness and standard deviation of a frame that shows nothing
 BAR_LEVEL = 24  # of 255: a bar's pixels are never brighter, TV range and its compression included
 MOST_BAR = 0.4  # of a side

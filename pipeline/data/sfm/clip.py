@@ -16,7 +16,7 @@ import numpy as np
 
 from datasets.source import Photograph
 from pipeline.config.schema import InitConfig
-from pipeline.data.sfm.job import ColmapResult, SfmError, write_request
+from pipeline.data.sfm.job import ARRAYS, WHAT_TO_DRIVE, WHAT_TO_OVERLAP, ColmapResult, SfmError, write_request
 from pipeline.data.sfm.moving_masks import moving_masks
 from pipeline.data.sfm.reconstruction import Reconstruction
 from pipeline.data.sfm.run import cameras_of, job_folder, request_for, run_colmap
@@ -89,10 +89,10 @@ def reconstruct_clip(
     if len(found.cameras) < LEAST_REGISTERED * len(names):
         if refused is not None:
             raise refused
+        advice = WHAT_TO_DRIVE if found.drives else WHAT_TO_OVERLAP
         raise ValueError(
             f"{source}: expected to find the camera of {LEAST_REGISTERED:.0%} of {len(names)} frames, found that of "
-            f"{len(found.cameras)}: too little overlap; film slowly, with texture in view all the time, and so that "
-            "every part of the scene is seen from several places"
+            f"{len(found.cameras)}: too little overlap; {advice}"
         )
     if len(found.points) < cfg.min_points:
         raise ValueError(
@@ -100,7 +100,9 @@ def reconstruct_clip(
             f"{len(found.points)}: too little texture, or a camera that hardly moves; walk sideways while filming"
         )
     facts = {"poses": "estimated", "photographs": len(names), "seconds": time.perf_counter() - started}
-    return Reconstruction(**{**vars(found), **facts, "cameras": cameras_of(found, photographs)})
+    return Reconstruction(
+        **{**{name: getattr(found, name) for name in ARRAYS}, **facts, "cameras": cameras_of(found, photographs)}
+    )
 
 
 def _intrinsics(first: ColmapResult, lenses: Sequence[Sequence[Photograph]]) -> dict[str, list[float]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from pipeline.data.sfm.job import Request, SfmError, photograph_name
 
 STILL = 0.01  # image widths: matches between no two frames are farther apart than this if the camera stands still
 TURNED = 0.05  # image widths: frames whose matches are farther apart tell whether the camera turns or moves
+OUTWARD = 0.5  # cosine, median over pairs: sideways it is near 0, from a car 0.7 and more
 TURNING_SHARE = 0.8  # of these pairs explained by a rotation, or by one plane
 _ROTATIONS = (
     pycolmap.TwoViewGeometryConfiguration.PANORAMIC,
@@ -56,7 +58,7 @@ def _still(db: pycolmap.Database, image: pycolmap.Image, masks: Path) -> np.ndar
 
 def refuse_still_camera(database: Path) -> None:
     """SfmError for frames that do not overlap, and for a camera that does not move."""
-    shifts = [shift for _, shift in _verified_pairs(database)]
+    shifts = [pair.shift for pair in _verified_pairs(database)]
     if not shifts:
         raise SfmError(
             "expected frames that show the same objects, found no two that match: too dark, too blurred, or too little "
@@ -71,22 +73,42 @@ def refuse_still_camera(database: Path) -> None:
 
 def camera_turns(database: Path) -> bool:
     """Whether most pairs of frames are related by a rotation alone."""
-    turned = [config in _ROTATIONS for config, shift in _verified_pairs(database) if shift > TURNED]
+    turned = [pair.config in _ROTATIONS for pair in _verified_pairs(database) if pair.shift > TURNED]
     return bool(turned) and float(np.mean(turned)) >= TURNING_SHARE
 
 
-def _verified_pairs(database: Path) -> list[tuple[pycolmap.TwoViewGeometryConfiguration, float]]:
-    """(configuration, median shift of the inlier matches in image widths) of each verified pair of frames."""
+def camera_drives(database: Path) -> bool:
+    """Whether most pairs of frames are related by a motion along the camera's axis, as a car's: matches move away from
+    the middle of the picture."""
+    found = [pair for pair in _verified_pairs(database) if pair.shift > STILL]
+    return bool(found) and float(np.median([abs(pair.outward) for pair in found])) > OUTWARD
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """A verified pair of frames."""
+
+    config: pycolmap.TwoViewGeometryConfiguration
+    shift: float  # median of the inlier matches, image widths
+    outward: float  # mean cosine between their motion and the direction from the middle of the image
+
+
+def _verified_pairs(database: Path) -> list[_Pair]:
     found = []
     with pycolmap.Database.open(database) as db:
         width = max(camera.width for camera in db.read_all_cameras())
-        keypoints = {image.image_id: db.read_keypoints(image.image_id)[:, :2] for image in db.read_all_images()}
+        middle = {c.camera_id: 0.5 * np.array([c.width, c.height]) for c in db.read_all_cameras()}
+        images = db.read_all_images()
+        places = {i.image_id: db.read_keypoints(i.image_id)[:, :2] - middle[i.camera_id] for i in images}
         pairs, geometries = db.read_two_view_geometries()
         for pair, geometry in zip(pairs, geometries):
             matches = geometry.inlier_matches
             if len(matches) == 0:
                 continue
             a, b = pycolmap.pair_id_to_image_pair(pair)
-            shift = np.linalg.norm(keypoints[a][matches[:, 0]] - keypoints[b][matches[:, 1]], axis=1)
-            found.append((pycolmap.TwoViewGeometryConfiguration(geometry.config), float(np.median(shift)) / width))
+            here, motion = places[a][matches[:, 0]], places[b][matches[:, 1]] - places[a][matches[:, 0]]
+            lengths = np.linalg.norm(motion, axis=1)
+            cosines = (here * motion).sum(axis=1) / np.maximum(np.linalg.norm(here, axis=1) * lengths, 1e-9)
+            config = pycolmap.TwoViewGeometryConfiguration(geometry.config)
+            found.append(_Pair(config, float(np.median(lengths)) / width, float(cosines.mean())))
     return found

@@ -17,16 +17,25 @@ import numpy as np
 import pycolmap
 
 from datasets.outliers import without_outliers
-from pipeline.data.sfm.clip_matches import TURNS, camera_turns, keep_unmasked_matches, refuse_still_camera
+from pipeline.data.sfm.clip_matches import (
+    TURNS,
+    camera_drives,
+    camera_turns,
+    keep_unmasked_matches,
+    refuse_still_camera,
+)
 from pipeline.data.sfm.features import (
     camera_record,
     extract_features,
     match_pairs,
     matching_options,
+    set_focal,
     verification_options,
 )
 from pipeline.data.sfm.job import (
     SEED,
+    WHAT_TO_DRIVE,
+    WHAT_TO_OVERLAP,
     ColmapResult,
     Request,
     SfmError,
@@ -43,6 +52,10 @@ MAX_ERROR_PX, MAX_RELATIVE_ERROR = 2.0, 1e-3  # reprojection error, of larger im
 MIN_TRACK = 3  # images that see it; two images agree on a wrong match too easily
 MIN_ANGLE_DEG = 1.5  # between its rays: below, its depth is uncertain
 MAX_DISTANCE = 100.0  # from the cameras' centre, normalised units (Scene.unit); with known poses only
+ENOUGH = 0.8  # of a clip's frames; where fewer are registered and the camera drives, the mapping is tried anew
+FOCALS_OF_CARS = (0.6, 0.9)  # × the longer side; COLMAP starts from 1.2, and motion along the axis corrects it little
+MODELS_OF_CARS = 6  # a first pair may lead to a handful of photographs; the next one may lead further
+INITIAL_ANGLE_OF_CARS = 4.0  # degrees between the rays of the first pair; 16 elsewhere
 MIN_MODEL = 3  # photographs; a third one is needed to verify two
 
 
@@ -95,6 +108,7 @@ def reconstruct(folder: Path, request: Request) -> ColmapResult:
         observations=np.array([(rows[point], *rest) for point, *rest in seen]).reshape(-1, 4)
         if request.observations
         else None,
+        drives=request.pairs is not None and camera_drives(database),
     )
 
 
@@ -154,24 +168,24 @@ def _triangulate(model: pycolmap.Reconstruction, folder: Path, request: Request)
 
 def estimate_cameras(folder: Path, used: list[str], request: Request) -> pycolmap.Reconstruction:
     """COLMAP's incremental mapping: poses and points. SfmError unless all photographs are registered."""
-    output = folder / "model"
-    output.mkdir(exist_ok=True)
-    models = pycolmap.incremental_mapping(
-        folder / "database.db", folder / "images", output, options=pipeline_options(request)
-    )
-    if not models:
-        turns = request.pairs is not None and camera_turns(folder / "database.db")
-        found = f"no initial pair{TURNS if turns else ''}"
+    database = folder / "database.db"
+    model = _mapped(folder, request)
+    drives = request.pairs is not None and camera_drives(database)
+    for focal in (None,) if request.intrinsics else FOCALS_OF_CARS:
+        if drives and _registered(model) < ENOUGH * len(used):
+            model = max(model, _mapped(folder, request, focal, along_axis=True), key=_registered)
+    if model is None:
+        turns = request.pairs is not None and camera_turns(database)
+        found = f"no initial pair{TURNS if turns else ''}" + (f"; {WHAT_TO_DRIVE}" if drives else "")
         raise SfmError(f"expected {len(used)} photographs of the same objects, found {found}", turns)
-    model = max(models.values(), key=lambda m: (m.num_reg_images(), m.num_points3D()))
     registered = {photograph_name(image.name) for image in model.images.values() if image.has_pose}
     missing = [name for name in used if name not in registered]
     if request.pairs is not None and len(registered) < request.least_registered * len(used):
-        turns = camera_turns(folder / "database.db")
+        turns = camera_turns(database)
+        advice = WHAT_TO_DRIVE if drives else WHAT_TO_OVERLAP
         raise SfmError(
             f"expected to find the camera of {request.least_registered:.0%} of {len(used)} frames, found that of "
-            f"{len(registered)}{TURNS if turns else ''}; film slowly, with texture in view all the time, and so that "
-            "every part of the scene is seen from several places",
+            f"{len(registered)}{TURNS if turns else ''}; {advice}",
             turns,
         )
     if missing and request.pairs is None:
@@ -180,6 +194,27 @@ def estimate_cameras(folder: Path, used: list[str], request: Request) -> pycolma
             "scene.drop_cameras leaves cameras out"
         )
     return model
+
+
+def _mapped(
+    folder: Path, request: Request, focal: float | None = None, along_axis: bool = False
+) -> pycolmap.Reconstruction | None:
+    """The model with the most photographs; None without any. focal: to start from, × the longer side. along_axis: also
+    from a pair whose cameras are one behind the other, whose rays meet at small angles."""
+    database, output = folder / "database.db", folder / "model"
+    output.mkdir(exist_ok=True)
+    if focal is not None:
+        set_focal(database, focal)
+    options = pipeline_options(request)
+    if along_axis:
+        options.mapper.init_max_forward_motion, options.mapper.init_min_tri_angle = 1.0, INITIAL_ANGLE_OF_CARS
+        options.multiple_models, options.max_num_models = True, MODELS_OF_CARS
+    models = pycolmap.incremental_mapping(database, folder / "images", output, options=options)
+    return max(models.values(), key=lambda m: (m.num_reg_images(), m.num_points3D()), default=None)
+
+
+def _registered(model: pycolmap.Reconstruction | None) -> int:
+    return 0 if model is None else model.num_reg_images()
 
 
 def pipeline_options(request: Request) -> pycolmap.IncrementalPipelineOptions:

@@ -48,6 +48,15 @@ def set_intrinsics(database: Path, intrinsics: dict[str, list[float]]) -> None:
             db.update_camera(camera)
 
 
+def set_focal(database: Path, focal: float) -> None:
+    """Gives all cameras a focal length to start from, × the longer side of their images."""
+    with pycolmap.Database.open(database) as db:
+        for camera in db.read_all_cameras():
+            first, *others = camera.params
+            camera.params = [focal * max(camera.width, camera.height), *others]
+            db.update_camera(camera)
+
+
 def match_pairs(database: Path, file: Path, pairs: list[list[str]]) -> None:
     """Matches and verifies pairs of photographs; writes them to `file`, where COLMAP reads them."""
     file.write_text("".join(f"{image_file(a)} {image_file(b)}\n" for a, b in pairs))

@@ -18,6 +18,14 @@ from urllib.parse import unquote
 import numpy as np
 
 SEED = 0  # COLMAP's, apart from the run's: runs of several seeds share its result
+# Advice where too few frames of a clip are registered.
+WHAT_TO_OVERLAP = (
+    "film slowly, with texture in view all the time, and so that every part of the scene is seen from several places"
+)
+WHAT_TO_DRIVE = (
+    "a car's video needs many frames a second, little speed, images at full size and no bonnet or dashboard in them; "
+    "with its poses or LiDAR it is a driving log (scene=kitti, scene=waymo)"
+)
 ARRAYS = ("points", "colors", "errors", "track_lengths", "observations")  # of a result; the last may be None
 
 
@@ -86,6 +94,7 @@ class ColmapResult:
     track_lengths: np.ndarray
     cameras: dict[str, dict]
     observations: np.ndarray | None = None
+    drives: bool = False  # of a clip: whether the camera moves along its axis, as a car's
 
 
 def write_request(folder: Path, request: Request) -> None:
@@ -100,12 +109,12 @@ def read_request(folder: Path) -> Request:
 def write_result(folder: Path, result: ColmapResult) -> None:
     arrays = {name: getattr(result, name) for name in ARRAYS}
     np.savez(folder / "result.npz", **{name: array for name, array in arrays.items() if array is not None})
-    (folder / "result.json").write_text(json.dumps(result.cameras))
+    (folder / "result.json").write_text(json.dumps({"cameras": result.cameras, "drives": result.drives}))
 
 
 def read_result(folder: Path) -> ColmapResult:
     with np.load(folder / "result.npz") as arrays:
-        return ColmapResult(**arrays, cameras=json.loads((folder / "result.json").read_text()))
+        return ColmapResult(**arrays, **json.loads((folder / "result.json").read_text()))
 
 
 def write_error(folder: Path, error: SfmError) -> None:

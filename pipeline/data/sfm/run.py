@@ -16,6 +16,7 @@ from PIL import Image
 from datasets.source import Photograph
 from pipeline.config.schema import InitConfig
 from pipeline.data.sfm.job import (
+    ARRAYS,
     ColmapResult,
     PhotographRecord,
     Request,
@@ -59,7 +60,7 @@ def reconstruct(
     if poses == "known":  # exactly as given, without rounding by COLMAP
         cameras = {p.name: CalibratedCamera(p.camera) for p in used if p.camera is not None}
     facts = {"poses": poses, "photographs": len(used), "seconds": time.perf_counter() - started}
-    return Reconstruction(**{**vars(found), **facts, "cameras": cameras})
+    return Reconstruction(**{**{name: getattr(found, name) for name in ARRAYS}, **facts, "cameras": cameras})
 
 
 @contextmanager

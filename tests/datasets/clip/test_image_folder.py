@@ -10,6 +10,7 @@ import pytest
 from clips import SIZE, frames, opened, textured_plane
 from PIL import ExifTags, Image
 
+from datasets.clip import footage
 from datasets.clip.clips import Clips
 from datasets.files.errors import SceneError
 from datasets.files.image_files import read_rgba
@@ -101,8 +102,11 @@ def moved(x: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("downscale, width", [(1, 1301), (2, 650), (0, 433)])
-def test_wide_frames_are_never_enlarged(tmp_path: Path, downscale: int, width: int) -> None:
+def test_wide_frames_are_never_enlarged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, downscale: int, width: int
+) -> None:
     """Structure from motion sees 650 pixels of 1301; its camera, 100 pixels of focal length, is that of the view."""
+    monkeypatch.setattr(footage, "SFM_AREA", 650 * 227)
     images = [textured_plane(9 * i, (1301, 400))[:399] for i in range(14)]
     for i, image in enumerate(images):
         cv2.imwrite(str(tmp_path / f"{i:02d}.png"), image[..., ::-1])
@@ -121,6 +125,14 @@ def test_wide_frames_are_never_enlarged(tmp_path: Path, downscale: int, width: i
     assert np.asarray(view.image).shape == (399 // factor, width, 3) and view.camera.width == width
     assert view.camera.fx == pytest.approx(200 / factor, rel=2e-3)
     assert view.camera.cx == pytest.approx(650 / factor, rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    "size, reduced",
+    [((1242, 375), 1), ((1408, 376), 1), ((1280, 720), 2), ((1920, 1080), 2), ((3840, 2160), 4), ((1024, 1024), 1)],
+)
+def test_wide_pictures_of_cars_keep_their_size_for_structure_from_motion(size: tuple[int, int], reduced: int) -> None:
+    assert footage._sfm_reduction(size) == reduced
 
 
 def test_images_that_cannot_be_read_are_refused_with_the_reason(tmp_path: Path) -> None:

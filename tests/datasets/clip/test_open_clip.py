@@ -12,6 +12,7 @@ import pytest
 from clips import SIZE, frames, opened, write_clip
 from imageio_ffmpeg import get_ffmpeg_exe
 
+from datasets.clip import progress
 from datasets.clip.clips import is_clip
 from datasets.files.errors import SceneError
 
@@ -118,6 +119,14 @@ def test_a_file_that_ends_early_is_used_as_far_as_it_goes(tmp_path: Path) -> Non
     path.write_bytes(path.read_bytes()[: path.stat().st_size * 6 // 10])
     clip, _ = opened(path)
     assert 20 <= len(clip.frames) < 60
+
+
+def test_a_long_look_at_frames_says_how_far_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A clock that goes on by four seconds a frame; a line every ten."""
+    seconds, lines = iter(range(0, 1000, 4)), []
+    monkeypatch.setattr(progress.time, "perf_counter", lambda: float(next(seconds)))
+    assert list(progress.counted(range(8), 8, "walk.mp4", lines.append)) == list(range(8))
+    assert lines == ["walk.mp4: 3 of 8 frames looked at, 20 s left", "walk.mp4: 6 of 8 frames looked at, 8 s left"]
 
 
 def test_a_long_clip_is_thinned(tmp_path: Path) -> None:

@@ -137,6 +137,7 @@ def test_a_camera_that_stands_still_has_one_pose_and_images_one_size(videos: Pat
 
 def test_images_keep_their_size_where_sfm_sees_smaller_ones(videos: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("datasets.clip.footage.SFM_SIDE", 48)
+    monkeypatch.setattr("datasets.clip.footage.SFM_AREA", 48 * 36)
     found, _ = opened(videos)
     assert {camera.photograph(frame).shape for _, camera, frame in found.photographs()} == {(32, 48, 3)}
     frames = {f"{c.name}_{f.name[-5:]}": f.image for c in found.cameras for f in c.frames}
