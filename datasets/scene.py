@@ -85,6 +85,8 @@ class ScenePoints:
 
     positions: np.ndarray  # (N, 3) float64, world units
     colors: np.ndarray  # (N, 3) uint8
+    times: np.ndarray | None = None  # (N,) when what moves is there, NaN: always; None: surfaces, at unknown times
+    span: float = 0.0  # standard deviation in time of what moves
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ class InitConfig:
     """Where the initial points come from. COLMAP's part applies where several cameras filmed at one time."""
 
     # auto: lidar where sweeps are, sfm in other driving logs and where several cameras filmed at once, else random
-    source: str = "auto"  # auto | given (with the files) | sfm | lidar | random
+    source: str = "auto"  # auto | given (with the files) | sfm | lidar | carved (a few cameras far apart) | random
     refine_poses: bool = False  # let COLMAP adjust the poses that came with the data
     max_features: int = 8192  # SIFT features an image
     min_points: int = 100  # fewer points end the run with advice
@@ -33,7 +33,7 @@ class InitConfig:
 
     def __post_init__(self) -> None:
         check("init", self, {
-            "source": one_of("auto", "given", "sfm", "lidar", "random"),
+            "source": one_of("auto", "given", "sfm", "lidar", "carved", "random"),
             "lidar_points": positive_count(),
             **dict.fromkeys(("max_features", "min_points", "sphere_points"), positive_count()),
         })  # fmt: skip

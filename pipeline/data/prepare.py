@@ -19,9 +19,12 @@ from datasets.scene import Scene, ScenePoints
 from datasets.settings import SceneConfig
 from datasets.source import Source, open_source
 from datasets.urban.projection import in_image, project
+from pipeline.config.random_streams import Stream, stream
 from pipeline.config.schema import Config
+from pipeline.data.carving.start import carved_points
 from pipeline.data.from_motion import structure_from_motion, transformed
 from pipeline.data.sfm.reconstruction import Reconstruction
+from pipeline.data.sfm.run import TooFewPoints
 
 SEEN = 0.1  # of the given points: where cameras see fewer, they are none of the scene
 LOOKED_AT, FEW_CAMERAS = 10_000, 100  # as many points and cameras suffice for that
@@ -37,7 +40,7 @@ class Prepared:
     canonical: Canonical = Canonical()  # transform from the files' units
     poses_estimated: bool = False  # of every frame: the user's own videos by cameras that move
     settings: SceneConfig | None = None  # as the data were read: the layout and the split found out; None: as given
-    points: str = "random"  # where the initial points come from: given (with the files), sfm, lidar or random
+    points: str = "random"  # where the initial points come from: given (with the files), sfm, lidar, carved or random
 
 
 def prepare(cfg: Config, log: Callable[[str], None]) -> Prepared:
@@ -49,9 +52,14 @@ def prepare(cfg: Config, log: Callable[[str], None]) -> Prepared:
     source = open_source(cfg.scene, threads=cfg.threads, log=log)
     cfg = replace(cfg, scene=source.cfg)
     points = points_from(cfg, source)
-    cloud, folder, found = None, None, None
+    cloud, folder, found, few = None, None, None, None
     if points == "sfm" or source.poses != "given":
-        cloud, folder, found = structure_from_motion(cfg, source, log)
+        try:
+            cloud, folder, found = structure_from_motion(cfg, source, log)
+        except TooFewPoints as error:
+            if source.poses != "given" or cfg.init.source == "sfm":
+                raise
+            points, few = "carved", error
     scene = source.scene(found)
     if points == "given":
         cloud = given_points(cfg, scene, log)
@@ -65,9 +73,16 @@ def prepare(cfg: Config, log: Callable[[str], None]) -> Prepared:
     scene = name_leaks(scene, log)
     initial = None if cloud is None else ScenePoints(cloud.points, cloud.colors)
     scene = replace(canonicalise(scene, transform), points=initial)
+    if points == "carved" or (points == "given" and cloud is None):
+        initial, line = carved_points(scene, cfg.train.init_points, stream(cfg.seed, Stream.INIT))
+        if initial is None and points == "carved":
+            what = few or f"init.source: expected auto or random for {source.path}, found carved"
+            raise ValueError(f"{what}; no points can be carved: {line}")
+        points = "random" if initial is None else "carved"
+        if initial is not None:
+            log(f"points: {line}")
+            scene = replace(scene, points=initial)
     of_every_frame = source.poses == "of every frame"
-    if points == "given" and cloud is None:
-        points = "random"
     return Prepared(scene, cloud, folder, transform, of_every_frame, source.cfg, points)
 
 

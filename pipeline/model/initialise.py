@@ -10,7 +10,7 @@ import torch
 from scipy.spatial import cKDTree
 
 from datasets.outliers import without_outliers
-from datasets.scene import Scene
+from datasets.scene import Scene, ScenePoints
 from pipeline.config.schema import Config
 from pipeline.data.lidar.initial_points import initial_points
 from pipeline.data.sfm.reconstruction import Reconstruction
@@ -49,6 +49,8 @@ def initialise(scene: Scene, cfg: Config, rng: np.random.Generator, cloud: Recon
         model = from_points(start.points, start.times, _sh_dc(start.colors), scene, cfg)
         set_velocities(model, start.velocities)
         return model
+    if scene.points is not None and scene.points.times is not None:
+        return from_timed_points(scene.points, scene, cfg)
     points, sh_dc = _random_points(scene, cfg, rng) if cloud is None else (cloud.points, _sh_dc(cloud.colors))
     n_sphere = 0
     if cfg.scene.background_model == "sphere":
@@ -133,6 +135,25 @@ def from_points(
     parameters["opacity_logit"].fill_(float(np.log(INITIAL_OPACITY / (1.0 - INITIAL_OPACITY))))
     parameters["sh"][:, 0] = torch.from_numpy(sh_dc)
     return Model(kind, parameters)
+
+
+def from_timed_points(found: ScenePoints, scene: Scene, cfg: Config) -> Model:
+    """Of points with times: each as large as the distance to those of its time, what is always there lasts as long as
+    the scene."""
+    assert found.times is not None
+    always = np.isnan(found.times)
+    model = from_points(
+        found.positions, np.where(always, scene.time_start, found.times), _sh_dc(found.colors), scene, cfg
+    )
+    for time in np.unique(found.times):  # NaN once
+        rows = np.flatnonzero(always if np.isnan(time) else found.times == time)
+        size = np.log(nearest_distance(found.positions[rows]))
+        model.parameters["log_scale"][rows, :3] = torch.from_numpy(size).float()[:, None]
+    if model.kind.dims == 4:
+        model.parameters["mean"][always, 3] = float(scene.time_start + 0.5 * scene.duration)
+        spans = np.where(always, scene.duration, found.span)
+        model.parameters["log_scale"][:, 3] = torch.from_numpy(np.log(spans)).float()
+    return model
 
 
 def set_velocities(model: Model, velocities: np.ndarray) -> None:

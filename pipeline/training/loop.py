@@ -113,7 +113,9 @@ def _depths(scene: Scene, cfg: Config) -> DepthTargets | PointDepths | None:
     """What the depth loss compares with: the LiDAR, without one the points that the scene started from."""
     if scene.sweeps:
         return DepthTargets(scene) if cfg.train.depth.lidar > 0 else None
-    return PointDepths(scene, scene.points) if scene.points is not None and cfg.train.depth.sfm > 0 else None
+    if scene.points is None or scene.points.times is not None or cfg.train.depth.sfm == 0:  # with times: no surfaces
+        return None
+    return PointDepths(scene, scene.points)
 
 
 def _report(state: TrainState, batch: Batch, phase: Phase, run: RunLog, observers: Sequence[Observer]) -> None:

@@ -31,6 +31,10 @@ from pipeline.runs.provenance import PROJECT_ROOT
 from rasterizer.camera import Camera
 
 
+class TooFewPoints(ValueError):
+    """Structure from motion has not found init.min_points."""
+
+
 def reconstruct(
     photographs: Sequence[Photograph], cfg: InitConfig, unit: float, source: Path, observations: bool = False
 ) -> Reconstruction:
@@ -50,7 +54,7 @@ def reconstruct(
         write_request(folder, replace(request_for(needed, cfg, unit), observations=observations))
         found = run_colmap(folder, source)
     if len(found.points) < cfg.min_points:
-        raise ValueError(
+        raise TooFewPoints(
             f"{source}: expected at least {cfg.min_points} points from structure from motion (init.min_points), found "
             f"{len(found.points)}; more texture or overlap gives more, as does a smaller scene.downscale; "
             "init.source=random needs none"
