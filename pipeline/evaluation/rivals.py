@@ -61,14 +61,19 @@ class Rivals:
         self._scale = scale
         views = [scene.test[index] for index in evenly_spaced(len(scene.test), COMPARED)]
         cameras = _by_pose(scene.train)
+        filmed = len(cameras) < len(scene.train)
+        pictures: dict[int, np.ndarray] = {}  # by place of the camera; -1: of all
         self._views = [(view, _small(view, scale)) for view in views]
         nearest, means = [], []
         for view, target in self._views:
-            own = cameras[nearest_pose(view.camera, [of_pose[0].camera for of_pose in cameras])]
+            place = nearest_pose(view.camera, [of_pose[0].camera for of_pose in cameras])
+            own = cameras[place]
             closest = min(own, key=lambda other: abs(other.time - view.time))
             nearest.append(_psnr(_picture(closest, scale), target))
-            averaged = own if len(cameras) < len(scene.train) else scene.train
-            means.append(_psnr(mean_picture(averaged, scale), target))
+            averaged = place if filmed else -1
+            if averaged not in pictures:
+                pictures[averaged] = mean_picture(own if filmed else scene.train, scale)
+            means.append(_psnr(pictures[averaged], target))
         self._nearest, self._mean = float(np.mean(nearest)), float(np.mean(means))
 
     def compare(self, renderer: Renderer) -> AgainstRivals:
