@@ -17,6 +17,7 @@ WHITE: Color = (1.0, 1.0, 1.0)
 TRAINING_SIDE = 640  # pixels: of training images, where scene.downscale=0 leaves the choice to chosen_downscale
 BORDER_TOLERANCE = 8  # levels of 255: JPEG artefacts in an area of one colour
 BORDER_SHARE = 0.9  # least share of border pixels of that colour; objects may cover the rest
+HIDDEN_IMAGES = 8  # whose transparent pixels are looked at
 
 
 def background_color(setting: str | Sequence[float]) -> Color | None:
@@ -24,6 +25,14 @@ def background_color(setting: str | Sequence[float]) -> Color | None:
     if isinstance(setting, str):
         return {"auto": None, "black": BLACK, "white": WHITE}[setting]
     return cast(Color, tuple(float(channel) for channel in setting))
+
+
+def hidden_color(images: Sequence[np.ndarray]) -> Color | None:
+    """The one colour that images (H, W, 4) uint8 have under their transparent pixels, RGB in [0, 1]: the background
+    that was there before it was made transparent. None without transparent pixels, or where there are several colours.
+    """
+    hidden = np.concatenate([image[image[..., 3] == 0][:, :3] for image in images])
+    return _common_color(hidden) if len(hidden) else None
 
 
 def compose(rgba: np.ndarray, background: Color, downscale: int = 1) -> np.ndarray:
@@ -72,28 +81,42 @@ def border_color(images: Sequence[np.ndarray]) -> Color | None:
 
     A colour within BORDER_TOLERANCE of black or white is taken as black or white.
     """
-    borders = np.concatenate([np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]]) for image in images])
-    median = np.median(borders, axis=0)
-    similar = (np.abs(borders - median) <= BORDER_TOLERANCE).all(axis=1)
+    return _common_color(
+        np.concatenate([np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]]) for image in images])
+    )
+
+
+def _common_color(pixels: np.ndarray) -> Color | None:
+    """That of BORDER_SHARE of the pixels (N, 3) uint8, within BORDER_TOLERANCE; None if there is none."""
+    median = np.median(pixels, axis=0)
+    similar = (np.abs(pixels - median) <= BORDER_TOLERANCE).all(axis=1)
     if similar.mean() < BORDER_SHARE:
         return None
     snapped = np.where(median <= BORDER_TOLERANCE, 0, np.where(median >= 255 - BORDER_TOLERANCE, 255, median))
     if np.ptp(snapped) == 0 and snapped[0] in (0, 255):
         return (float(snapped[0] / 255),) * 3
-    return tuple((np.median(borders[similar], axis=0) / 255).tolist())
+    return tuple((np.median(pixels[similar], axis=0) / 255).tolist())
 
 
 def chosen_background(
-    images: Sequence[np.ndarray], opaque: bool, requested: Color | None, log: Callable[[str], None]
+    images: Sequence[np.ndarray],
+    opaque: bool,
+    requested: Color | None,
+    log: Callable[[str], None],
+    hidden: Color | None = None,
 ) -> Color:
     """`requested`, or if that is None the border colour of `images`, (H, W, 3) uint8, if all of the scene's are
-    `opaque`, or else black. log: gets a line where the border colour is no black, or another one than requested."""
+    `opaque`, or else their `hidden_color`, or else black. log: gets a line where the colour is no black, or another
+    one than requested."""
     border = border_color(images) if opaque else None
     if requested is None:
         if border not in (None, BLACK):
             log(f"scene.background: {_color_name(border)}, the border colour of the images; "
                 "scene.background=black overrides")  # fmt: skip
-        return border or BLACK
+        if hidden not in (None, BLACK):
+            log(f"scene.background: {_color_name(hidden)}, the colour of the images under their transparent pixels; "
+                "scene.background=black overrides")  # fmt: skip
+        return border or hidden or BLACK
     if border is not None and border != requested:
         log(f"scene.background: {_color_name(requested)} as set, but the images' borders are {_color_name(border)}")
     return requested

@@ -53,8 +53,8 @@ class SceneConfig:
     # estimated
     sky_masks: str = "auto"
     downscale: int = 2  # images are read at 1/downscale of their size; 0 (own data): chosen by the size
-    # Colour under transparent pixels: black, white or RGB in [0, 1]. auto: the border colour of opaque images if all
-    # borders have one colour, else black
+    # Colour under transparent pixels: black, white or RGB in [0, 1]. auto: the one colour that images have there, or
+    # that opaque images have at their borders, else black
     background: Any = "auto"
     background_model: str = "none"  # model of the distant background: none | sphere | envmap | cubemap
     cache: str = "results/cache"  # folder of synthetic scenes, decoded frames and COLMAP's results

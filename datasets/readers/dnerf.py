@@ -15,6 +15,7 @@ where the headers suffice.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,12 +26,14 @@ from datasets.cameras.transforms import TransformsEntry, read_transforms
 from datasets.canonical import canonical_space
 from datasets.composition import (
     BLACK,
+    HIDDEN_IMAGES,
     Color,
     background_color,
     chosen_background,
     chosen_downscale,
     compose,
     coverage,
+    hidden_color,
     reduced_camera,
 )
 from datasets.files.errors import SceneError, read_json
@@ -101,7 +104,8 @@ def read(root: Path, cfg: SceneConfig, log: Log) -> Scene:
     say_folds(of_all, log)
     say_turns(of_all, log)
     background = background_color(cfg.background)
-    composed_over = background or BLACK
+    hidden = None if background else _hidden_color(photographs["train"])
+    composed_over = background or hidden or BLACK
     views = {
         split: tuple(_read_view(photograph, downscale, composed_over) for photograph in listed)
         for split, listed in photographs.items()
@@ -117,7 +121,7 @@ def read(root: Path, cfg: SceneConfig, log: Log) -> Scene:
         test=test,
         duration=duration,
         time_start=time_start,
-        background=chosen_background(train_images, opaque, background, log),
+        background=chosen_background(train_images, opaque, background, log, hidden),
         extent=camera_extent(train_cameras),
         init_box=space.inverse.box((cfg.init_box[0], cfg.init_box[1])),
         source=root,
@@ -227,6 +231,11 @@ def _photograph(entry: TransformsEntry, size: tuple[int, int]) -> PosedFile:
         lens = Undistortion.of(camera, *bent)
     upright = oriented_size(entry.image_path, size)[1]
     return PosedFile(view_name(entry), entry.image_path, camera, lens, entry.time or 0.0, upright=upright)
+
+
+def _hidden_color(photographs: Sequence[PosedFile]) -> Color | None:
+    """That of some of the images; None where they have several, or are opaque."""
+    return hidden_color([photograph.read() for photograph in photographs[:: -(-len(photographs) // HIDDEN_IMAGES)]])
 
 
 def _read_view(photograph: PosedFile, downscale: int, background: Color) -> View:

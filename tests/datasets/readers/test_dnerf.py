@@ -69,6 +69,28 @@ def test_image_without_alpha_is_opaque(folder: Path) -> None:
     assert (read(folder, background=(1.0, 1.0, 1.0)).train[1].image == 77).all()
 
 
+@pytest.mark.parametrize(
+    ("hidden", "background"), [((255, 255, 255), 1.0), ((250, 253, 255), 1.0), ((0, 0, 0), 0.0), (None, 0.0)]
+)
+def test_what_transparent_pixels_hide_is_the_background(folder: Path, hidden: tuple | None, background: float) -> None:
+    """Their one colour, white within a tolerance of 8 levels; several colours (None) are none, and black is composed
+    over."""
+    rng = np.random.default_rng(1)
+    for path in (folder / "train").glob("*.png"):
+        rgba = rng.integers(0, 256, (SIZE, SIZE, 4), dtype=np.uint8)
+        rgba[..., 3] = 255
+        rgba[:, : SIZE // 2, 3] = 0
+        if hidden is not None:
+            rgba[:, : SIZE // 2, :3] = hidden
+        Image.fromarray(rgba).save(path)
+    lines: list[str] = []
+    scene = read(folder, lines.append, background="auto")
+    assert scene.background == (background,) * 3
+    assert ["scene.background: white" in line for line in lines] == ([True] if background else [])
+    assert (np.asarray(scene.train[0].image)[:, : SIZE // 4] == 255 * background).all()
+    assert read(folder).background == (0.0, 0.0, 0.0), "as set"
+
+
 # --- cameras, times, splits -------------------------------------------------------------------------------------------
 
 
