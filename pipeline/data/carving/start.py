@@ -11,8 +11,10 @@ import numpy as np
 
 from datasets.camera_box import box_of_cameras
 from datasets.scene import Scene, ScenePoints, View
+from datasets.urban.projection import in_image, project
 from pipeline.data.carving.carve import CameraFilm, Carved, carve
 from pipeline.data.training_views import evenly_spaced
+from rasterizer.camera import Camera
 
 FEWEST_CAMERAS, MOST_CAMERAS = 2, 16  # of more, features of neighbours match
 SIDE = 160  # pixels of the longer side of the images that are carved
@@ -20,6 +22,9 @@ TIMES = 20
 MOVING_SHARE = 0.5  # of the points at most
 LEAST_FOUND = 0.5  # of the moving pixels that hulls explain; of cameras that agree 0.98 (arena, real mouse)
 HALF = 127  # of 255: alpha of a pixel of the silhouette
+# Of a held-out image in tiles, those with a point. Measured: 0.77 and 0.51 gain 3 dB on the best mean picture, 0.16 is
+# no picture.
+TILES, LEAST_COVERED = 24, 0.4
 LEAST_SWEPT = 0.02  # of the background's pixels, where nothing moves
 SPAN = 0.5  # standard deviation in time of what moves, × the distance of the times
 
@@ -59,7 +64,22 @@ def carved_points(scene: Scene, budget: int, rng: np.random.Generator) -> tuple[
         f"{len(times)} times, {agree}; the background's depth is known of {100 * found.swept:.0f} % of its pixels, "
         "the rest is put behind the cameras"
     )
+    held_out = {view.camera.world_to_cam.tobytes(): view for view in scene.test}.values()
+    if poor := [v.filmed_by or v.name for v in held_out if covered_share(kept.points, v.camera) < LEAST_COVERED]:
+        line += (
+            f"; {', '.join(sorted(poor))}, held out, sees them in less than {100 * LEAST_COVERED:.0f} % of its image: "
+            "the rest is before no training camera, and its numbers will say little; hold out a camera between "
+            "others (scene.test_cameras)"
+        )
     return ScenePoints(kept.points, kept.colors, times=at, span=SPAN * spacing), line
+
+
+def covered_share(points: np.ndarray, camera: Camera) -> float:
+    """The share of the image's tiles, a TILES-th of its width each, with one of the points (N, 3)."""
+    small = camera.resized(TILES, max(1, round(TILES * camera.height / camera.width)))
+    column, row, depth = project(points, small)
+    seen = in_image(column, row, depth, small)
+    return len(np.unique(row[seen].astype(int) * TILES + column[seen].astype(int))) / (small.width * small.height)
 
 
 def films_of(views: Sequence[View]) -> dict[str, list[View]]:

@@ -22,7 +22,7 @@ from datasets.synthetic.camera_path import look_at_origin
 from pipeline.config.schema import Config, InitConfig
 from pipeline.data.carving.carve import SHELL, CameraFilm, carve, moving_pixels, smoothed
 from pipeline.data.carving.hull import hull
-from pipeline.data.carving.start import carved_points
+from pipeline.data.carving.start import carved_points, covered_share
 from pipeline.data.carving.sweep import depths
 from pipeline.data.prepare import Prepared, prepare
 from pipeline.data.sfm.run import TooFewPoints
@@ -174,6 +174,18 @@ def test_cameras_under_each_others_names_are_refused_before_training() -> None:
     swapped = [replace(film, images=images[place]) for film, place in zip(found, (1, 0, 2, 3, 4))]
     with pytest.raises(ValueError, match="a wrong calibration, cameras under each other's names"):
         carved_points(scene_of(swapped), 1500, np.random.default_rng(0))
+
+
+def test_a_held_out_camera_that_looks_elsewhere_is_named_before_training() -> None:
+    scene = scene_of(films())
+    away = np.diag([-1.0, 1.0, -1.0, 1.0]) @ scene.test[0].camera.world_to_cam  # turned round where it stands
+    beside = replace(scene.test[0], camera=replace(scene.test[0].camera, world_to_cam=away))
+    none = replace(beside.camera, fx=20 * FOCAL, fy=20 * FOCAL)  # a telescope between the points
+    assert covered_share(np.zeros((0, 3)), none) == 0
+    _, line = carved_points(scene, 1500, np.random.default_rng(0))
+    assert "held out" not in line
+    _, line = carved_points(replace(scene, test=(replace(beside, camera=none),)), 1500, np.random.default_rng(0))
+    assert "cam0, held out, sees them in less than 40 % of its image" in line
 
 
 def test_many_cameras_are_left_to_structure_from_motion() -> None:
