@@ -54,7 +54,7 @@ MIN_ANGLE_DEG = 1.5  # between its rays: below, its depth is uncertain
 MAX_DISTANCE = 100.0  # from the cameras' centre, normalised units (Scene.unit); with known poses only
 ENOUGH = 0.8  # of a clip's frames; where fewer are registered and the camera drives, the mapping is tried anew
 FOCALS_OF_CARS = (0.6, 0.9)  # × the longer side; COLMAP starts from 1.2, and motion along the axis corrects it little
-MODELS_OF_CARS = 6  # a first pair may lead to a handful of photographs; the next one may lead further
+MODELS_OF_CARS, SHARE_OF_CARS = 6, 0.3  # models at most, and the least share of the photographs in one
 INITIAL_ANGLE_OF_CARS = 4.0  # degrees between the rays of the first pair; 16 elsewhere
 MIN_MODEL = 3  # photographs; a third one is needed to verify two
 
@@ -208,7 +208,9 @@ def _mapped(
     options = pipeline_options(request)
     if along_axis:
         options.mapper.init_max_forward_motion, options.mapper.init_min_tri_angle = 1.0, INITIAL_ANGLE_OF_CARS
+        # A first pair may lead to a handful of photographs: such a model is dropped, and another pair is tried.
         options.multiple_models, options.max_num_models = True, MODELS_OF_CARS
+        options.min_model_size = max(MIN_MODEL, round(SHARE_OF_CARS * len(request.photographs)))
     models = pycolmap.incremental_mapping(database, folder / "images", output, options=options)
     return max(models.values(), key=lambda m: (m.num_reg_images(), m.num_points3D()), default=None)
 
