@@ -34,6 +34,8 @@ def carved_points(scene: Scene, budget: int, rng: np.random.Generator) -> tuple[
 
     ValueError where the cameras contradict each other: no training would mend that.
     """
+    if scene.capture not in ("multi_view", "static"):
+        return None, "each time is seen from one place"
     films = films_of(scene.train)
     if not FEWEST_CAMERAS <= len(films) <= MOST_CAMERAS:
         return None, f"{len(films)} cameras that stand still, not {FEWEST_CAMERAS} to {MOST_CAMERAS}"

@@ -194,6 +194,11 @@ def test_many_cameras_are_left_to_structure_from_motion() -> None:
     assert points is None and why == "17 cameras that stand still, not 2 to 16"
 
 
+def test_one_moving_camera_is_no_rig() -> None:
+    points, why = carved_points(replace(scene_of(films()), capture="monocular"), 1500, np.random.default_rng(0))
+    assert points is None and why == "each time is seen from one place"
+
+
 def prepared(folder: Path, source: str, log: list[str]) -> Prepared:
     """Of the films as videos with a calibration."""
     tables = []
