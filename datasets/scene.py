@@ -146,16 +146,19 @@ class Scene:
         """Whether it is known how long it lasts: not of photographs."""
         return self.capture == "drive" or self.frame_rate is not None or self.playback_rate is not None
 
-    @property
+    @cached_property
     def clock(self) -> float:
         """Seconds per unit of its times, as played; 1 for photographs."""
         if self.capture == "drive":
             return self.seconds_per_unit
         if self.frame_rate is not None:
             return self.frame_rate / (self.playback_rate or self.frame_rate)
-        if self.playback_rate is None or self.frame_count < 2:
+        if self.playback_rate is None:
             return 1.0
-        return (self.frame_count - 1) / (self.playback_rate * self.duration)
+        times: dict[str, set[float]] = defaultdict(set)  # of a clip, held-out frames included
+        for view in self.train + self.test:
+            times[view.filmed_by].add(view.time)
+        return max(1, max(map(len, times.values())) - 1) / (self.playback_rate * self.duration)
 
     @property
     def played_seconds(self) -> float | None:

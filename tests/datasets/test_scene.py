@@ -120,12 +120,13 @@ def test_error_is_one_line() -> None:
 
 
 def test_times_are_shown_in_seconds_where_these_are_known() -> None:
-    """Photographs have none; a clip of 3 frames at 4 a second lasts 0.5 s; 30 frames of a film are one unit; a log."""
+    """Photographs have none. A clip of 3 frames at 4 a second, one held out between them, lasts 0.75 s. 30 frames of a
+    film are one unit. A log says it."""
     photographs = scene(time_start=2.0)
     assert (photographs.clock, photographs.played_seconds, photographs.seconds_at(2.5)) == (1.0, None, 0.5)
     three = (view("a", -1.0, 0.0), view("b", 1.0, 0.3), view("c", 0.0, 1.0))
     clip = scene(train=three, capture="clip", playback_rate=4.0)
-    assert (clip.played_seconds, clip.seconds_at(0.3), clip.time_at(0.25)) == pytest.approx((0.5, 0.15, 0.5))
+    assert (clip.played_seconds, clip.seconds_at(0.3), clip.time_at(0.25)) == pytest.approx((0.75, 0.225, 1 / 3))
     film = scene(capture="multi_view", frame_rate=30.0, playback_rate=25.0)
     assert film.played_seconds == pytest.approx(1.2)
     drive = scene(capture="drive", seconds_per_unit=5.0)
