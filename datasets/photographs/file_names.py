@@ -11,6 +11,7 @@ from pathlib import Path
 from datasets.files.errors import SceneError
 from datasets.files.natural_order import about_even, last_number, natural_order, starts_again
 from datasets.photographs.name_splits import find_split
+from datasets.photographs.one_instant import are_filmed
 from datasets.photographs.photograph import PosedFile
 from datasets.source import Log
 
@@ -34,6 +35,8 @@ def by_name(root: Path, photographs: Sequence[PosedFile], log: Log) -> list[Pose
 def with_times(photographs: Sequence[PosedFile], log: Log) -> list[PosedFile]:
     """All with a time, ascending: the layout's, else the numbers in the names, else evenly spaced for each camera.
 
+    Photographs of one group that are no film (one_instant.py) have one time, 0.
+
     Numbers are times if no camera has one twice, they are about evenly spaced, and they do not start again while a
     number before them counts on, as fractions of a second do; all cameras count alike.
     """
@@ -43,6 +46,9 @@ def with_times(photographs: Sequence[PosedFile], log: Log) -> list[PosedFile]:
         raise SceneError(missing.path, "a time in every frame or in none", f"none here and {len(known)} elsewhere")
     if known:
         return sorted(photographs, key=lambda p: (p.time, p.name))
+    if len({p.group for p in photographs}) == 1 and not are_filmed(photographs):
+        log("times: none; the cameras are too far apart for a film's, so that all images are taken as of one instant")
+        return [replace(p, time=0.0) for p in photographs]
     moments = [p.path.stem if p.moment is None else p.moment for p in photographs]
     numbers = [last_number(moment) for moment in moments]
     of_cameras = {(photograph.group, number) for photograph, number in zip(photographs, numbers)}
