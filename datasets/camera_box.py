@@ -1,6 +1,8 @@
-"""Where the scene is by its cameras alone: the box that most of them see, where they look at something in common.
+"""Where the scene is by its cameras alone.
 
-Coordinates are those of the cameras. The result shifts and scales with them, so that it does not depend on their unit.
+A box that most of them see, where they look at something in common; a band of depths before each, where they look
+outwards, side by side or along their way. Coordinates are those of the cameras. The result shifts and scales with them,
+so that it does not depend on their unit.
 """
 
 from __future__ import annotations
@@ -11,7 +13,7 @@ import numpy as np
 
 from datasets.canonical import intersect_axes
 from datasets.outliers import inliers
-from datasets.scene import Box
+from datasets.scene import Box, camera_extent
 from rasterizer.camera import Camera
 
 MOST = 0.75  # of the cameras see a point of the box
@@ -21,6 +23,12 @@ NEAREST, FARTHEST = 0.2, 2.0
 REACH = 2.5  # half of the side of the cube that is looked at, × the cameras' median distance from that point
 CELLS = 24  # of the grid, along each axis; it is laid a second time, over what the first has found
 MOST_CAMERAS = 100  # evenly chosen ones suffice
+# Of the band of depths, × the cameras' extent. What is nearer than half of it a row of cameras does not share; cameras
+# that move ahead pass by what they see. Beyond the last the rays of the cameras are nearly parallel: the sky.
+NEAR_BESIDE, NEAR_AHEAD, FAR = 0.5, 0.02, 10.0
+AHEAD = 0.7  # mean cosine between the way and the optical axes, from which cameras move ahead or back
+# A usual cube is kept where its sides are those of the box up to this factor, and its middle within a quarter of them.
+ALIKE, OFF = 2.0, 0.25
 
 
 def box_of_cameras(cameras: Sequence[Camera]) -> Box | None:
@@ -49,6 +57,34 @@ def box_of_cameras(cameras: Sequence[Camera]) -> Box | None:
         low, high = found.min(axis=0) - cell, found.max(axis=0) + cell
     low, high = low + 0.5 * cell, high - 0.5 * cell  # the faces of the cells
     return tuple(low.tolist()), tuple(high.tolist())
+
+
+def band_of_depths(cameras: Sequence[Camera]) -> tuple[float, float]:
+    """(near, far) of what cameras whose axes do not meet see, in the cameras' unit."""
+    cameras = distinct(cameras)
+    extent = camera_extent(cameras)
+    way = np.linalg.svd(np.stack([c.position for c in cameras]) - np.mean([c.position for c in cameras], axis=0))[2][0]
+    along = float(np.mean([abs(camera.world_to_cam[2, :3] @ way) for camera in cameras]))
+    return (NEAR_AHEAD if along > AHEAD else NEAR_BESIDE) * extent, FAR * extent
+
+
+def box_around_frusta(cameras: Sequence[Camera], far: float) -> Box:
+    """The box around the cameras and all that they see up to a depth, for cameras whose axes do not meet."""
+    corners = []
+    for camera in distinct(cameras):
+        sides = ((0, 0), (camera.width, 0), (0, camera.height), (camera.width, camera.height))
+        rays = np.array([((x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, 1.0) for x, y in sides])
+        corners += [camera.position, *(camera.position + far * rays @ camera.world_to_cam[:3, :3])]
+    low, high = np.min(corners, axis=0), np.max(corners, axis=0)
+    return tuple(low.tolist()), tuple(high.tolist())
+
+
+def are_alike(usual: Box, box: Box) -> bool:
+    """Whether the cameras' box bears out a usual one, which is then as good."""
+    low, high, own_low, own_high = (np.broadcast_to(corner, 3) for corner in (*usual, *box))
+    ratio = (own_high - own_low) / (high - low)
+    off = np.abs(own_low + own_high - low - high) / 2 / (high - low)
+    return bool((ratio < ALIKE).all() and (ratio > 1 / ALIKE).all() and (off <= OFF).all())
 
 
 def share_that_sees(points: np.ndarray, cameras: Sequence[Camera], target: np.ndarray) -> np.ndarray:

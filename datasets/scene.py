@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import statistics
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -38,6 +38,7 @@ Capture = Literal["static", "monocular", "clip", "multi_view", "drive"]
 # Opposite corners, low and high; one number is the same on all three axes.
 Corner = float | tuple[float, float, float]
 Box = tuple[Corner, Corner]
+USUAL_BOX: Box = (-1.2, 1.2)  # canonical units: what D-NeRF's cameras see
 
 
 class Image(Protocol):
@@ -81,12 +82,15 @@ class Sweep:
 
 @dataclass(frozen=True)
 class ScenePoints:
-    """Surface points that came with the data."""
+    """Surface points that came with the data or were triangulated."""
 
     positions: np.ndarray  # (N, 3) float64, world units
     colors: np.ndarray  # (N, 3) uint8
     times: np.ndarray | None = None  # (N,) when what moves is there, NaN: always; None: surfaces, at unknown times
     span: float = 0.0  # standard deviation in time of what moves
+    # Name of a training view -> rows of the points that it and its camera at other times show; None: unknown
+    seen_by: Mapping[str, np.ndarray] | None = None
+    sparse: bool = False  # too few to start from without random points beside them
 
 
 @dataclass(frozen=True)
@@ -114,6 +118,8 @@ class Scene:
     metre: float | None = None  # world units per metre; None: unknown
     seconds_per_unit: float = 1.0  # of a driving log: seconds per unit of its times
     moving_by: str | None = None  # where the views' masks of what moves come from
+    # Where cameras look at nothing in common: random initial points are drawn before them, at these depths
+    init_depths: tuple[float, float] | None = None
     points: ScenePoints | None = None  # initial points; None: random, or from structure from motion
     test_split: str | None = None  # how the held-out views were chosen, for tables; None: as scene.test_split says
 
@@ -239,7 +245,7 @@ def validate_scene(scene: Scene) -> Scene:
         raise SceneError(
             scene.source,
             "training cameras at two places or more (from one no depth can be told)",
-            f"{len(scene.train)} at one place",
+            f"{len(scene.train)} at one place: a panorama, or camera-to-world and world-to-camera exchanged",
         )
     if not (
         np.isfinite(np.concatenate([np.ravel(corner) for corner in scene.init_box])).all()

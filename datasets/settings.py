@@ -66,9 +66,9 @@ class SceneConfig:
     # views lie beside the camera, validation views (scene.test_split=val) on its path
     camera_path: str = "jumps"
     seed: int = 0  # synthetic: seed of the scene; the run has its own
-    # [low, high] of the cube of random initial points, canonical units; not used by videos, whose box follows from
-    # their bounds or cameras
-    init_box: list[float] = field(default_factory=lambda: [-1.2, 1.2])
+    # [low, high] of the cube of random initial points, canonical units. None: [-1.2, 1.2] where that is about what most
+    # cameras see, else what they see
+    init_box: Optional[list[float]] = None
     near: float = 0.2  # near plane in the scene's normalised unit (Scene.unit)
 
     def __post_init__(self) -> None:
@@ -89,7 +89,7 @@ class SceneConfig:
             "downscale": Range("1 to 16", lambda n: 1 <= n <= 16 or (n == 0 and self.reader not in WHOLE_SIZE)),
             "size": Range("11 to 4096, as SSIM has a window of 11", lambda n: 11 <= n <= 4096),
             "camera_path": one_of(*CAMERA_PATHS),
-            "init_box": Range("[low, high] with low < high", lambda box: len(box) == 2 and box[0] < box[1]),
+            "init_box": Range("[low, high] with low < high", lambda b: b is None or len(b) == 2 and b[0] < b[1]),
             "near": above(0),
         })  # fmt: skip
         for key in ("moving_cameras", "color_correction"):  # None is no value of these

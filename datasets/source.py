@@ -91,8 +91,8 @@ class Source(ABC):
         return data_path(self.cfg)
 
     @property
-    def points(self) -> Literal["given", "sfm", "lidar"]:
-        """Where initial points come from if init.source is auto; given: with the files, else random."""
+    def points(self) -> Literal["given", "random", "sfm", "lidar"]:
+        """Where initial points come from if init.source is auto; given: with the files, else triangulated."""
         return "given"
 
     @property
@@ -136,6 +136,7 @@ class PosedImages(Source):
 
     cfg: SceneConfig
     read: Callable[[], Scene]
+    points: Literal["given", "random"] = "given"
 
     def scene(self, found: Calibration | None = None) -> Scene:
         scene = self.read()

@@ -19,7 +19,7 @@ from datasets.files.errors import SceneError
 from datasets.plenoptic.sync import select_cameras
 from datasets.plenoptic.unsynchronised import offsets_of
 from datasets.plenoptic.videos import find_footage, open_videos, video_paths
-from datasets.scene import Scene, View, camera_extent, capture_of, validate_scene
+from datasets.scene import USUAL_BOX, Scene, View, camera_extent, capture_of, validate_scene
 from datasets.settings import SceneConfig
 from datasets.source import Log
 from datasets.validation import ordinal
@@ -102,7 +102,7 @@ class Clips:
                 time_start=0.0,
                 background=background_color(self.cfg.background) or BLACK,
                 extent=camera_extent(train),
-                init_box=canonical_space(train, unit).inverse.box((-1.2, 1.2)),
+                init_box=canonical_space(train, unit).inverse.box(USUAL_BOX),
                 source=self.source,
                 capture=capture_of(views["train"], views["test"], filmed=True),
                 unit=unit,

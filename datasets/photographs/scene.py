@@ -36,6 +36,7 @@ from datasets.photographs.photograph import PosedFile, of_one_size, say_folds, s
 from datasets.photographs.selection import FEWEST, held_out_names, within_limits, without_cameras
 from datasets.scene import (
     PLAYBACK_RATE,
+    USUAL_BOX,
     Scene,
     ScenePoints,
     View,
@@ -70,6 +71,17 @@ class FileImage:
         if self.keep:
             self._pixels = image
         return image if dtype is None else image.astype(dtype, copy=False)
+
+    def larger(self, longest: int) -> tuple[np.ndarray, Camera, np.ndarray | None]:
+        """(pixels, camera, (h, w) bool of the pixels that count or None) of the file, reduced by a whole number.
+
+        The longer side is `longest` pixels at most.
+        """
+        photograph = self._photograph
+        downscale = -(-max(photograph.camera.width, photograph.camera.height) // longest)
+        camera = reduced_camera(photograph.camera, downscale)
+        mask = both(read_mask(photograph, downscale), photograph.imaged(camera))
+        return compose(photograph.read(), self._background, downscale), camera, mask
 
 
 def to_scene(
@@ -138,7 +150,7 @@ def to_scene(
             time_start=low,
             background=background,
             extent=camera_extent(train_cameras),
-            init_box=space.inverse.box((-1.2, 1.2)),
+            init_box=space.inverse.box(USUAL_BOX),
             source=root,
             capture=capture_of(views["train"], views["test"], filmed=one_camera),
             unit=space.unit,

@@ -41,7 +41,7 @@ from datasets.files.image_files import common_size, oriented_size
 from datasets.files.named_files import say_renamed
 from datasets.ground_truth import StoredTruth
 from datasets.photographs.photograph import PosedFile, say_folds, say_turns
-from datasets.scene import Scene, View, camera_extent, capture_of, make_camera, validate_scene
+from datasets.scene import USUAL_BOX, Scene, View, camera_extent, capture_of, make_camera, validate_scene
 from datasets.settings import SceneConfig
 from datasets.source import Log, data_path
 
@@ -123,7 +123,7 @@ def read(root: Path, cfg: SceneConfig, log: Log) -> Scene:
         time_start=time_start,
         background=chosen_background(train_images, opaque, background, log, hidden),
         extent=camera_extent(train_cameras),
-        init_box=space.inverse.box((cfg.init_box[0], cfg.init_box[1])),
+        init_box=space.inverse.box(USUAL_BOX),
         source=root,
         capture=capture_of(views["train"], test, filmed=False),
         unit=space.unit,

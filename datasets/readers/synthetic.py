@@ -27,7 +27,7 @@ def open_source(cfg: SceneConfig, threads: int, log: Log) -> Source:
         from datasets.urban.assemble import DriveSource
 
         return DriveSource(cfg, open_waymo(_made(name, cfg, "frames", log)), log)
-    return PosedImages(cfg, lambda: _photographed(name, cfg, log))
+    return PosedImages(cfg, lambda: _photographed(name, cfg, log), points="random")
 
 
 def _photographed(name: str, cfg: SceneConfig, log: Log) -> Scene:

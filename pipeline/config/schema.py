@@ -19,9 +19,10 @@ MAX_SEED = 2**63 - 1  # int64, as checkpoints and tables hold it
 
 @dataclass
 class InitConfig:
-    """Where the initial points come from. COLMAP's part applies where several cameras filmed at one time."""
+    """Where the initial points come from."""
 
-    # auto: lidar where sweeps are, sfm in other driving logs and where several cameras filmed at once, else random
+    # auto: given with the files, lidar where sweeps are, else sfm, else carved; random where these find too little, and
+    # for one camera that jumps from time to time
     source: str = "auto"  # auto | given (with the files) | sfm | lidar | carved (a few cameras far apart) | random
     refine_poses: bool = False  # let COLMAP adjust the poses that came with the data
     max_features: int = 8192  # SIFT features an image

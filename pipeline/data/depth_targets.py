@@ -59,6 +59,10 @@ class PointDepths:
     def __init__(self, scene: Scene, points: ScenePoints) -> None:
         """points: in the scene's coordinates."""
         self._views, self._points = scene.train, points
+        seen_by = points.seen_by
+        self._seen: dict[bytes, np.ndarray] | None = None  # by the pose of the camera
+        if seen_by is not None:
+            self._seen = {v.camera.world_to_cam.tobytes(): seen_by[v.name] for v in scene.train if v.name in seen_by}
         self._cache: dict[tuple, tuple[tuple[int, int], SparseDepth, Tensor]] = {}  # size, depths, colours
 
     def at(self, index: int, camera: Camera, image: Tensor) -> SparseDepth | None:
@@ -66,11 +70,17 @@ class PointDepths:
         c, size = self._views[index].camera, (camera.width, camera.height)
         key = (c.fx, c.fy, c.cx, c.cy, c.world_to_cam.tobytes())
         if key not in self._cache or self._cache[key][0] != size:
-            self._cache[key] = size, *_projected(self._points, camera)
+            self._cache[key] = size, *_projected(self._shown_by(c), camera)
         _, found, color = self._cache[key]
         shown = image.reshape(3, -1)[:, found.pixel]
         same = (shown - color).abs().amax(dim=0) <= MOST_DIFFERENT
         return SparseDepth(found.pixel[same], found.inverse[same]) if same.any() else None
+
+    def _shown_by(self, camera: Camera) -> ScenePoints:
+        if self._seen is None:
+            return self._points
+        rows = self._seen.get(camera.world_to_cam.tobytes(), np.zeros(0, dtype=int))
+        return ScenePoints(self._points.positions[rows], self._points.colors[rows])
 
 
 def _projected(points: ScenePoints, camera: Camera) -> tuple[SparseDepth, Tensor]:

@@ -12,6 +12,7 @@ from datasets.canonical import Canonical, canonical_space
 from datasets.source import Calibration, Photograph, Source
 from pipeline.config.schema import Config, InitConfig
 from pipeline.data.sfm.reconstruction import Reconstruction
+from pipeline.data.sfm.run import Matching
 from rasterizer.camera import Camera
 
 # Without depth bounds the 5 % quantile of the points' depths replaces the near bound. One normalised unit is 0.75 of
@@ -35,7 +36,7 @@ def structure_from_motion(
     if source.poses == "of every frame":
         cloud, folder = reconstruct_cached(photographs, init, 1.0, source.path, cache, corrected, clip_log=log)
     else:
-        cloud, folder = _canonical(init, photographs, source, cache, corrected)
+        cloud, folder = canonical_reconstruction(init, photographs, source.unit, source.path, cache, corrected)
     found = cloud.summary()
     registered = f"{found['registered']} of {len(photographs)} frames registered, " if source.poses != "given" else ""
     log(
@@ -59,21 +60,31 @@ def structure_from_motion(
     return cloud, folder, calibration
 
 
-def _canonical(
-    init: InitConfig, photographs: list[Photograph], source: Source, cache: Path, observations: bool
+def canonical_reconstruction(
+    init: InitConfig,
+    photographs: list[Photograph],
+    unit: float,
+    source: Path,
+    cache: Path,
+    observations: bool = False,
+    matching: Matching | None = None,
 ) -> tuple[Reconstruction, Path]:
-    """By COLMAP in canonical coordinates, because the tolerances of its solvers are absolute."""
+    """By COLMAP in canonical coordinates, because the tolerances of its solvers are absolute.
+
+    unit: world units per normalised unit. source: the photographs' folder, for messages.
+    """
     from pipeline.data.sfm.cache import reconstruct_cached
 
     known = [photograph.camera for photograph in photographs if photograph.camera is not None]
-    transform = canonical_space(known, source.unit) if known else Canonical()
+    transform = canonical_space(known, unit) if known else Canonical()
     if not transform.is_identity:
         photographs = [  # all of them have a camera, or none has
             replace(photograph, camera=transform.camera(camera))
             for photograph, camera in zip(photographs, known, strict=True)
         ]
-    unit = source.unit * transform.scale
-    cloud, folder = reconstruct_cached(photographs, init, unit, source.path, cache, observations)
+    cloud, folder = reconstruct_cached(
+        photographs, init, unit * transform.scale, source, cache, observations, matching=matching
+    )
     return transformed(cloud, transform.inverse), folder
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from datasets.canonical import Canonical, canonical_of, canonicalise
+from datasets.files.errors import SceneError
 from datasets.leaks import trained_test_views
 from datasets.outliers import inliers
 from datasets.scene import Scene, ScenePoints
@@ -22,9 +23,11 @@ from datasets.urban.projection import in_image, project
 from pipeline.config.random_streams import Stream, stream
 from pipeline.config.schema import Config
 from pipeline.data.carving.start import carved_points
-from pipeline.data.from_motion import structure_from_motion, transformed
+from pipeline.data.from_motion import UNIT_OF_NEAR, near_depth, structure_from_motion, transformed
+from pipeline.data.initial_box import with_box_of_cameras, with_set_box
 from pipeline.data.sfm.reconstruction import Reconstruction
 from pipeline.data.sfm.run import TooFewPoints
+from pipeline.data.triangulated import Triangulated, refuse_misread_poses, triangulated
 
 SEEN = 0.1  # of the given points: where cameras see fewer, they are none of the scene
 LOOKED_AT, FEW_CAMERAS = 10_000, 100  # as many points and cameras suffice for that
@@ -52,8 +55,9 @@ def prepare(cfg: Config, log: Callable[[str], None]) -> Prepared:
     source = open_source(cfg.scene, threads=cfg.threads, log=log)
     cfg = replace(cfg, scene=source.cfg)
     points = points_from(cfg, source)
-    cloud, folder, found, few = None, None, None, None
-    if points == "sfm" or source.poses != "given":
+    posed_images = source.poses == "given" and source.points in ("given", "random")
+    cloud, folder, found, initial, few = None, None, None, None, None
+    if (points == "sfm" and not posed_images) or source.poses != "given":
         try:
             cloud, folder, found = structure_from_motion(cfg, source, log)
         except TooFewPoints as error:
@@ -65,25 +69,44 @@ def prepare(cfg: Config, log: Callable[[str], None]) -> Prepared:
         cloud = given_points(cfg, scene, log)
     elif points != "sfm":
         cloud = None  # it has found the poses
+    if posed_images and points in ("given", "sfm") and cloud is None:
+        made = triangulated(cfg, scene)
+        if isinstance(made, Triangulated):
+            points, cloud, folder, initial = "sfm", made.cloud, made.folder, made.points
+            trained = [view.camera for view in scene.train]
+            scene = replace(scene, unit=min(scene.unit, UNIT_OF_NEAR * near_depth(cloud.points, trained)))
+            log(f"points: {made.line}")
+        else:
+            refuse_misread_poses(cfg, scene, made.count, log)
+            if points == "sfm":
+                raise SceneError(scene.source, "points that all poses agree on (init.source=sfm)", made.line)
+            if scene.capture != "monocular":
+                log(f"points: {made.line}")
     transform = canonical_of(scene)
     if not transform.is_identity:
         log(f"normalised: {transform}")
         cloud = None if cloud is None else transformed(cloud, transform)
     name_outliers(scene, log)
     scene = name_leaks(scene, log)
-    initial = None if cloud is None else ScenePoints(cloud.points, cloud.colors)
+    if cloud is not None:
+        initial = replace(initial or ScenePoints(cloud.points, cloud.colors), positions=cloud.points)
     scene = replace(canonicalise(scene, transform), points=initial)
     if points == "carved" or (points == "given" and cloud is None):
-        initial, line = carved_points(scene, cfg.train.init_points, stream(cfg.seed, Stream.INIT))
-        if initial is None and points == "carved":
+        carved, line = carved_points(scene, cfg.train.init_points, stream(cfg.seed, Stream.INIT))
+        if carved is None and points == "carved":
             what = few or f"init.source: expected auto or random for {source.path}, found carved"
             raise ValueError(f"{what}; no points can be carved: {line}")
-        points = "random" if initial is None else "carved"
-        if initial is not None:
+        points = "random" if carved is None else "carved"
+        if carved is not None:
             log(f"points: {line}")
-            scene = replace(scene, points=initial)
-    of_every_frame = source.poses == "of every frame"
-    return Prepared(scene, cloud, folder, transform, of_every_frame, source.cfg, points)
+            scene = replace(scene, points=carved)
+    if source.cfg.init_box is not None:
+        scene = with_set_box(scene, source.cfg.init_box)
+    elif posed_images and (points == "random" or (initial is not None and initial.sparse)):
+        scene, where = with_box_of_cameras(scene)
+        if where:
+            log(f"points: random ones {where}; scene.init_box sets another place")
+    return Prepared(scene, cloud, folder, transform, source.poses == "of every frame", source.cfg, points)
 
 
 def points_from(cfg: Config, source: Source) -> str:
@@ -94,10 +117,6 @@ def points_from(cfg: Config, source: Source) -> str:
         raise ValueError("init.source: expected auto, random or sfm for a scene without LiDAR, found lidar")
     if asked == "given" and source.points != "given":
         raise ValueError(f"init.source: expected auto, {source.points} or random for {source.path}, found given")
-    if asked == "sfm" and source.points == "given":
-        raise ValueError(
-            f"init.source: expected auto or random for {cfg.scene.name}, which has one camera per time, found sfm"
-        )
     if cfg.scene.color_correction is True and (not source.several_videos or asked == "random"):
         why = "random points" if source.several_videos else "a scene that is not several videos"
         raise ValueError(f"scene.color_correction: expected auto or false for {why}, found true")
@@ -126,12 +145,12 @@ def given_points(cfg: Config, scene: Scene, log: Callable[[str], None]) -> Recon
     if seen < SEEN:
         log(
             f"points: {100 * seen:.0f} % of {len(positions)} are before a camera, as if not in the coordinates of "
-            "the poses: random points instead"
+            "the poses: they are left out"
         )
         return None
     count = len(positions)
     if count < cfg.init.min_points:
-        log(f"the folder's {count} points are fewer than init.min_points={cfg.init.min_points}: random points instead")
+        log(f"the folder's {count} points are fewer than init.min_points={cfg.init.min_points}: they are left out")
         return None
     unknown = np.zeros(count)
     return Reconstruction(positions, colors, unknown, unknown.astype(int), {}, "known", len(scene.train), 0.0)

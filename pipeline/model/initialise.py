@@ -39,8 +39,8 @@ def initialise(scene: Scene, cfg: Config, rng: np.random.Generator, cloud: Recon
     """A new model of the kind that scene and ablation determine.
 
     Positions and colours are those of `cloud`. A driving log with LiDAR starts from its sweeps, which also give the
-    times (pipeline/data/lidar/initial_points.py), unless `init.source` says otherwise. Without points, positions are
-    uniform in `Scene.init_box` and colours grey. Times are uniform over the scene's
+    times (pipeline/data/lidar/initial_points.py), unless `init.source` says otherwise. Without points, and beside
+    sparse ones, positions are uniform in `Scene.init_box` and colours grey. Times are uniform over the scene's
     duration, widened by `train.init_time_margin` × duration on each side. Deterministic in `rng`.
     """
     if cloud is None and scene.sweeps and cfg.init.source in ("auto", "lidar"):
@@ -51,7 +51,10 @@ def initialise(scene: Scene, cfg: Config, rng: np.random.Generator, cloud: Recon
         return model
     if scene.points is not None and scene.points.times is not None:
         return from_timed_points(scene.points, scene, cfg)
-    points, sh_dc = _random_points(scene, cfg, rng) if cloud is None else (cloud.points, _sh_dc(cloud.colors))
+    points, sh_dc = (np.zeros((0, 3)),) * 2 if cloud is None else (cloud.points, _sh_dc(cloud.colors))
+    if cloud is None or (scene.points is not None and scene.points.sparse):
+        random, grey = _random_points(scene, cfg.train.init_points - len(points), rng)
+        points, sh_dc = np.concatenate([points, random]), np.concatenate([sh_dc, grey])
     n_sphere = 0
     if cfg.scene.background_model == "sphere":
         cameras = list({view.camera.world_to_cam.tobytes(): view.camera for view in scene.train}.values())
@@ -92,11 +95,26 @@ def visible_in_any(points: np.ndarray, cameras: Sequence[Camera]) -> np.ndarray:
     return visible
 
 
-def _random_points(scene: Scene, cfg: Config, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (N, 3), world units, and SH coefficients of degree 0 (N, 3)."""
-    count = cfg.train.init_points
+def _random_points(scene: Scene, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (N, 3), world units, and SH coefficients of degree 0 (N, 3); none for a count below 1."""
+    count = max(0, count)
+    if scene.init_depths is not None:
+        return _before_cameras([view.camera for view in scene.train], scene.init_depths, count, rng), _grey(count, rng)
     low, high = (np.broadcast_to(np.asarray(corner, np.float64), 3) for corner in scene.init_box)
     return rng.uniform(low, high, size=(count, 3)), _grey(count, rng)
+
+
+def _before_cameras(
+    cameras: Sequence[Camera], depths: tuple[float, float], count: int, rng: np.random.Generator
+) -> np.ndarray:
+    """(N, 3) in random pixels of random cameras, the logarithm of the depth uniform between `depths`."""
+    of = rng.integers(len(cameras), size=count)
+    place, depth = rng.random((count, 2)), np.exp(rng.uniform(np.log(depths[0]), np.log(depths[1]), size=count))
+    lens = np.array([(c.width / c.fx, c.cx / c.fx, c.height / c.fy, c.cy / c.fy) for c in cameras])[of]
+    x, y = place[:, 0] * lens[:, 0] - lens[:, 1], place[:, 1] * lens[:, 2] - lens[:, 3]
+    to_world = np.stack([np.linalg.inv(c.world_to_cam) for c in cameras])
+    points = depth[:, None] * np.stack([x, y, np.ones(count)], axis=1)
+    return np.einsum("nij,nj->ni", to_world[of, :3, :3], points) + to_world[of, :3, 3]
 
 
 def _grey(count: int, rng: np.random.Generator) -> np.ndarray:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from datasets.camera_box import box_of_cameras
+from datasets.camera_box import are_alike, band_of_depths, box_around_frusta, box_of_cameras
+from datasets.scene import USUAL_BOX, Box
 from rasterizer.camera import Camera
 
 WIDTH, FOCAL = 200, 250.0  # half of the field of view: atan(0.4)
@@ -65,3 +66,31 @@ def test_an_outlier_and_repeated_views_do_not_count() -> None:
     cameras = ring(12, 4.0, np.zeros(3))
     far = looking_at(np.array([4e3, 0.0, 0.0]), np.array([8e3, 0.0, 0.0]))
     assert box_of_cameras([*cameras, *cameras[:1] * 50, far]) == box_of_cameras(cameras)
+
+
+def test_band_of_depths_of_a_row_and_of_a_way() -> None:
+    """Of a row 2 wide the extent is 1.1, and the band 0.5 to 10 times it; a way ahead is seen from 0.02 on."""
+    places = np.linspace(-1, 1, 5)
+    row = [looking_at(np.array([x, 0.0, 0.0]), np.array([x, 10.0, 0.0])) for x in places]
+    way = [looking_at(np.array([0.0, y, 0.0]), np.array([0.0, 10.0, 0.0])) for y in places]
+    np.testing.assert_allclose(band_of_depths(row), (0.55, 11.0))
+    np.testing.assert_allclose(band_of_depths(way), (0.022, 11.0))
+
+
+def test_box_around_frusta_holds_their_corners() -> None:
+    """At depth 10 the image of a camera is 8 wide and high."""
+    row = [looking_at(np.array([x, 0.0, 0.0]), np.array([x, 10.0, 0.0])) for x in (-1.0, 0.0, 1.0)]
+    np.testing.assert_allclose(box_around_frusta(row, 10.0), [(-5, 0, -4), (5, 10, 4)], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("box", "alike"),
+    [
+        (((-1.6, -1.6, -2.1), (1.6, 1.6, 1.4)), True),  # what D-NeRF's cameras see
+        (((-3.3, -2.0, -2.8), (3.3, 2.6, 3.1)), False),
+        (((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5)), False),
+        (((0.0, -1.2, -1.2), (2.4, 1.2, 1.2)), False),
+    ],
+)
+def test_the_usual_cube_is_kept_where_the_cameras_bear_it_out(box: Box, alike: bool) -> None:
+    assert are_alike(USUAL_BOX, box) == alike

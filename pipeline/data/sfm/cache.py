@@ -25,7 +25,7 @@ from pipeline.data.sfm.clip import reconstruct_clip
 from pipeline.data.sfm.job import ARRAYS
 from pipeline.data.sfm.plot import plot_reconstruction
 from pipeline.data.sfm.reconstruction import CalibratedCamera, Reconstruction
-from pipeline.data.sfm.run import reconstruct
+from pipeline.data.sfm.run import Matching, reconstruct
 from rasterizer.camera import MAX_DISTANCE, Camera
 
 VERSION = 1  # to be increased by every change of this project that alters the result
@@ -42,19 +42,21 @@ def reconstruct_cached(
     cache: Path,
     observations: bool = False,
     clip_log: Callable[[str], None] | None = None,
+    matching: Matching | None = None,
 ) -> tuple[Reconstruction, Path]:
     """The result of `run.reconstruct` and its folder, made if it is not in the cache.
 
-    clip_log: for frames of clips, whose result is that of `clip.reconstruct_clip` with this log. ValueError for fewer
+    clip_log: for frames of clips, whose result is that of `clip.reconstruct_clip` with this log. matching: of
+    photographs with poses. ValueError for fewer
     points than init.min_points, which may have been smaller when they were written.
     """
     clip = None if clip_log is None else CLIP_VERSION
-    folder = cache / f"sfm-{fingerprint(photographs, cfg, unit, clip, observations)}"
+    folder = cache / f"sfm-{fingerprint(photographs, cfg, unit, clip, observations, matching)}"
     if not (folder / "result.json").is_file():
         if clip_log is not None:
             save(reconstruct_clip(photographs, cfg, source, clip_log, observations), folder)
         else:
-            save(reconstruct(photographs, cfg, unit, source, observations), folder)
+            save(reconstruct(photographs, cfg, unit, source, observations, matching), folder)
     result = load(folder)
     if len(result.points) < cfg.min_points:
         raise ValueError(
@@ -64,7 +66,12 @@ def reconstruct_cached(
 
 
 def fingerprint(
-    photographs: Sequence[Photograph], cfg: InitConfig, unit: float, clip: int | None = None, observations: bool = False
+    photographs: Sequence[Photograph],
+    cfg: InitConfig,
+    unit: float,
+    clip: int | None = None,
+    observations: bool = False,
+    matching: Matching | None = None,
 ) -> str:
     """Hash of photographs, poses, settings and versions: twelve hexadecimal digits. clip: CLIP_VERSION for a clip."""
     settings = {key: value for key, value in asdict(cfg).items() if key not in _UNRELATED}
@@ -79,6 +86,10 @@ def fingerprint(
             digest.update(repr((photograph.lens, photograph.time)).encode())
         if c is None or not photograph.held_out:  # a held-out photograph with known pose is not used
             digest.update(np.ascontiguousarray(photograph.image).data)
+    if matching is not None:
+        digest.update(repr((matching.pairs, matching.in_order)).encode())
+        for name, mask in matching.ignored.items():
+            digest.update(name.encode() + np.packbits(mask).tobytes())
     return digest.hexdigest()
 
 

@@ -19,7 +19,7 @@ from pipeline.config.schema import InitConfig
 from pipeline.data.sfm.job import ARRAYS, WHAT_TO_DRIVE, WHAT_TO_OVERLAP, ColmapResult, SfmError, write_request
 from pipeline.data.sfm.moving_masks import moving_masks
 from pipeline.data.sfm.reconstruction import Reconstruction
-from pipeline.data.sfm.run import cameras_of, job_folder, request_for, run_colmap
+from pipeline.data.sfm.run import cameras_of, job_folder, request_for, run_colmap, write_masks
 
 LEAST_REGISTERED = 0.8  # of the frames
 FIRST_PASS = 0.3  # of the frames: enough to mark what moves
@@ -52,7 +52,6 @@ def reconstruct_clip(
     lenses = by_lens(photographs)
     refused: ValueError | None = None
     with job_folder(photographs) as folder:
-        (folder / "masks").mkdir()
         request = replace(request_for(photographs, cfg, 1.0), pairs=pairs_of(lenses), least_registered=FIRST_PASS)
         request = replace(request, observations=observations)
         if len(lenses) > 1 and cfg.shared_intrinsics:
@@ -64,8 +63,7 @@ def reconstruct_clip(
         for lens in lenses:  # flow is measured between frames of one camera
             masks |= moving_masks(lens, cameras_of(first, photographs), first.points)
         if any(mask.any() for mask in masks.values()):
-            for name, mask in masks.items():
-                np.save(folder / "masks" / f"{name}.npy", mask)
+            write_masks(folder, masks)
             write_request(folder, replace(request, masked=True, intrinsics=_intrinsics(first, lenses)))
             second = None
             try:

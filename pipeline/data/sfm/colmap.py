@@ -79,7 +79,7 @@ def reconstruct(folder: Path, request: Request) -> ColmapResult:
         for lens in request.lenses or [used]:
             extract_features(database, images, [image_file(name) for name in lens], request)
         match_features(database, folder, request)
-    if request.pairs is not None:
+    if request.pairs is not None and not request.poses_known:
         refuse_still_camera(database)
     model = triangulate(folder, request) if request.poses_known else estimate_cameras(folder, used, request)
     filter_points(model, request)

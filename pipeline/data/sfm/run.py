@@ -6,11 +6,12 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
 from PIL import Image
 
 from datasets.source import Photograph
@@ -35,14 +36,28 @@ class TooFewPoints(ValueError):
     """Structure from motion has not found init.min_points."""
 
 
+@dataclass(frozen=True)
+class Matching:
+    """Which photographs with poses are matched, and where; the default is all with all, everywhere."""
+
+    pairs: Sequence[Sequence[str]] | None = None  # names; None: all with all
+    ignored: Mapping[str, np.ndarray] = field(default_factory=dict)  # name -> (H, W) bool: pixels without a match
+    in_order: bool = False  # one camera took them one after another: what moves has no match either
+
+
 def reconstruct(
-    photographs: Sequence[Photograph], cfg: InitConfig, unit: float, source: Path, observations: bool = False
+    photographs: Sequence[Photograph],
+    cfg: InitConfig,
+    unit: float,
+    source: Path,
+    observations: bool = False,
+    matching: Matching | None = None,
 ) -> Reconstruction:
     """Points, and poses if the photographs have none; deterministic.
 
     unit: world units per normalised unit, for the farthest points; ignored without poses. source: the photographs'
-    folder, for messages. observations: whether the result has them. Raises ValueError of one line if the photographs
-    do not suffice.
+    folder, for messages. observations: whether the result has them. matching: with poses only. Raises ValueError of
+    one line if the photographs do not suffice.
     """
     used = [p for p in photographs if not p.held_out]
     if len(used) < 2:
@@ -51,8 +66,8 @@ def reconstruct(
     known = all(p.camera is not None for p in photographs)
     needed = used if known else photographs  # a held-out photograph with known pose is not used
     with job_folder(needed) as folder:
-        write_request(folder, replace(request_for(needed, cfg, unit), observations=observations))
-        found = run_colmap(folder, source)
+        request = replace(request_for(needed, cfg, unit), observations=observations)
+        found = _with(matching or Matching(), request, needed, folder, source)
     if len(found.points) < cfg.min_points:
         raise TooFewPoints(
             f"{source}: expected at least {cfg.min_points} points from structure from motion (init.min_points), found "
@@ -65,6 +80,34 @@ def reconstruct(
         cameras = {p.name: CalibratedCamera(p.camera) for p in used if p.camera is not None}
     facts = {"poses": poses, "photographs": len(used), "seconds": time.perf_counter() - started}
     return Reconstruction(**{**{name: getattr(found, name) for name in ARRAYS}, **facts, "cameras": cameras})
+
+
+def _with(
+    matching: Matching, request: Request, photographs: Sequence[Photograph], folder: Path, source: Path
+) -> ColmapResult:
+    """COLMAP's result. Where matches are left out, they are in a second pass, as the masks need the first's points."""
+    if matching.pairs is not None:
+        request = replace(request, pairs=[list(pair) for pair in matching.pairs])
+    write_request(folder, request)
+    found = run_colmap(folder, source)
+    ignored = {name: mask for name, mask in matching.ignored.items() if mask.any()}
+    if matching.in_order and len(found.points):
+        from pipeline.data.sfm.moving_masks import moving_masks  # imports OpenCV
+
+        moving = moving_masks(photographs, cameras_of(found, photographs), found.points)
+        ignored |= {name: mask | ignored.get(name, False) for name, mask in moving.items() if mask.any()}
+    if not ignored:
+        return found
+    write_masks(folder, ignored)
+    write_request(folder, replace(request, masked=True))
+    return run_colmap(folder, source)
+
+
+def write_masks(folder: Path, masks: Mapping[str, np.ndarray]) -> None:
+    """Into a job folder: name -> (H, W) bool, True where matches are dropped in a pass with Request.masked."""
+    (folder / "masks").mkdir(exist_ok=True)
+    for name, mask in masks.items():
+        np.save(folder / "masks" / f"{name}.npy", mask)
 
 
 @contextmanager

@@ -104,12 +104,6 @@ def test_result_is_independent_of_unit_and_origin(folder: Path, tmp_path: Path, 
     np.testing.assert_array_equal(two.cloud.colors, one.cloud.colors)
 
 
-def test_sfm_is_refused_for_photographs_of_one_camera() -> None:
-    cfg = Config(scene=SceneConfig(name="dnerf", reader="dnerf", path="anywhere"), init=InitConfig(source="sfm"))
-    with pytest.raises(ValueError, match="init.source: expected auto or random for dnerf"):
-        prepare(cfg, print)
-
-
 @pytest.mark.parametrize("reader", ["dnerf", "synthetic"])
 def test_lidar_is_refused_where_there_is_none(reader: str) -> None:
     cfg = Config(scene=SceneConfig(name="synthetic/wheel", reader=reader, path="x"), init=InitConfig(source="lidar"))
