@@ -23,7 +23,7 @@ def with_box_of_cameras(scene: Scene) -> tuple[Scene, str]:
         near, far = band_of_depths(cameras)
         found = replace(scene, init_box=box_around_frusta(cameras, far), init_depths=(near, far))
         return found, f"at depths of {near:.3g} to {far:.3g} before the cameras, which look at nothing in common"
-    if are_alike(scene.init_box, box):
+    if are_alike(scene.init_box, box) or scene.capture == "monocular":  # which films a subject
         return scene, ""
     return replace(scene, init_box=box), f"in {box_in_words(box)}, which most of the cameras see"
 

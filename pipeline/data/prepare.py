@@ -102,7 +102,7 @@ def prepare(cfg: Config, log: Callable[[str], None]) -> Prepared:
             scene = replace(scene, points=carved)
     if source.cfg.init_box is not None:
         scene = with_set_box(scene, source.cfg.init_box)
-    elif posed_images and (points == "random" or (initial is not None and initial.sparse)):
+    elif source.points == "given" and (points == "random" or (initial is not None and initial.sparse)):
         scene, where = with_box_of_cameras(scene)
         if where:
             log(f"points: random ones {where}; scene.init_box sets another place")
