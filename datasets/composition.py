@@ -18,6 +18,7 @@ TRAINING_SIDE = 640  # pixels: of training images, where scene.downscale=0 leave
 BORDER_TOLERANCE = 8  # levels of 255: JPEG artefacts in an area of one colour
 BORDER_SHARE = 0.9  # least share of border pixels of that colour; objects may cover the rest
 HIDDEN_IMAGES = 8  # whose transparent pixels are looked at
+HIDDEN_SHARE = 0.01  # least share of transparent pixels
 
 
 def background_color(setting: str | Sequence[float]) -> Color | None:
@@ -29,10 +30,11 @@ def background_color(setting: str | Sequence[float]) -> Color | None:
 
 def hidden_color(images: Sequence[np.ndarray]) -> Color | None:
     """The one colour that images (H, W, 4) uint8 have under their transparent pixels, RGB in [0, 1]: the background
-    that was there before it was made transparent. None without transparent pixels, or where there are several colours.
+    that was there before it was made transparent. None with few transparent pixels, or where there are several colours.
     """
     hidden = np.concatenate([image[image[..., 3] == 0][:, :3] for image in images])
-    return _common_color(hidden) if len(hidden) else None
+    enough = len(hidden) >= HIDDEN_SHARE * sum(image[..., 3].size for image in images)
+    return _common_color(hidden) if enough and len(hidden) else None
 
 
 def compose(rgba: np.ndarray, background: Color, downscale: int = 1) -> np.ndarray:
