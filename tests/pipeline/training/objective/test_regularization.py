@@ -34,7 +34,7 @@ def model(motion: str = "full") -> Model:
 def add_gradients(gradients: Gradients, model: Model, rules: RegularizationConfig) -> None:
     """With the last view of a batch of two, and not with the first."""
     target, at = target_of(SCENE.train[0], 1.0), phase(1.0, TrainConfig(), SCENE.extent, 3, 2)
-    for term in model_terms(rules, SCENE, threads=1, seed=0):
+    for term in model_terms(rules, False, SCENE, threads=1, seed=0):
         before = {name: tensor.clone() for name, tensor in gradients.dense().items()}
         assert term.add(gradients, model, DrawnView(target, at, batch=2, place=0)) == 0
         assert all(torch.equal(before[name], tensor) for name, tensor in gradients.dense().items())
