@@ -24,7 +24,7 @@ KNOWN = "params (DANNCE), or toStruct(stereoParams)"
 def read(path: Path) -> Rig:
     try:
         content = {k: v for k, v in scipy.io.loadmat(path, simplify_cells=True).items() if not k.startswith("__")}
-    except NotImplementedError:  # version 7.3 is HDF5
+    except NotImplementedError:  # what scipy raises for version 7.3, which is HDF5
         raise SceneError(path, "a .mat of version 7 or older", "version 7.3; save(FILE, '-v7') writes it") from None
     except Exception as error:  # scipy raises many types for broken files
         raise SceneError(path, "a .mat file", str(error)) from None

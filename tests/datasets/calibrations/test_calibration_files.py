@@ -241,6 +241,14 @@ def test_matlab_struct_of_dannce(tmp_path: Path) -> None:
     check(read_calibration(tmp_path / "label3d_dannce.mat"), principal=(309.5, 229.5))
 
 
+def test_matlab_of_version_7_3_is_refused_with_the_way_out(tmp_path: Path) -> None:
+    """By its header: text, the version 0x0200 in little endian, and the mark of the byte order."""
+    path = tmp_path / "new.mat"
+    path.write_bytes(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + bytes(512))
+    with pytest.raises(SceneError, match=r"new.mat: expected a .mat of version 7 or older, found version 7.3; .*-v7"):
+        read_calibration(path)
+
+
 def test_matlab_struct_of_a_stereo_calibration(tmp_path: Path) -> None:
     one = {
         "IntrinsicMatrix": MATLAB_K, "RadialDistortion": [-0.2, 0.05], "TangentialDistortion": [0.0, 0.0],
