@@ -70,18 +70,11 @@ def prepare(cfg: Config, log: Callable[[str], None]) -> Prepared:
     elif points != "sfm":
         cloud = None  # it has found the poses
     if posed_images and points in ("given", "sfm") and cloud is None:
-        made = triangulated(cfg, scene)
-        if isinstance(made, Triangulated):
+        made = points_of_poses(cfg, scene, points == "sfm", log)
+        if made is not None:
             points, cloud, folder, initial = "sfm", made.cloud, made.folder, made.points
             trained = [view.camera for view in scene.train]
             scene = replace(scene, unit=min(scene.unit, UNIT_OF_NEAR * near_depth(cloud.points, trained)))
-            log(f"points: {made.line}")
-        else:
-            refuse_misread_poses(cfg, scene, made.count, log)
-            if points == "sfm":
-                raise SceneError(scene.source, "points that all poses agree on (init.source=sfm)", made.line)
-            if scene.capture != "monocular":
-                log(f"points: {made.line}")
     transform = canonical_of(scene)
     if not transform.is_identity:
         log(f"normalised: {transform}")
@@ -100,12 +93,8 @@ def prepare(cfg: Config, log: Callable[[str], None]) -> Prepared:
         if carved is not None:
             log(f"points: {line}")
             scene = replace(scene, points=carved)
-    if source.cfg.init_box is not None:
-        scene = with_set_box(scene, source.cfg.init_box)
-    elif source.points == "given" and (points == "random" or (initial is not None and initial.sparse)):
-        scene, where = with_box_of_cameras(scene)
-        if where:
-            log(f"points: random ones {where}; scene.init_box sets another place")
+    some_random = points == "random" or (initial is not None and initial.sparse)
+    scene = boxed(scene, source.cfg, source.points == "given" and some_random, log)
     return Prepared(scene, cloud, folder, transform, source.poses == "of every frame", source.cfg, points)
 
 
@@ -128,6 +117,32 @@ def points_from(cfg: Config, source: Source) -> str:
             "found sphere; init.source=sfm or random allows it"
         )
     return source.points if asked == "auto" else asked
+
+
+def points_of_poses(cfg: Config, scene: Scene, asked: bool, log: Callable[[str], None]) -> Triangulated | None:
+    """Points triangulated with the poses as given; None where these are too few, unless they are `asked` for."""
+    made = triangulated(cfg, scene)
+    if isinstance(made, Triangulated):
+        log(f"points: {made.line}")
+        return made
+    refuse_misread_poses(cfg, scene, made.count, log)
+    if asked:
+        raise SceneError(scene.source, "points that all poses agree on (init.source=sfm)", made.line)
+    if scene.capture != "monocular":
+        log(f"points: {made.line}")
+    return None
+
+
+def boxed(scene: Scene, settings: SceneConfig, from_cameras: bool, log: Callable[[str], None]) -> Scene:
+    """A scene in canonical coordinates with the box of random points that is set, or, `from_cameras`, that they see."""
+    if settings.init_box is not None:
+        return with_set_box(scene, settings.init_box)
+    if not from_cameras:
+        return scene
+    scene, where = with_box_of_cameras(scene)
+    if where:
+        log(f"points: random ones {where}; scene.init_box sets another place")
+    return scene
 
 
 def given_points(cfg: Config, scene: Scene, log: Callable[[str], None]) -> Reconstruction | None:
