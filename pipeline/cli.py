@@ -19,9 +19,9 @@ from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
 from rich.table import Table
 
+from datasets.files.claim import Busy
 from pipeline.config.compose import CONFIG_DIR, Command, one_line, options, quote_text, register_schema
 from pipeline.config.schema import Config
-from pipeline.runs.run_folder import Busy
 from pipeline.terminal import interruption
 from pipeline.terminal.command_line import quiet_on_closed_pipe
 from pipeline.terminal.help_page import help_page

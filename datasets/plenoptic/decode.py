@@ -8,7 +8,6 @@ so that a copied data set, or one with a camera dropped, uses the same store.
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import json
 import math
@@ -17,7 +16,6 @@ import threading
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,6 +25,7 @@ import numpy as np
 from datasets.cameras.color import ColorCorrection
 from datasets.cameras.lens import Lens, undistort
 from datasets.files.atomic_write import TEMPORARY, DiskFull
+from datasets.files.claim import claimed
 from datasets.files.errors import SceneError
 from datasets.files.frame_store import StoredFrame, read_frames, write_frames
 from datasets.plenoptic.display import DecodingDisplay
@@ -108,7 +107,7 @@ def decode(
     found = stored()
     if len(found) < len(streams):
         folder.mkdir(parents=True, exist_ok=True)
-        with _locked(folder, log):
+        with claimed(folder, lambda: log(f"waiting for another process that decodes into {folder}")):
             for leftover in folder.glob(f"{TEMPORARY}*"):
                 leftover.unlink()
             missing = [stream for stream in streams if read_frames(folder, stream.name, decoding.shape(stream)) is None]
@@ -186,14 +185,3 @@ def _no_space(folder: Path, needed: int, free: int) -> SceneError:
         f"{needed / 1e9:.1f} GB free for the decoded frames",
         f"{free / 1e9:.1f} GB; scene.cache=DIR puts them elsewhere, scene.downscale makes them smaller",
     )
-
-
-@contextmanager
-def _locked(folder: Path, log: Log) -> Iterator[None]:
-    with open(folder / ".lock", "w") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            log(f"waiting for another process that decodes into {folder}")
-            fcntl.flock(lock, fcntl.LOCK_EX)
-        yield

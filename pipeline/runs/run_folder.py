@@ -11,7 +11,6 @@ error_vs_time.csv) lose at most an incomplete last line, which is dropped when t
 from __future__ import annotations
 
 import csv
-import fcntl
 import io
 import json
 import os
@@ -25,13 +24,10 @@ from typing import Any, Literal
 from omegaconf import OmegaConf
 
 from datasets.files.atomic_write import disk_errors_named, write_json, write_text
+from datasets.files.claim import Claim
 from pipeline.runs.run_identity import FILES, UNFINISHED, read_stages, refuse_foreign, refuse_other_run
 
 CURVE_COLUMNS = ("train_seconds", "iteration", "psnr", "ssim", "test_loss", "n_gaussians", "psnr_moving")
-
-
-class Busy(ValueError):
-    """Another process is at work in a run folder. One line."""
 
 
 State = Literal["open", "done", "other code"]  # of a stage
@@ -50,23 +46,28 @@ def write_csv(path: Path, rows: list[dict]) -> None:
 
 
 class RunFolder:
-    """An open run folder; a context manager that keeps other processes out until it is closed.
+    """An open run folder; a context manager that keeps other processes out, of all machines, until it is closed.
 
-    Its attributes are the paths of FILES: `folder.init_ply`.
+    Its attributes are the paths of FILES: `folder.init_ply`. A process that has lost the folder to another gets none.
     """
 
     def __init__(self, path: Path, resume: bool = True) -> None:
         """Open `path`, making the folder if need be. resume=False first deletes what an earlier run left there.
 
-        ValueError if the folder is not a run folder, or is in use; then nothing there has changed.
+        ValueError if the folder is not a run folder, Busy if it is in use; then nothing there has changed.
         """
         refuse_foreign(path)
         with disk_errors_named(path):
             path.mkdir(parents=True, exist_ok=True)
-        self.path = path
-        self._lock = _locked(path)
+            self._claim = Claim(path)
+        self._path = path
         for name in UNFINISHED if resume else (*FILES.values(), *UNFINISHED):
             _remove(path / name)
+
+    @property
+    def path(self) -> Path:
+        self._claim.check()
+        return self._path
 
     def __getattr__(self, name: str) -> Path:
         if name not in FILES:
@@ -77,7 +78,7 @@ class RunFolder:
         return self
 
     def __exit__(self, *exception: Any) -> None:
-        self._lock.close()
+        self._claim.release()
 
     def claim(self, config: dict) -> None:
         """Make the folder that of the run `config`, as plain dicts. ValueError if it holds another run."""
@@ -193,20 +194,3 @@ def _append(path: Path, text: str) -> None:
             if file.read(1) != b"\n":
                 text = "\n" + text
         file.write(text.encode())
-
-
-def _locked(path: Path) -> io.TextIOWrapper:
-    with disk_errors_named(path / ".lock"):
-        lock = open(path / ".lock", "w")  # noqa: SIM115 (held until the run ends)
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        lock.close()
-        raise Busy(f"{path}: expected a free run folder, found another process at work in it") from error
-    return lock
-
-
-def wait_until_free(path: Path) -> None:
-    """Returns when no process is at work in the run folder."""
-    with open(path / ".lock", "w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)

@@ -9,6 +9,7 @@ import yaml
 from omegaconf import OmegaConf
 
 from datasets.files.atomic_write import TEMPORARY
+from datasets.files.claim import HIDDEN
 from datasets.files.errors import DataError, clear, read_json
 
 # Keys that do not change what a run computes: a finished run may be repeated with others.
@@ -45,7 +46,8 @@ def refuse_foreign(path: Path) -> None:
         return
     if not path.is_dir():
         raise ValueError(f"{path}: expected a run folder or nothing, found a file; give another out=DIR")
-    entries = sorted(entry.name for entry in path.iterdir() if entry.name not in (".lock", *UNFINISHED))
+    names = (entry.name for entry in path.iterdir())
+    entries = sorted(name for name in names if name not in UNFINISHED and not name.startswith(HIDDEN))
     strange = [name for name in entries if name not in FILES.values()]
     if entries and not _is_run(path):
         found = (strange or entries)[0]

@@ -16,7 +16,7 @@ from hydra.plugins.sweeper import Sweeper
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, flag_override
 
-from pipeline.runs.run_folder import wait_until_free
+from datasets.files.claim import wait_until_free
 from pipeline.terminal import sweep_progress
 
 

@@ -13,6 +13,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+from datasets.files.claim import NAME as CLAIM
 from pipeline.config.compose import CONFIG_DIR
 
 # Overrides of a run that takes seconds.
@@ -53,9 +54,13 @@ class Command:
     def is_running(self) -> bool:
         return self._process.exitcode is None
 
-    def interrupt(self) -> None:
-        """SIGINT, as Ctrl-C sends."""
-        os.kill(self._process.pid, signal.SIGINT)
+    def claims(self, run: Path) -> bool:
+        """Whether the run folder is claimed by this process."""
+        return any(path.read_text().endswith(f"process {self._process.pid}") for path in run.glob(f"{CLAIM}*"))
+
+    def interrupt(self, by: signal.Signals = signal.SIGINT) -> None:
+        """SIGINT is what Ctrl-C sends."""
+        os.kill(self._process.pid, by)
 
     def kill(self) -> None:
         """SIGKILL."""

@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 from shell import Shell, result
 
+from datasets.files.claim import HIDDEN
+
 TINY = (
     "train=smoke",
     "scene.downscale=1",
@@ -54,7 +56,7 @@ def test_doing_it_again_does_nothing(finished: Path, shell: Shell) -> None:
     kept = [
         path
         for path in (shell.folder / "results").rglob("*")
-        if path.is_file() and path.name != "config.yaml" and not path.name.endswith(".lock")
+        if path.is_file() and path.name != "config.yaml" and not path.name.startswith(HIDDEN)
     ]
     before = {path: path.stat().st_mtime_ns for path in kept}
     out, _ = shell(*COUNTER)

@@ -14,6 +14,7 @@ import pytest
 import yaml
 from shell import TINY, Shell, result
 
+from datasets.files.claim import HIDDEN
 from pipeline.view.live.followed_run import serve_run
 from pipeline.view.live.server import Address
 
@@ -43,7 +44,7 @@ def read_csv(path: Path) -> list[dict[str, str]]:
 
 
 def test_a_run_folder_is_complete(finished: Path) -> None:
-    assert {path.name for path in finished.iterdir() if path.name != ".lock"} == {
+    assert {path.name for path in finished.iterdir() if not path.name.startswith(HIDDEN)} == {
         "config.yaml",
         "scene.json",
         "environment.json",

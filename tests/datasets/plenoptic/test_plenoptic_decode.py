@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import fcntl
 import os
 import shutil
 import signal
@@ -24,6 +23,7 @@ from plenoptic_folder import FRAMES, write_camera
 from rich.console import Console
 
 from datasets.cameras.lens import Undistortion
+from datasets.files.claim import Claim
 from datasets.files.errors import SceneError
 from datasets.files.fingerprint import fingerprint
 from datasets.plenoptic import decode as decoding
@@ -181,8 +181,7 @@ def test_second_process_waits_for_the_lock(folder: Path) -> None:
     store = store_of(folder)
     (store / "cam01.json").rename(folder.parent / "kept.json")
     logged = []
-    with open(store / ".lock", "w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
+    with Claim(store):
         other = threading.Thread(target=lambda: read(folder, log=logged.append))
         other.start()
         for _ in range(300):

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from hypothesis.strategies import SearchStrategy
 
+from datasets.files.claim import HIDDEN
 from fuzz.edits.bytes import changed_files, edit_text
 from fuzz.edits.json import edit_json
 from fuzz.target import REFUSED, Changes, Files, Target, check_message, read_files, require, valid_or_refused
@@ -26,7 +27,7 @@ def example() -> Files:
                 run.append_error_vs_time({"train_seconds": 0.5, "iteration": iteration, "psnr": 20.0})
             run.finish("init", INPUTS, "commit", (), {"n_gaussians": 3})
         files = read_files(Path(temporary) / "run")
-    return {name: content for name, content in files.items() if name != ".lock"}
+    return {name: content for name, content in files.items() if not name.startswith(HIDDEN)}
 
 
 def changes(files: Files) -> SearchStrategy[Changes]:

@@ -13,9 +13,10 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
+from datasets.files.claim import Busy
 from pipeline import cli
 from pipeline.config.compose import CONFIG_DIR, options, register_schema, to_config
-from pipeline.runs.run_folder import Busy, RunFolder
+from pipeline.runs.run_folder import RunFolder
 from pipeline.terminal.sweeper import PlannedRun, combinations, planned_runs
 
 register_schema()
