@@ -1,6 +1,7 @@
 """The command line: Hydra composes a configuration, stages/ runs it, and whatever goes wrong ends in one line.
 
-Exit status 0 only if every run ended well. HYDRA_FULL_ERROR=1 shows tracebacks instead of lines.
+Exit status 0 only if every run ended well; 75 where the same command is to be given again: a batch system ended it, or
+another process is at work in the run folder. HYDRA_FULL_ERROR=1 shows tracebacks instead of lines.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
 from rich.table import Table
 
-from datasets.files.claim import Busy
+from datasets.files.claim import Busy, Lost
 from pipeline.config.compose import CONFIG_DIR, Command, one_line, options, quote_text, register_schema
 from pipeline.config.schema import Config
 from pipeline.terminal import interruption
@@ -27,7 +28,7 @@ from pipeline.terminal.command_line import quiet_on_closed_pipe
 from pipeline.terminal.help_page import help_page
 from pipeline.terminal.streams import keep_printing
 from pipeline.terminal.sweep_progress import SweepRun
-from pipeline.terminal.sweeper import register_sweeper
+from pipeline.terminal.sweeper import RunList, RunSweeper, register_sweeper
 
 # What a user can cause, by a wrong key, bad data, a full disk or a training that diverges. Anything else is a bug of
 # the program and shows its traceback.
@@ -46,8 +47,11 @@ def main() -> None:
     os.environ[_FULL_ERROR] = "1"  # so that Hydra raises and does not print: what is printed is decided here
     os.environ.setdefault("PIPELINE_TRACEBACK", "1" if traceback_wanted else "0")  # for the workers of a sweep
     register_schema()
-    register_sweeper()
-    if any(word.startswith("experiment=") for word in sys.argv) and not any(word[:1] == "-" for word in sys.argv):
+    listed = "--list" in sys.argv
+    sys.argv[1:] = [word for word in sys.argv[1:] if word != "--list"]
+    register_sweeper(RunList if listed else RunSweeper)
+    options_given = any(word[:1] == "-" for word in sys.argv)
+    if not options_given and (listed or any(word.startswith("experiment=") for word in sys.argv)):
         sys.argv.append("--multirun")  # an experiment is a sweep
     sys.argv[1:] = quote_text(sys.argv[1:], sweep=bool({"-m", "--multirun"} & set(sys.argv)))
     interruption.watch()
@@ -57,7 +61,7 @@ def main() -> None:
         _complain(
             f"interrupted; {str(interrupt) or 'finished runs are kept, and the same command goes on with the others'}"
         )
-        sys.exit(130)
+        sys.exit(interruption.AGAIN if isinstance(interrupt, interruption.Stopped) else 130)
     except EXPECTED as error:
         if traceback_wanted:
             raise
@@ -72,6 +76,7 @@ def run_one(composed: DictConfig) -> bool | None:
     cfg: Config | None = None
     sweep: SweepRun | None = None
     keep_printing()  # in the workers of a sweep, too
+    interruption.watch()
     try:
         sweep = SweepRun.joined(composed.out)
         order = Command(tuple(job.overrides.task))
@@ -98,8 +103,10 @@ def run_one(composed: DictConfig) -> bool | None:
         else:
             _report(cfg, metrics)
         return True
-    except KeyboardInterrupt:
-        raise KeyboardInterrupt(_kept_progress(cfg)) from None
+    except KeyboardInterrupt as interrupt:
+        if isinstance(interrupt, interruption.Stopped):
+            interruption.requeue()
+        raise type(interrupt)(_kept_progress(cfg)) from None
     except EXPECTED as error:
         if os.environ.get("PIPELINE_TRACEBACK") == "1":
             raise
@@ -107,7 +114,7 @@ def run_one(composed: DictConfig) -> bool | None:
         if isinstance(error, BrokenPipeError):
             line = f"standard output was closed; {_kept_progress(cfg)}"
         if job.mode == RunMode.MULTIRUN:
-            if isinstance(error, Busy):
+            if isinstance(error, (Busy, Lost)):
                 _say(f"{composed.out}: another process is at work in it; waited for when the others are done")
                 return None
             if sweep is not None:
@@ -115,7 +122,7 @@ def run_one(composed: DictConfig) -> bool | None:
             _complain(f"{line}  [{command}]")
             return False
         _complain(line)
-        sys.exit(1)
+        sys.exit(interruption.AGAIN if isinstance(error, (Busy, Lost)) else 1)
 
 
 def _kept_progress(cfg: Config | None) -> str:

@@ -28,6 +28,7 @@ from pipeline.runs.run_folder import RunFolder, now, write_csv
 from pipeline.stages.doubts import EarlyDoubts, doubt
 from pipeline.stages.settle import changes, decide
 from pipeline.stages.training_progress import TrainingProgress
+from pipeline.terminal import interruption
 from pipeline.training import checkpoint as checkpoints
 from pipeline.training.density.densification import Densification
 from pipeline.training.loop import TrainResult, train
@@ -111,7 +112,7 @@ def train_model(job: Job) -> dict:
         folder.log(row)
         progress.say(line)
 
-    with progress, _live_view(cfg, job) as live:
+    with interruption.stops_noted(), progress, _live_view(cfg, job) as live:
         observers: list[Observer] = [progress, EarlyDoubts(len(initial), scene, cfg, rasterizer, say)]
         observers += [] if live is None else [live]
         result = train(initial, scene, cfg, folder, evaluate_fn, before, observers)

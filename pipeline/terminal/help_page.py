@@ -56,6 +56,7 @@ def help_page() -> str:
         "  datasets/settings.py              every key of scene: default, meaning, range\n"
         "  pipeline/config/schema.py         every key of init, ablation, evaluate and of the run itself\n"
         "  pipeline/config/train_schema.py   every key of train\n"
+        "  --list                     behind a command: prints the command of each run, for batch systems; runs none\n"
         "  --cfg job                  behind a command: prints the configuration it would run with\n"
         '  A path may hold any character; the shell wants its own quotes: "scene.path=/my data/jug".',
         "Then\n"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+import sys
 from copy import deepcopy
 from dataclasses import dataclass
 from itertools import product
@@ -18,11 +19,12 @@ from omegaconf import DictConfig, flag_override
 
 from datasets.files.claim import wait_until_free
 from pipeline.terminal import sweep_progress
+from pipeline.terminal.command_line import quiet_on_closed_pipe
 
 
-def register_sweeper() -> None:
-    """Make the `_target_` of conf/hydra/sweeper/runs.yaml known to Hydra, which takes plugins of that package only."""
-    Plugins.instance().class_name_to_class["hydra_plugins.pipeline.RunSweeper"] = RunSweeper
+def register_sweeper(sweeper: type[Sweeper]) -> None:
+    """What the `_target_` of conf/hydra/sweeper/runs.yaml is to Hydra, which takes plugins of that package only."""
+    Plugins.instance().class_name_to_class["hydra_plugins.pipeline.RunSweeper"] = sweeper
 
 
 class RunSweeper(Sweeper):
@@ -55,6 +57,19 @@ class RunSweeper(Sweeper):
                     wait_until_free(Path(out))
         if failed:
             raise SystemExit(1)
+
+
+class RunList(RunSweeper):
+    """Prints the command of each run of a sweep, a line each, for other programs to run; it launches nothing."""
+
+    def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
+        self._loader, self._config = hydra_context.config_loader, config
+
+    @quiet_on_closed_pipe()
+    def sweep(self, arguments: list[str]) -> None:
+        for run in planned_runs(self._loader, self._config, arguments).values():
+            # --run: an experiment that is given alone would be its whole sweep
+            print(shlex.join([sys.executable, "-m", "pipeline", "--run", *run.overrides]))
 
 
 @dataclass(frozen=True)

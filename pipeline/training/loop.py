@@ -20,6 +20,7 @@ from pipeline.data.optical_flow import FlowTargets
 from pipeline.data.training_views import TrainingViews
 from pipeline.model.model import Model
 from pipeline.model.transformed import in_rotations
+from pipeline.terminal import interruption
 from pipeline.training.density.refinement import refine, refiners
 from pipeline.training.objective.objective import Objective
 from pipeline.training.reporting import Observer, Progress, RunLog, StepReport
@@ -94,9 +95,12 @@ def train(
             for event in refine(state, phase, density):
                 run.log(event)
         due = state.stopwatch.seconds - saved >= unsaved_for or state.iteration % cfg.train.checkpoint_every == 0
-        if finished or due:
+        stopped = interruption.stop_noted()
+        if finished or due or stopped:
             save(state, run)
             saved, unsaved_for = state.stopwatch.seconds, SAVE_EVERY_S
+        if stopped:
+            raise interruption.Stopped
     best = None if state.best_model is None else in_rotations(state.best_model)
     return TrainResult(
         in_rotations(state.model), state.iteration, state.stopwatch.seconds, state.best, best, state.optimiser.bytes
