@@ -22,13 +22,12 @@ def scaled_keys(cfg: TrainConfig, share: float) -> dict[str, Any]:
     def scaled(iteration: int) -> int:
         return round(iteration * share)
 
+    decay = cfg.lr.decay_iterations
     return {
-        "train.sh_degree_every": scaled(cfg.sh_degree_every),
-        "train.fourier_at": [scaled(start) for start in cfg.fourier_at],
-        "train.lr.decay_iterations": max(1, scaled(cfg.lr.decay_iterations)),
+        "train.orders_at": [scaled(start) for start in cfg.orders_at],
+        "train.lr.decay_iterations": decay and max(1, scaled(decay)),
         "train.densify.start": scaled(cfg.densify.start),
         "train.densify.stop": scaled(cfg.densify.stop),
-        "train.densify.prune_big_after": scaled(cfg.densify.prune_big_after),
     }
 
 

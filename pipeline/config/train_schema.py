@@ -15,24 +15,18 @@ from datasets.ranges import Range, above, at_least, between, check, one_of, posi
 class LearningRates:
     """Learning rates of Adam (docs/method.md 2), in canonical units; positions are multiplied by the scene's extent."""
 
-    mean: float = 1.6e-4  # of μ_xyz at the start; × extent
-    mean_final: float = 1.6e-6  # of μ_xyz after `decay_iterations`, log-linear; × extent
-    # Of μt after `decay_iterations`, log-linear from `mean`; × extent; None: constant, as in the paper and the release
-    mean_time_final: Optional[float] = None
-    decay_iterations: int = 30_000  # from `mean` to `mean_final`, and of μt
-    sh_dc: float = 2.5e-3  # of the coefficient that is constant in time and direction
-    sh_rest: float = 1.25e-4  # of all other coefficients
+    factor: float = 1.0  # × the rates of 3DGS that pipeline/training/schedule.py has
+    # Iterations in which that of μ_xyz falls log-linearly to a hundredth; None: all of the schedule
+    decay_iterations: Optional[int] = None
+    time_decay: bool = False  # whether that of μt falls alike; False: constant, as in the paper and the release
+    sh_rest: float = 1.25e-4  # of all coefficients but the one that is constant in time and direction
     sh_time: Optional[float] = None  # of coefficients that vary with time alone (degree 0); None: sh_rest
     sh_view_time: Optional[float] = None  # of coefficients that vary with direction and time; None: sh_rest
-    opacity: float = 5e-2  # of the logit
-    scale: float = 5e-3  # of the log scales, all four
-    rotation: float = 1e-3  # of both quaternions
     velocity: float = 1.0  # of what a Gaussian moves in one st; × the rate of μ_xyz
-    trajectories: float = 1.0  # × those of the control points of shared trajectories; weights: × its square root
     final_factor: float = 1.0  # every learning rate × this at the end (pipeline/training/schedule.py)
 
     def __post_init__(self) -> None:
-        rates = {f.name: at_least(0) for f in fields(self)}
+        rates = {f.name: at_least(0) for f in fields(self) if f.name != "time_decay"}
         check("train.lr", self, rates | {"decay_iterations": positive_count(), "final_factor": above(0)})
 
 
@@ -52,7 +46,6 @@ class DensifyConfig:
     # Ours: the paper names no cap. Without one lego has 226,814 Gaussians at iteration 4,100 and gains 7,000 at each of
     # 108 further densifications. With this one 30,000 iterations take 46 minutes on two cores.
     max_gaussians: int = 200_000
-    prune_big_after: int = 3000  # after this iteration large Gaussians are pruned too
     # Gaussians of the lowest image sensitivity are pruned, together this share of the total sensitivity; 0: none
     prune_sensitivity: float = 0.0
     prune_sensitivity_every: int = 500  # iterations between prunings by sensitivity, and by visibility
@@ -62,7 +55,8 @@ class DensifyConfig:
     # Gaussians added where and when the error is (pipeline/training/density/error_guided.py); × their number; 0: none
     add_by_error: float = 0.0
     add_by_error_every: int = 500  # iterations between such additions
-    opacity_reset_every: int = 3000  # iterations between opacity resets; 0: never
+    # Iterations between opacity resets, until `stop`; large Gaussians are pruned after the first. 0: neither
+    opacity_reset_every: int = 3000
 
     def __post_init__(self) -> None:
         check("train.densify", self, {
@@ -147,26 +141,17 @@ class TrainConfig:
     # for Adam; velocities, with spatial covariances and lifetimes; tracks: velocities, and brief Gaussians are linked
     # to the tracks of what flies; trajectories: Gaussians exist at all times and share these
     motion: str = "rotations"
-    sh_degree_every: int = 1000  # iterations between increases of the SH degree, up to 3; 0: 3 from the start
-    # Iterations from which Fourier order 1 and 2 are trained; empty: from the start
-    fourier_at: list[int] = field(default_factory=lambda: [4000, 5000])
-    # Selection of time-varying colour by validation (pipeline/stages/decide.py): two trainings, each this fraction
-    # of the schedule. 0: none, time-varying colour is kept. Without effect under a time budget
-    select_time_colour: float = 0.0
-    # Shared motion by validation, for one moving camera that films each moment once: two trainings, each this fraction
-    # of its schedule. 0: none, no shared motion. Without effect under a time budget
-    select_shared_motion: float = 0.0
-    # Static or dynamic by validation, for one moving camera (pipeline/stages/decide.py): two trainings,
-    # each this fraction of the schedule. 0: none, dynamic where the views have times. Without effect under a time
-    # budget
-    select_motion: float = 0.0
+    # Iterations from which SH degree 1, 2, 3 and Fourier order 1, 2 are trained
+    orders_at: list[int] = field(default_factory=lambda: [1000, 2000, 3000, 4000, 5000])
+    # Whether validation decides on shared motion and time-varying colour (pipeline/stages/decide.py), each by two short
+    # trainings. False: no shared motion, time-varying colour. Without effect under a time budget
+    select: bool = False
     init_time_scale: float = 0.5  # st of every initial Gaussian; × duration
     init_time_margin: float = 0.0  # initial μt are uniform over the duration widened by this a side; × duration
     init_points: int = 100_000  # random initial points
     lr: LearningRates = field(default_factory=LearningRates)
     densify: DensifyConfig = field(default_factory=DensifyConfig)
     eval_every: int = 500  # iterations between evaluations on held-out views
-    eval_views: int = 30  # held-out views of such an evaluation, evenly spread; the final evaluation takes all
     checkpoint_every: int = 1000  # iterations between checkpoints; more where these take minutes
 
     def __post_init__(self) -> None:
@@ -179,20 +164,15 @@ class TrainConfig:
             "mse_weight": at_least(0),
             "time_budget_s": above(0),
             "eval_every": positive_count(),
-            "eval_views": positive_count(),
             "checkpoint_every": positive_count(),
-            **dict.fromkeys(
-                ("select_time_colour", "select_shared_motion", "select_motion"), between("[0, 1)", 0, 1).but("0: none")
-            ),
             "init_time_scale": above(0),
             "init_time_margin": at_least(0),
             "init_points": positive_count(),
             "dropout": between("[0, 1)", 0, 1).but("0: none"),
             "dropout_until": between("[0, 1]", 0, 1),
             "marginal_jitter": at_least(0).but("0: none"),
-            "sh_degree_every": at_least(0).but("0: all at once"),
-            "fourier_at": Range("at most two iterations in ascending order",
-                                lambda value: value == sorted(value) and len(value) <= 2),
+            "orders_at": Range("five iterations, the first three and the last two in ascending order",
+                               lambda at: len(at) == 5 and at == sorted(at[:3]) + sorted(at[3:])),
         })  # fmt: skip
         untils = [step.until for step in self.resolution_steps]
         require(untils == sorted(set(untils)), "train.resolution_steps", "`until` in ascending order", untils)

@@ -17,11 +17,13 @@ from pipeline.model.model import Model
 from rasterizer import Rasterizer
 from rasterizer.loss import PhotometricLoss
 
+EVAL_VIEWS = 30  # held-out views of an evaluation during training; the final one takes all
+
 
 def quick_evaluate(
     model: Model, scene: Scene, cfg: Config, rasterizer: Rasterizer, moving: MovingPixels | None = None
 ) -> dict[str, float | None]:
-    """{psnr, ssim, test_loss, psnr_moving} over `train.eval_views` evenly spread test views, and train_psnr over as
+    """{psnr, ssim, test_loss, psnr_moving} over at most EVAL_VIEWS evenly spread test views, and train_psnr over as
     many training views. PSNR is that of the valid pixels, as in `held_out_psnr`.
 
     Renders have the final resolution, also while training is at a coarser one, so that the numbers of a run can be
@@ -34,7 +36,7 @@ def quick_evaluate(
 
     def means(views: Sequence[View]) -> dict[str, float | None]:
         rows: list[dict[str, float | None]] = []
-        for index in evenly_spaced(len(views), cfg.train.eval_views):
+        for index in evenly_spaced(len(views), EVAL_VIEWS):
             target = target_of(views[index], cfg.train.resolution_scale)
             image = renderer.tensor(target.camera, target.time).clamp_(0.0, 1.0)
             loss = criterion(image, target.image)

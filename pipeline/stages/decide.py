@@ -36,11 +36,12 @@ from rasterizer.cores import thread_count
 
 VALIDATION_EVERY = 4  # every fourth pose is a validation pose
 RESOLUTION = 0.5  # × the schedule's
+TIME_SHARE, COLOUR_SHARE, MOTION_SHARE = 0.1, 0.1, 0.15  # of the schedule's iterations, of each short training
+FEWEST_ITERATIONS = 60  # of a short training, or all of the schedule
 STANDARD_ERRORS = 2.0  # of the gain by time, which must be larger
 FIT_GAIN = 1.0  # dB of the training views, by shared motion: of bodies it is above 2, of what flies below -0.5
 # Training views for shared motion. With lego's 50 it fits these better, and outermost held-out views worse.
 FEWEST_SHARED = 75
-MOTION_RATE = 3.0  # × the learning rate of trajectories, which would hardly move in so few iterations
 # dB, and standard errors, of the gain by time-varying colour. Leaving out colours that do change costs more than
 # keeping coefficients that have no use.
 COLOUR_GAIN, COLOUR_STANDARD_ERRORS = 0.1, 1.0
@@ -93,9 +94,9 @@ class Comparison:
 
 
 def time_is_open(cfg: Config, scene: Scene) -> bool:
-    """Whether validation decides between static and dynamic: the schedule asks for it, one moving camera filmed the
-    scene, and its model may have time. False with a time budget, all of which is for the schedule."""
-    if cfg.train.select_motion == 0 or cfg.train.time_budget_s is not None or cfg.ablation.static is not None:
+    """Whether validation decides between static and dynamic: the scene may be static, one moving camera filmed it, and
+    its model may have time. False with a time budget, all of which is for the schedule."""
+    if not cfg.scene.may_be_static or cfg.train.time_budget_s is not None or cfg.ablation.static is not None:
         return False
     if kind_of(scene, cfg).motion == "static" or scene.several_cameras:
         return False
@@ -105,21 +106,21 @@ def time_is_open(cfg: Config, scene: Scene) -> bool:
 
 def colour_is_open(cfg: Config, scene: Scene) -> bool:
     """Whether validation decides on time-varying colour: the schedule asks for it and the model has it."""
-    if cfg.train.select_time_colour == 0 or cfg.train.time_budget_s is not None:
+    if not cfg.train.select or cfg.train.time_budget_s is not None:
         return False
     return kind_of(scene, cfg).fourier_order > 0 and _has_validation(scene, FEWEST_VIEWS["colour"])
 
 
 def compare_time(cfg: Config, scene: Scene, cloud: Reconstruction | None, log: Callable[[str], None]) -> Comparison:
     """With time and without, in one schedule: the settings of static scenes alone gain more in so short a training."""
-    short = replace(cfg, train=short_schedule(cfg.train, cfg.train.select_motion), resume=False)
+    short = replace(cfg, train=short_schedule(cfg.train, TIME_SHARE), resume=False)
     return _compared("time", without_time_colour(short), without_time(short), scene, cloud, log)
 
 
 def shared_motion_is_open(cfg: Config, scene: Scene) -> bool:
     """Whether validation decides on shared motion: the schedule asks for it, one camera filmed from everywhere, and the
     model has 4D rotations and no sphere around the scene, which would draw the anchors. False with few views."""
-    if cfg.train.select_shared_motion == 0 or cfg.train.time_budget_s is not None or not cfg.ablation.shared_motion:
+    if not cfg.train.select or cfg.train.time_budget_s is not None or not cfg.ablation.shared_motion:
         return False
     possible = scene.capture == "monocular" and kind_of(scene, cfg).motion == "full"
     possible = possible and len(scene.train) >= FEWEST_SHARED
@@ -131,21 +132,19 @@ def compare_shared_motion(
 ) -> Comparison:
     """Gaussians that share trajectories, by the settings `shared`, and those of the paper, by `cfg`; in colours
     constant in time, and in as many iterations."""
-    iterations = cfg.train.select_shared_motion * cfg.train.iterations
+    iterations = MOTION_SHARE * cfg.train.iterations
     with_it, without = (
         replace(
             without_time_colour(one), train=short_schedule(one.train, iterations / one.train.iterations), resume=False
         )
         for one in (shared, cfg)
     )
-    rates = replace(with_it.train.lr, trajectories=MOTION_RATE)
-    with_it = replace(with_it, train=replace(with_it.train, lr=rates))
     return _compared("shared motion", with_it, without, scene, cloud, log)
 
 
 def compare_colour(cfg: Config, scene: Scene, cloud: Reconstruction | None, log: Callable[[str], None]) -> Comparison:
     """With time-varying colour and without."""
-    schedule = _faster_colour(short_schedule(cfg.train, cfg.train.select_time_colour))
+    schedule = _faster_colour(short_schedule(cfg.train, COLOUR_SHARE))
     short = replace(cfg, train=schedule, resume=False)
     return _compared("time-varying colour", short, without_time_colour(short), scene, cloud, log)
 
@@ -199,7 +198,7 @@ def _has_validation(scene: Scene, views: int) -> bool:
 def short_schedule(cfg: TrainConfig, share: float) -> TrainConfig:
     """`share` of the schedule at half resolution, evaluated at its end only. Without the flow loss: measuring the flow
     would take longer than the training."""
-    short = schedule.shortened(cfg, share)
+    short = schedule.shortened(cfg, min(1.0, max(share, FEWEST_ITERATIONS / cfg.iterations)))
     return replace(
         short,
         motion="velocities" if short.motion == "tracks" else short.motion,

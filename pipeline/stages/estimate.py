@@ -24,7 +24,9 @@ from pipeline.data.optical_flow import CACHE_LIMIT_BYTES as FLOW_CACHE_LIMIT_BYT
 from pipeline.data.optical_flow import measured_size
 from pipeline.data.training_views import CACHE_LIMIT_BYTES
 from pipeline.evaluation.metrics import MeasuredView, measure
+from pipeline.evaluation.quick_evaluate import EVAL_VIEWS
 from pipeline.runs.provenance import memory_gb
+from pipeline.stages.decide import COLOUR_SHARE, MOTION_SHARE, TIME_SHARE
 from rasterizer.bench.frame_time import time_frame, time_iteration
 from rasterizer.bench.workloads import Workload, make_workload
 from rasterizer.cores import thread_count
@@ -111,16 +113,16 @@ def _estimate(cfg: Config, size: Size, threads: int, stored_bytes: int = 0, deco
     if cfg.train.time_budget_s is not None:
         train = min(train, cfg.train.time_budget_s)
     else:
-        shared = cfg.train.select_shared_motion if cfg.ablation.shared_motion else 0
-        colour = cfg.train.select_time_colour if cfg.ablation.fourier_order else 0
-        selections = cfg.train.select_motion + shared + colour
+        shared = MOTION_SHARE if cfg.train.select and cfg.ablation.shared_motion else 0
+        colour = COLOUR_SHARE if cfg.train.select and cfg.ablation.fourier_order else 0
+        selections = (TIME_SHARE if cfg.scene.may_be_static else 0) + shared + colour
         train *= 1 + 2 * selections  # an upper bound: at half resolution, and not in static scenes
     view = time_frame(workload, threads, TIMED_ITERATIONS).forward.minimum / 1e3
     image = np.random.default_rng(0).random((size.height, size.width, 3), dtype=np.float32)
     started = time.perf_counter()
     measure(MeasuredView(image, image[::-1].copy()))
     measured = time.perf_counter() - started
-    quick = cfg.train.iterations // cfg.train.eval_every * min(size.test_views, cfg.train.eval_views) * 2 * view
+    quick = cfg.train.iterations // cfg.train.eval_every * min(size.test_views, EVAL_VIEWS) * 2 * view
     final = (1 + cfg.evaluate.best_on_test) * size.test_views * (2 * view + measured / threads)
     pixels = size.width * size.height
     images = 0 if stored_bytes else (read.train_views + read.test_views) * 3 * read.width * read.height

@@ -122,6 +122,7 @@ def _closed(cfg: Config, scene: Scene, decided: Decided) -> Config:
     order = decided.get("fourier_order", kind.fourier_order)
     return replace(
         cfg,
+        scene=replace(cfg.scene, may_be_static=False),
         ablation=replace(cfg.ablation, static=kind.motion == "static", fourier_order=order),
-        train=replace(cfg.train, select_motion=0.0, select_shared_motion=0.0, select_time_colour=0.0),
+        train=replace(cfg.train, select=False),
     )

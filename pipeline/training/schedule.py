@@ -16,8 +16,12 @@ LATE_DROPOUT_LIFETIME = 0.2  # × duration: late in the schedule dropout is of G
 SPHERE_FREEZE_AFTER = 10_000  # iterations for which the background sphere is trained, as in the paper
 MAP_UNTIL = 5000  # iterations for which the environment map or the cube map is trained
 MAP_LEARNING_RATE = 2.5e-3  # of their texels: that of the constant coefficients in 3DGS
+# The paper's and 3DGS's: first and last of positions, × extent; of the constant coefficient, the opacity's logit, the log
+# scales and both quaternions.
+MEAN_RATE, DC_RATE, OPACITY_RATE, SCALE_RATE, ROTATION_RATE = (1.6e-4, 1.6e-6), 2.5e-3, 5e-2, 5e-3, 1e-3
 DECAY_START = 0.7  # fraction of the schedule after which the decay to `final_factor` begins
 WEIGHTS_RATE, TRAJECTORY_RATE = (5e-3, 5e-4), (3.2e-4, 3.2e-6)  # first and last; of control points × extent
+FULL_RATE_FROM = 2500  # iterations; in fewer these two are larger, so that trajectories reach as far
 DEPTH_DECAY = 0.267  # weights of the depth loss: × exp(-fraction / this), as in the urban program of the authors
 
 LearningRate = float | tuple[float, ...]  # one for the field, or one per column
@@ -58,9 +62,9 @@ def phase(clock: float, cfg: TrainConfig, extent: float, max_sh_degree: int, max
     any_dropped = fraction <= cfg.dropout_until
     return Phase(
         clock,
-        learning_rates(clock, fraction, cfg.lr, extent),
-        sh_degree(clock, cfg.sh_degree_every, max_sh_degree),
-        fourier_order(clock, cfg.fourier_at, max_fourier_order),
+        learning_rates(clock, cfg.iterations, cfg.lr, extent),
+        highest_trained(clock, cfg.orders_at[:3], max_sh_degree),
+        highest_trained(clock, cfg.orders_at[3:], max_fourier_order),
         cfg.resolution_scale * resolution(fraction, cfg.resolution_steps),
         densification=clock < cfg.densify.stop,
         sphere=clock <= SPHERE_FREEZE_AFTER,
@@ -71,28 +75,28 @@ def phase(clock: float, cfg: TrainConfig, extent: float, max_sh_degree: int, max
     )
 
 
-def learning_rates(clock: float, fraction: float, cfg: LearningRates, extent: float) -> dict[str, LearningRate]:
-    """Learning rates of every field and of the environment map at `clock`, after `fraction` of the schedule.
+def learning_rates(clock: float, iterations: int, cfg: LearningRates, extent: float) -> dict[str, LearningRate]:
+    """Learning rates of every field and of the environment map at `clock`, in a schedule of so many iterations.
 
-    extent: world units; it multiplies the positional rates. The mean's columns are x, y, z, with log-linear decay over
-    `decay_iterations`, and t, constant as in the release or with a decay of its own, also multiplied by the extent.
+    extent: world units; it multiplies the positional rates. The mean's columns are x, y, z, with log-linear decay, and
+    t, constant as in the release or with the same decay.
     """
+    fraction = min(1.0, clock / iterations)
     decay = cfg.final_factor ** max(0.0, (fraction - DECAY_START) / (1 - DECAY_START))
-    position = clock / cfg.decay_iterations
-    xyz = log_linear(cfg.mean, cfg.mean_final, position) * extent * decay
-    last = cfg.mean if cfg.mean_time_final is None else cfg.mean_time_final
-    t = log_linear(cfg.mean, last, position) * extent * decay
-    rotation = cfg.rotation * decay
+    everywhere = cfg.factor * decay
+    xyz = log_linear(*MEAN_RATE, clock / (cfg.decay_iterations or iterations)) * extent * everywhere
+    t = xyz if cfg.time_decay else MEAN_RATE[0] * extent * everywhere
+    rotation, faster = ROTATION_RATE * everywhere, max(1.0, FULL_RATE_FROM / iterations)
     return {
         "mean": (xyz, xyz, xyz, t),
-        "log_scale": (cfg.scale * decay,) * 4,
+        "log_scale": (SCALE_RATE * everywhere,) * 4,
         "quat_left": rotation,
         "quat_right": rotation,
         "velocity": cfg.velocity * xyz,
-        "opacity_logit": cfg.opacity * decay,
+        "opacity_logit": OPACITY_RATE * everywhere,
         "sh": tuple(rate * decay for rate in sh_learning_rates(cfg)),
-        "weights": math.sqrt(cfg.trajectories) * log_linear(*WEIGHTS_RATE, fraction) * decay,
-        "trajectories": cfg.trajectories * log_linear(*TRAJECTORY_RATE, fraction) * extent * decay,
+        "weights": math.sqrt(faster) * log_linear(*WEIGHTS_RATE, fraction) * decay,
+        "trajectories": faster * log_linear(*TRAJECTORY_RATE, fraction) * extent * decay,
         "environment": MAP_LEARNING_RATE * decay,
     }
 
@@ -113,7 +117,7 @@ def on_tracks(rates: dict[str, LearningRate]) -> dict[str, LearningRate]:
 def sh_learning_rates(cfg: LearningRates) -> tuple[float, float, float, float]:
     """Rates of the coefficients that depend on neither view nor time, on view, on time, on both."""
     return (
-        cfg.sh_dc,
+        cfg.factor * DC_RATE,
         cfg.sh_rest,
         cfg.sh_rest if cfg.sh_time is None else cfg.sh_time,
         cfg.sh_rest if cfg.sh_view_time is None else cfg.sh_view_time,
@@ -128,14 +132,9 @@ def log_linear(start: float, end: float, fraction: float) -> float:
     return start ** (1.0 - f) * end**f
 
 
-def sh_degree(clock: float, every: int, highest: int) -> int:
-    """Degree 0 at first, one more every `every` iterations; every = 0: all at once."""
-    return highest if every <= 0 else min(highest, int(clock // every))
-
-
-def fourier_order(clock: float, starts: list[int], highest: int) -> int:
-    """Orders 1, 2 from the clock values in `starts`; an empty list: all at once."""
-    return highest if not starts else min(highest, sum(clock >= start for start in starts))
+def highest_trained(clock: float, starts: list[int], highest: int) -> int:
+    """The SH degree or Fourier order in training: `starts` has the clock values from which 1, 2, … are."""
+    return min(highest, sum(clock >= start for start in starts))
 
 
 def resolution(fraction: float, steps: list[ResolutionStep]) -> float:

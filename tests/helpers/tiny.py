@@ -57,16 +57,13 @@ def tiny_scene(views: int = 8, static: bool = False) -> Scene:
 
 def tiny_config(iterations: int = 60, background_model: str = "none", **train_keys) -> Config:
     """60 iterations include every event of a schedule."""
-    densify = DensifyConfig(
-        start=5, stop=50, every=10, space_gradient=1e-5, opacity_reset_every=25, prune_big_after=30, max_gaussians=400
-    )
+    densify = DensifyConfig(start=5, stop=50, every=10, space_gradient=1e-5, opacity_reset_every=25, max_gaussians=400)
     keys = dict(
         iterations=iterations,
         batch=2,
         eval_every=10,
         checkpoint_every=7,
-        sh_degree_every=15,
-        fourier_at=[30, 40],
+        orders_at=[15, 30, 45, 30, 40],
         densify=densify,
         init_points=200,
     )

@@ -132,7 +132,7 @@ def test_commands_on_a_run_with_shared_motion(tmp_path: Path, capsys: pytest.Cap
     shell = Shell(tmp_path)
     cache = f"scene.cache={tmp_path}/cache"
     size = [override for override in TINY if override != "train=smoke"]
-    _, err = shell(*size, "train=fast", "capture=shared", "train.iterations=60", "train.select_time_colour=0",
+    _, err = shell(*size, "train=fast", "capture=shared", "train.iterations=60", "train.select=false",
                    "train.init_points=300", "out=run", cache)  # fmt: skip
     assert err == ""
     run = tmp_path / "run"

@@ -98,22 +98,9 @@ def write_film(root: Path, units: Units) -> Path:
 
 
 def config(folder: Path, reader: str, seed: int = 0) -> Config:
-    densify = DensifyConfig(
-        start=20,
-        stop=150,
-        every=20,
-        space_gradient=1e-4,
-        opacity_reset_every=0,
-        prune_big_after=ITERATIONS,
-        max_gaussians=400,
-    )
+    densify = DensifyConfig(start=20, stop=150, every=20, space_gradient=1e-4, opacity_reset_every=0, max_gaussians=400)
     cfg = tiny_config(
-        ITERATIONS,
-        densify=densify,
-        eval_every=ITERATIONS,
-        sh_degree_every=30,
-        fourier_at=[60, 90],
-        lr=LearningRates(mean=2e-3, decay_iterations=ITERATIONS, scale=2e-2),
+        ITERATIONS, densify=densify, eval_every=ITERATIONS, orders_at=[30, 60, 90, 60, 90], lr=LearningRates(factor=8)
     )
     scene = replace(cfg.scene, name="tiny", reader=reader, path=str(folder), downscale=1, cache=str(folder / "cache"))
     return replace(cfg, scene=scene, init=replace(cfg.init, source="random"), seed=seed)

@@ -151,13 +151,13 @@ def halved_opacity(logit: Tensor) -> Tensor:
 
 
 def to_prune(model: Model, clock: float, cfg: DensifyConfig, extent: float, train_sphere: bool = True) -> Tensor:
-    """(N,) bool: too transparent, or, after `prune_big_after`, too large in space.
+    """(N,) bool: too transparent, or, after the first opacity reset, too large in space.
 
     clock: position in the schedule (schedule.py).
     """
     transparent = _transparent(model)
     prune = transparent
-    if clock > cfg.prune_big_after:
+    if clock > cfg.opacity_reset_every > 0:
         prune = prune | (_spatial_scale(model) > PRUNE_SCALE * extent)
     if model.sphere is not None:
         prune = torch.where(model.sphere, transparent & train_sphere, prune)

@@ -58,7 +58,7 @@ def test_every_schedule(train: str) -> None:
     cfg = config_of("scene=dnerf", f"train={train}")
     assert cfg.train.name == train
     assert cfg.train.densify.stop <= cfg.train.iterations
-    assert all(at <= cfg.train.iterations for at in cfg.train.fourier_at)
+    assert all(at <= cfg.train.iterations for at in cfg.train.orders_at)
 
 
 @pytest.mark.parametrize("ablation", options("ablation"))
@@ -113,7 +113,7 @@ def test_release_differs_from_scene_to_scene(scene: str, batch: int, points: int
     assert (train.batch, train.init_points) == (batch, points)
     assert train.regularization.rigid == (1.0 if scene == "lego" else 0.0)
     schedule = (train.iterations, train.lr.decay_iterations, train.densify.every, train.densify.stop)
-    assert schedule == ((20_000, 15_000, 200, 10_000) if scene == "bouncingballs" else (30_000, 30_000, 100, 15_000))
+    assert schedule == ((20_000, 15_000, 200, 10_000) if scene == "bouncingballs" else (30_000, None, 100, 15_000))
     assert cfg.scene.init_box == [-1.3, 1.3] and not train.densify.use_time_gradient
 
 
@@ -126,7 +126,7 @@ def test_the_command_line_wins_over_every_file() -> None:
     [
         ("train.iteratons=5", "train.iteratons: no such key; did you mean train.iterations?"),
         ("+train.iteratons=5", "train.iteratons: no such key; did you mean train.iterations?"),
-        ("train.lr.mea=5", "train.lr.mea: no such key; did you mean train.lr.mean?"),
+        ("train.lr.facto=5", "train.lr.facto: no such key; did you mean train.lr.factor?"),
         ("trian=fast", "trian: no such key; did you mean train?"),
         ("train=fats", "train=fats: no such option; there are best, fast, "),
         ("scene=dnerf/legs", "scene=dnerf/legs: no such option; there are auto, dnerf, "),
@@ -140,7 +140,7 @@ def test_the_command_line_wins_over_every_file() -> None:
         ("train.resolution_steps=[{until: 2}]", "train.resolution_steps.until: expected in (0, 1], found 2.0"),
         ("train.densify.space_gradient=0", "train.densify.space_gradient: expected > 0, found 0.0"),
         ("train.lr.decay_iterations=0", "train.lr.decay_iterations: expected at least 1, found 0"),
-        ("train.lr.scale=-1", "train.lr.scale: expected >= 0, found -1.0"),
+        ("train.lr.factor=-1", "train.lr.factor: expected >= 0, found -1.0"),
         (
             "scene.background=[0, 0]",
             "scene.background: expected auto, black, white or three values in [0, 1], found [0, 0]",
@@ -178,7 +178,7 @@ def test_a_typo_in_a_file_names_file_and_key(tmp_path: Path) -> None:
 
 def test_known_keys_are_the_schemas() -> None:
     keys = known_keys()
-    assert {"scene.path", "train.lr.mean_final", "train.densify.stop", "evaluate.lpips", "out"} <= set(keys)
+    assert {"scene.path", "train.lr.final_factor", "train.densify.stop", "evaluate.lpips", "out"} <= set(keys)
     assert len(keys) == len(set(keys))
 
 

@@ -9,6 +9,7 @@ import pytest
 from tiny import evaluation_config, tiny_config, tiny_scene
 from tiny_film import tiny_film
 
+from pipeline.evaluation import quick_evaluate as evaluation
 from pipeline.evaluation.evaluate import evaluate
 from pipeline.evaluation.moving_pixels import MovingPixels
 from pipeline.evaluation.quick_evaluate import held_out_psnr, quick_evaluate
@@ -32,11 +33,11 @@ def test_psnr_equals_that_of_the_full_evaluation(model: Model) -> None:
     assert held_out_psnr(model, scene, cfg, 1).tolist() == [row["psnr"] for row in full.per_image]
 
 
-def test_views_are_evenly_spread(model: Model) -> None:
+def test_views_are_evenly_spread(model: Model, monkeypatch: pytest.MonkeyPatch) -> None:
     scene, cfg = tiny_film(frames=5, held_out=("cam00",)), evaluation_config()
-    few = replace(cfg, train=replace(cfg.train, eval_views=3))
+    monkeypatch.setattr(evaluation, "EVAL_VIEWS", 3)
     moving = MovingPixels(scene, 1.0)  # by the colours of all frames
-    found = quick_evaluate(model, scene, few, Rasterizer(threads=1), moving)
+    found = quick_evaluate(model, scene, cfg, Rasterizer(threads=1), moving)
     spread = replace(scene, test=scene.test[::2], train=tuple(scene.train[i] for i in (0, len(scene.train) // 2, -1)))
     assert found == quick_evaluate(model, spread, cfg, Rasterizer(threads=1), moving)
     assert found != quick_evaluate(model, scene, cfg, Rasterizer(threads=1))

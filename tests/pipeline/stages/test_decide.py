@@ -15,7 +15,7 @@ from pipeline.config.schema import AblationConfig, Config
 from pipeline.config.train_schema import LearningRates
 from pipeline.data.prepare import Prepared
 from pipeline.evaluation.rivals import AgainstRivals
-from pipeline.stages import settle
+from pipeline.stages import decide, settle
 from pipeline.stages.decide import (
     Comparison,
     colour_is_open,
@@ -27,13 +27,14 @@ from pipeline.stages.decide import (
     time_is_open,
     without_time_colour,
 )
+from pipeline.training import schedule
 
 VIEWS = 24
 
 
 def config(iterations: int = 400, **train_keys) -> Config:
-    cfg = tiny_config(iterations, select_motion=0.5, select_time_colour=0.5, **train_keys)
-    return replace(cfg, threads=1)
+    cfg = tiny_config(iterations, **{"select": True, **train_keys})
+    return replace(cfg, scene=replace(cfg.scene, may_be_static=True), threads=1)
 
 
 def silent(line: str) -> None:
@@ -75,21 +76,21 @@ def test_time_is_left_out_where_only_the_camera_moves() -> None:
     assert not found.beyond_chance and found.views == VIEWS // 4
 
 
-def test_time_varying_colour_is_kept_where_colours_change() -> None:
+def test_time_varying_colour_is_kept_where_colours_change(monkeypatch: pytest.MonkeyPatch) -> None:
     """Long-lived Gaussians of constant position and size can fit the brightness only by time-varying colour."""
     views = 48
     still = tiny_scene(views, static=True).train
     scene = replace(tiny_scene(), train=tuple(replace(view, time=i / views) for i, view in enumerate(still)))
-    lr = LearningRates(sh_time=1e-2, sh_dc=1e-2, scale=0.0)
-    found = compare_colour(
-        config(600, fourier_at=[30, 40], init_time_scale=2.0, lr=lr), flickering(scene), None, silent
-    )
+    monkeypatch.setattr(schedule, "SCALE_RATE", 0.0)
+    monkeypatch.setattr(decide, "COLOUR_SHARE", 0.5)
+    lr = LearningRates(sh_time=1e-2, factor=4)
+    found = compare_colour(config(600, init_time_scale=2.0, lr=lr), flickering(scene), None, silent)
     assert found.keeps_colour and found.gain > 2  # three seeds: 4.8 to 6.0 dB, standard error 1.2 dB
 
 
 def test_time_varying_colour_is_left_out_where_it_gains_nothing() -> None:
     """Fourier orders that begin after the last iteration have no effect: the gain is exactly 0."""
-    found = compare_colour(config(60, fourier_at=[80, 80]), tiny_scene(12), None, silent)
+    found = compare_colour(config(60, orders_at=[15, 30, 45, 80, 80]), tiny_scene(12), None, silent)
     assert (found.gain, found.standard_error, found.views) == (0.0, 0.0, 3) and not found.keeps_colour
 
 
@@ -137,7 +138,7 @@ def test_the_standard_error_is_over_poses(gains: list[float], poses: str, mean: 
 def test_time_is_open_for_one_moving_camera_whose_model_may_have_it() -> None:
     moving, cfg = one_camera(changes=True), config()
     assert time_is_open(cfg, moving)
-    assert not time_is_open(replace(cfg, train=replace(cfg.train, select_motion=0.0)), moving)
+    assert not time_is_open(replace(cfg, scene=replace(cfg.scene, may_be_static=False)), moving)
     for static in (True, False):  # the user has decided
         assert not time_is_open(replace(cfg, ablation=AblationConfig(static=static)), moving)
     assert not time_is_open(replace(cfg, train=replace(cfg.train, time_budget_s=9.0)), moving), "for the schedule alone"
@@ -164,11 +165,11 @@ def test_shared_motion_must_fit_the_training_views() -> None:
 
 
 def test_shared_motion_is_open_for_one_camera_that_films_from_everywhere() -> None:
-    few, cfg = replace(one_camera(changes=True), capture="monocular"), config(select_shared_motion=0.5)
+    few, cfg = replace(one_camera(changes=True), capture="monocular"), config()
     scene = replace(few, train=4 * few.train)
     assert shared_motion_is_open(cfg, scene)
     assert not shared_motion_is_open(cfg, replace(few, train=3 * few.train)), "72 views are too few"
-    assert not shared_motion_is_open(config(), scene)
+    assert not shared_motion_is_open(config(select=False), scene)
     for capture in ("clip", "multi_view", "drive", "static"):
         assert not shared_motion_is_open(cfg, replace(scene, capture=capture)), capture
     for ablation in (
@@ -184,11 +185,9 @@ def test_shared_motion_is_compared_by_its_own_settings() -> None:
     """Both without colours that change in time, in as many iterations; the same comparison twice."""
     scene, lines = one_camera(changes=True), []
     shared = config(40, motion="trajectories", init_time_scale=1000)
-    found, again = (
-        compare_shared_motion(config(60, select_shared_motion=0.5), shared, scene, None, lines.append) for _ in range(2)
-    )
+    found, again = (compare_shared_motion(config(60), shared, scene, None, lines.append) for _ in range(2))
     assert replace(again, seconds=found.seconds) == found and found.views == VIEWS // 4
-    assert lines[0].startswith("settle: with shared motion, 30 iterations") and "30 iterations" in lines[1]
+    assert lines[0].startswith("settle: with shared motion, 60 iterations") and "60 iterations" in lines[1]
 
 
 @pytest.mark.parametrize("model, static, kept", [(20.0, True, "static: time,"), (14.9, False, "dynamic by default, ")])
@@ -197,6 +196,6 @@ def test_of_two_blurs_the_default_is_taken(
 ) -> None:
     against, lines = AgainstRivals(model, 30.0, 14.0), []
     monkeypatch.setattr(settle, "compare_time", lambda *args: replace(compared(-0.5, 0.2), against=against))
-    command = Command(("scene=synthetic/wheel", "train.select_motion=0.1", "train.select_time_colour=0"))
+    command = Command(("scene=synthetic/wheel", "scene.may_be_static=true", "train.select=false"))
     found = settle.decide(command, Prepared(one_camera(changes=True), None, None), lines.append)
     assert found["decided"] == {"static": static} and lines[-1].startswith(f"settle: {kept}")

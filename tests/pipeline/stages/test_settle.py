@@ -66,10 +66,10 @@ def test_the_command_line_wins_on_every_kind_of_scene(scene: Scene) -> None:
 
 def test_nothing_is_left_to_decide() -> None:
     for scene, static in ((MOVING, False), (STATIC, True)):
-        found = settled(scene, "train.select_motion=0.1")
+        found = settled(scene, "scene.may_be_static=true")
         assert found["ablation.static"] is static and found["scene.background"] == [0.0, 0.0, 0.0]
         assert found["init.source"] == "random"
-        assert found["train.select_motion"] == found["train.select_time_colour"] == 0
+        assert not found["scene.may_be_static"] and not found["train.select"]
 
 
 def test_validation_takes_its_part_out() -> None:
@@ -104,9 +104,9 @@ def test_shared_motion_has_a_file_of_its_own() -> None:
 
 def test_fewer_iterations_take_the_schedule_with_them() -> None:
     """`fast`: 5000 iterations, densification from 300 to 3500."""
-    found = settled(MOVING, "train.iterations=500", "train.fourier_at=[7,8]", "train.densify={start: 33}")
-    assert (found["train.densify.stop"], found["train.lr.decay_iterations"]) == (350, 500)
-    assert (found["train.fourier_at"], found["train.densify.start"]) == ([7, 8], 33), "what is given stays"
+    found = settled(MOVING, "train.iterations=500", "train.orders_at=[1,2,3,7,8]", "train.densify={start: 33}")
+    assert found["train.densify.stop"] == 350
+    assert (found["train.orders_at"], found["train.densify.start"]) == ([1, 2, 3, 7, 8], 33), "what is given stays"
     assert found["train.densify.every"] == 100, "intervals stay"
     more = settled(MOVING, "train.iterations=10000", decided={"shared_motion": True})
     assert more["train.densify.stop"] == 4 * 1750
@@ -115,9 +115,9 @@ def test_fewer_iterations_take_the_schedule_with_them() -> None:
 
 
 def test_what_was_scaled_is_said_in_a_line_and_is_no_change_of_the_command() -> None:
-    command = Command((*WHEEL, "train.iterations=500", "train.fourier_at=[7,8]"))
+    command = Command((*WHEEL, "train.iterations=500", "train.orders_at=[1,2,3,7,8]"))
     line = scaling(command, MOVING, {})
     assert line is not None and line.startswith("train.iterations=500 of 5000: scaled with it are ")
-    assert "train.densify.stop=350" in line and "fourier_at" not in line
-    assert changes(command, MOVING) == {"train.iterations": 500, "train.fourier_at": [7, 8]}
+    assert "train.densify.stop=350" in line and "orders_at" not in line
+    assert changes(command, MOVING) == {"train.iterations": 500, "train.orders_at": [1, 2, 3, 7, 8]}
     assert scaling(Command(WHEEL), MOVING, {}) is None

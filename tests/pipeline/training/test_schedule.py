@@ -15,34 +15,41 @@ EXTENT = 4.4
 def test_the_rate_of_positions_is_log_linear_and_that_of_time_constant() -> None:
     cfg = LearningRates()
     for now, expected in [(0, 1.6e-4), (15_000, 1.6e-5), (30_000, 1.6e-6), (40_000, 1.6e-6)]:
-        x, y, z, t = learning_rates(now, 0.0, cfg, EXTENT)["mean"]
+        x, y, z, t = learning_rates(now, 30_000, cfg, EXTENT)["mean"]
         # 1e-12: thousands of float64 rounding errors
         assert x == y == z == pytest.approx(expected * EXTENT, rel=1e-12)
         assert t == pytest.approx(1.6e-4 * EXTENT, rel=1e-12)
 
 
-def test_the_rate_of_times_has_a_decay_of_its_own_where_one_is_set() -> None:
-    cfg = LearningRates(mean=4e-4, mean_time_final=1e-6)
-    for now, expected in [(0, 4e-4), (15_000, 2e-5), (30_000, 1e-6), (40_000, 1e-6)]:
-        assert learning_rates(now, 0.0, cfg, EXTENT)["mean"][3] == pytest.approx(expected * EXTENT, rel=1e-12)
+def test_the_rate_of_times_decays_where_that_is_set() -> None:
+    cfg = LearningRates(factor=2, time_decay=True, decay_iterations=10_000)
+    for now, expected in [(0, 3.2e-4), (5_000, 3.2e-5), (10_000, 3.2e-6), (40_000, 3.2e-6)]:
+        assert learning_rates(now, 30_000, cfg, EXTENT)["mean"] == pytest.approx((expected * EXTENT,) * 4, rel=1e-12)
+
+
+def test_trajectories_reach_as_far_in_a_short_schedule() -> None:
+    whole, short = (learning_rates(0, iterations, LearningRates(), EXTENT) for iterations in (2500, 250))
+    assert short["trajectories"] == pytest.approx(10 * whole["trajectories"], rel=1e-12)
+    assert short["weights"] == pytest.approx(10**0.5 * whole["weights"], rel=1e-12)
+    assert learning_rates(0, 5000, LearningRates(), EXTENT)["trajectories"] == whole["trajectories"]
 
 
 def test_rates_without_decay() -> None:
-    r = learning_rates(12_345, 0.4, LearningRates(), EXTENT)
+    r = learning_rates(12_345, 30_000, LearningRates(), EXTENT)
     assert (r["log_scale"], r["quat_left"], r["quat_right"], r["opacity_logit"]) == ((5e-3,) * 4, 1e-3, 1e-3, 5e-2)
     assert r["sh"] == (2.5e-3, 1.25e-4, 1.25e-4, 1.25e-4)
 
 
 def test_sh_coefficients_of_view_time_and_both_have_their_own_rates() -> None:
     cfg = LearningRates(sh_rest=1e-4, sh_time=1e-3, sh_view_time=3e-5)
-    assert learning_rates(1, 0.0, cfg, EXTENT)["sh"] == (2.5e-3, 1e-4, 1e-3, 3e-5)
-    assert learning_rates(1, 0.0, LearningRates(sh_rest=1e-4), EXTENT)["sh"] == (2.5e-3, 1e-4, 1e-4, 1e-4)
+    assert learning_rates(1, 100, cfg, EXTENT)["sh"] == (2.5e-3, 1e-4, 1e-3, 3e-5)
+    assert learning_rates(1, 100, LearningRates(sh_rest=1e-4), EXTENT)["sh"] == (2.5e-3, 1e-4, 1e-4, 1e-4)
 
 
 def test_the_final_factor_applies_to_every_rate() -> None:
     plain, decayed = (
-        learning_rates(100, 1.0, LearningRates(), EXTENT),
-        learning_rates(100, 1.0, LearningRates(final_factor=0.1), EXTENT),
+        learning_rates(100, 100, LearningRates(), EXTENT),
+        learning_rates(100, 100, LearningRates(final_factor=0.1), EXTENT),
     )
     for name, rate in plain.items():
         for a, b in zip(*(r if isinstance(r, tuple) else (r,) for r in (rate, decayed[name]))):
@@ -51,8 +58,8 @@ def test_the_final_factor_applies_to_every_rate() -> None:
 
 @pytest.mark.parametrize("fraction, factor", [(0.0, 1.0), (0.7, 1.0), (0.85, 0.1), (1.0, 0.01)])
 def test_rates_are_constant_before_the_decay(fraction: float, factor: float) -> None:
-    held = learning_rates(100, fraction, LearningRates(final_factor=0.01), EXTENT)
-    assert held["opacity_logit"] == pytest.approx(factor * LearningRates().opacity, rel=1e-12)
+    held = learning_rates(100 * fraction, 100, LearningRates(final_factor=0.01), EXTENT)
+    assert held["opacity_logit"] == pytest.approx(factor * 5e-2, rel=1e-12)
 
 
 @pytest.mark.parametrize(

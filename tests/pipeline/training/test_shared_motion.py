@@ -12,7 +12,7 @@ from test_loop import assert_same_state, batch_losses, interrupted_in
 from tiny import TinyRun, random_model, tiny_config, tiny_scene, train_tiny
 
 from pipeline.config.schema import AblationConfig
-from pipeline.config.train_schema import LearningRates, RegularizationConfig
+from pipeline.config.train_schema import RegularizationConfig
 from pipeline.data.training_views import target_of
 from pipeline.model.initialise import initialise
 from pipeline.model.model import Model, ModelKind
@@ -30,7 +30,7 @@ from rasterizer.trajectories import Trajectories
 SCENE = tiny_scene()
 CFG = tiny_config(
     120, eval_every=60, checkpoint_every=30, motion="trajectories", init_time_scale=1000,
-    lr=LearningRates(trajectories=40), regularization=RegularizationConfig(rigid=0.02),
+    regularization=RegularizationConfig(rigid=0.02),
 )  # fmt: skip
 
 

@@ -194,7 +194,7 @@ def test_densify_clones_splits_prunes_and_updates_moments() -> None:
 @pytest.mark.parametrize("by_cause", [False, True])
 def test_with_split_by_cause_a_split_by_space_keeps_the_temporal_scale(by_cause: bool) -> None:
     model = model_of([0.2, 0.2, 0.2])
-    cfg = DensifyConfig(split_by_cause=by_cause, prune_big_after=10**9)
+    cfg = DensifyConfig(split_by_cause=by_cause, opacity_reset_every=0)
     statistics = statistics_of([1e-3, 0.0, 1e-3], [0.0, 1e-3, 1e-3])  # space, time, both
     densify(Adam(model), statistics, 600, cfg, EXTENT, True, torch.Generator().manual_seed(0))
     lifetimes = model.parameters["log_scale"][:, 3].exp().tolist()
@@ -299,7 +299,7 @@ def test_corrected_clones_hardly_change_the_image() -> None:
             0.3 * column.ravel() - 0.3,
         )
         model.parameters["mean"][:, 2] = 2.0
-        rules = DensifyConfig(correct_clones=correct, prune_big_after=100)
+        rules = DensifyConfig(correct_clones=correct)
 
         def image(model: Model = model) -> torch.Tensor:
             return Rasterizer(threads=1).render(model.gaussians(), Request(camera, 0.0)).color.clone()
