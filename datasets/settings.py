@@ -69,7 +69,7 @@ class SceneConfig:
     # [low, high] of the cube of random initial points, canonical units. None: [-1.2, 1.2] where that is about what most
     # cameras see, else what they see
     init_box: Optional[list[float]] = None
-    # One moving camera: whether a short training without time decides if the scene is static (pipeline/stages/decide.py)
+    # One moving camera: whether short trainings decide if the scene is static (pipeline/stages/decide.py)
     may_be_static: bool = False
     near: float = 0.2  # near plane in the scene's normalised unit (Scene.unit)
 

@@ -16,7 +16,7 @@ LATE_DROPOUT_LIFETIME = 0.2  # × duration: late in the schedule dropout is of G
 SPHERE_FREEZE_AFTER = 10_000  # iterations for which the background sphere is trained, as in the paper
 MAP_UNTIL = 5000  # iterations for which the environment map or the cube map is trained
 MAP_LEARNING_RATE = 2.5e-3  # of their texels: that of the constant coefficients in 3DGS
-# The paper's and 3DGS's: first and last of positions, × extent; of the constant coefficient, the opacity's logit, the log
+# The paper's and 3DGS's: first and last of positions, × extent; of the constant coefficient, the opacity's logit, log
 # scales and both quaternions.
 MEAN_RATE, DC_RATE, OPACITY_RATE, SCALE_RATE, ROTATION_RATE = (1.6e-4, 1.6e-6), 2.5e-3, 5e-2, 5e-3, 1e-3
 DECAY_START = 0.7  # fraction of the schedule after which the decay to `final_factor` begins

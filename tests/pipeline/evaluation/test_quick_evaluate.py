@@ -40,6 +40,7 @@ def test_views_are_evenly_spread(model: Model, monkeypatch: pytest.MonkeyPatch) 
     found = quick_evaluate(model, scene, cfg, Rasterizer(threads=1), moving)
     spread = replace(scene, test=scene.test[::2], train=tuple(scene.train[i] for i in (0, len(scene.train) // 2, -1)))
     assert found == quick_evaluate(model, spread, cfg, Rasterizer(threads=1), moving)
+    monkeypatch.undo()
     assert found != quick_evaluate(model, scene, cfg, Rasterizer(threads=1))
 
 

@@ -101,7 +101,7 @@ def test_test_views_are_not_used(compare, scene: Scene) -> None:
     other = compare(config(40), replace(scene, test=flickering(scene).train), None, silent)
     assert replace(other, seconds=found.seconds) == found and found.seconds > 0
     views = len(scene.train)
-    assert lines[0].endswith(f"20 iterations; {3 * views // 4} training views, {views // 4} validation views")
+    assert lines[0].endswith(f"40 iterations; {3 * views // 4} training views, {views // 4} validation views")
 
 
 def test_batches_larger_than_the_part_of_the_views_become_smaller() -> None:
@@ -184,7 +184,7 @@ def test_shared_motion_is_open_for_one_camera_that_films_from_everywhere() -> No
 def test_shared_motion_is_compared_by_its_own_settings() -> None:
     """Both without colours that change in time, in as many iterations; the same comparison twice."""
     scene, lines = one_camera(changes=True), []
-    shared = config(40, motion="trajectories", init_time_scale=1000)
+    shared = config(60, motion="trajectories", init_time_scale=1000)
     found, again = (compare_shared_motion(config(60), shared, scene, None, lines.append) for _ in range(2))
     assert replace(again, seconds=found.seconds) == found and found.views == VIEWS // 4
     assert lines[0].startswith("settle: with shared motion, 60 iterations") and "60 iterations" in lines[1]
