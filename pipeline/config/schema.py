@@ -62,7 +62,9 @@ class AblationConfig:
 class EvaluateConfig:
     """What is measured and written after training (docs/method.md 4)."""
 
-    lpips: bool = True  # needs weights, downloaded once; without them the cells stay empty and say why
+    lpips: bool = True  # needs weights, downloaded once; without them tables say "not measured", and why
+    # Folder with the four files of weights (pipeline/evaluation/lpips.py); None: torch.hub's cache, set by TORCH_HOME
+    lpips_weights: Optional[str] = None
     best_on_test: bool = True  # also measure the model of the best test evaluation (the release's protocol)
     renders: int = 12  # test views written to renders/, evenly spread; -1: all
     videos: bool = True  # where a held-out camera filmed: its render beside the truth, and a bullet-time path, as mp4

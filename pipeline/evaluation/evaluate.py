@@ -7,19 +7,20 @@ core, LPIPS-Alex included. quick_evaluate.py is the cheap version for use during
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from datasets.scene import Scene, Sweep
+from datasets.ground_truth import GroundTruth
+from datasets.scene import Scene
 from datasets.urban.projection import depth_image
 from pipeline.config.schema import Config
 from pipeline.data.training_views import Target, camera_at, evenly_spaced, target_of
-from pipeline.evaluation.image_metrics import MS_SSIM_SMALLEST_SIDE, SSIM_SMALLEST_SIDE, FlickerMeter
+from pipeline.evaluation.image_metrics import MS_SSIM_SMALLEST_SIDE, SSIM_SMALLEST_SIDE, FlickerMeter, Geometry
 from pipeline.evaluation.lpips import Perceptual
 from pipeline.evaluation.metrics import MeasuredView, SeeView, means, measure
 from pipeline.evaluation.moving_pixels import MovingPixels
@@ -34,6 +35,19 @@ MEASURE_BYTES = 4 * 1024**3  # memory limit for the views that are measured in p
 
 
 @dataclass(frozen=True)
+class Rendered:
+    """One test view as a model, or anyone, renders it."""
+
+    image: np.ndarray  # (H, W, 3) float32 in [0, 1]
+    n_alive: int | None = None  # Gaussians with temporal marginal p(t) >= 0.05
+    geometry: Geometry | None = None
+
+
+# Of the index of a test view, what it is compared with, and the ground truth and LiDAR depths (H, W) that are known.
+Render = Callable[[int, Target, GroundTruth | None, np.ndarray | None], Rendered]
+
+
+@dataclass(frozen=True)
 class Evaluation:
     """Means over the test views, and the rows that they are means of."""
 
@@ -42,7 +56,8 @@ class Evaluation:
     per_image: list[
         dict
     ]  # view, time (seconds since the first), the metrics of a view, moving_share (of its pixels), n_alive
-    n_alive_mean: float  # Gaussians with temporal marginal p(t) >= 0.05, mean over the views
+    n_alive_mean: float | None  # Gaussians with temporal marginal p(t) >= 0.05, mean over the views
+    lpips_weights: dict[str, str]  # SHA-256 of LPIPS's files by name; empty: not measured
 
     def note(self) -> str | None:
         """Why numbers are missing, or None."""
@@ -70,14 +85,28 @@ def evaluate(
     selects. film: called with the camera of all of them. Both are called camera by camera in the order of time, if
     views are frames of videos. Raises ValueError for a model that is not finite.
     """
-    if found := model.first_non_finite():  # a render would not show it: max(0, NaN) is 0
+    if wrong := model.first_non_finite():  # a render would not show it: max(0, NaN) is 0
         raise ValueError(
-            f"model to evaluate: expected finite values, found NaN or Inf in {found[0]} of Gaussian {found[1]}"
+            f"model to evaluate: expected finite values, found NaN or Inf in {wrong[0]} of Gaussian {wrong[1]}"
         )
+    renderer = Renderer(model, scene, cfg, Rasterizer(threads=threads))
+
+    def render(index: int, target: Target, known: GroundTruth | None, lidar: np.ndarray | None) -> Rendered:
+        image, alive = renderer.image(target.camera, target.time), renderer.rasterizer.alive
+        return Rendered(image, alive, _geometry_of(renderer, target, known, lidar))
+
+    found = measure_images(scene, cfg, threads, render, save, film)
+    found.metrics.update(frames_per_second(model, scene, cfg, threads))
+    return found
+
+
+def measure_images(
+    scene: Scene, cfg: Config, threads: int, render: Render, save: SeeView | None = None, film: SeeView | None = None
+) -> Evaluation:
+    """What images of all test views are worth; of a model beside its speed. render, save, film: as in `evaluate`."""
     perceptual, flicker = Perceptual(cfg, scene), FlickerMeter(scene.frame_rate)
     moving = MovingPixels(scene, cfg.train.resolution_scale)
     sweeps = {sweep.frame: sweep for sweep in scene.test_sweeps}
-    renderer = Renderer(model, scene, cfg, Rasterizer(threads=threads))
     has_alpha = any(view.coverage is not None for view in scene.test)
     saved = set(evenly_spaced(len(scene.test), cfg.evaluate.renders))
     rows: dict[int, dict] = {}  # by index of the view
@@ -94,10 +123,12 @@ def evaluate(
             for index in indices:
                 view = scene.test[index]
                 target = target_of(view, cfg.train.resolution_scale)
-                image, truth = renderer.image(target.camera, target.time), target.image.numpy().transpose(1, 2, 0)
-                n_alive.append(renderer.rasterizer.alive)
                 sweep = sweeps.get(-1 if view.frame is None else view.frame)
-                geometry = _geometry_of(renderer, moving, index, target, sweep)
+                lidar = None if sweep is None else depth_image(sweep.points, target.camera)
+                known = moving.truth_of(index)
+                rendered = render(index, target, known, lidar)
+                image, truth = rendered.image, target.image.numpy().transpose(1, 2, 0)
+                n_alive.append(rendered.n_alive)
                 measured.append(
                     MeasuredView(
                         image,
@@ -107,7 +138,10 @@ def evaluate(
                         metre=scene.metre or 1.0,
                         flicker=flicker.next(view, image, truth),
                         lpips=partial(perceptual.measure, index, image, truth),
-                        **geometry,
+                        dynamic=moving.of(index, known),
+                        geometry=rendered.geometry,
+                        known=known,
+                        lidar=lidar,
                     )
                 )
             for index, seen, alive, row in zip(indices, measured, n_alive, pool.map(measure, measured)):
@@ -130,8 +164,9 @@ def evaluate(
     if metrics["ms_ssim"] is None:
         metrics["ms_ssim_note"] = f"MS-SSIM needs images of at least {MS_SSIM_SMALLEST_SIDE} px a side"
     metrics["moving_by"] = next(filter(None, map(moving.source, range(len(scene.test)))), None)
-    metrics.update(frames_per_second(model, scene, cfg, threads))
-    return Evaluation(metrics, per_image, float(np.mean([row["n_alive"] for row in per_image])))
+    counts = [row["n_alive"] for row in per_image]
+    n_alive_mean = None if None in counts else float(np.mean(counts))
+    return Evaluation(metrics, per_image, n_alive_mean, perceptual.weights)
 
 
 def evaluate_with_images(model: Model, scene: Scene, cfg: Config, threads: int, folder: Path) -> Evaluation:
@@ -150,19 +185,13 @@ def evaluate_with_images(model: Model, scene: Scene, cfg: Config, threads: int, 
 
 
 def _geometry_of(
-    renderer: Renderer, moving: MovingPixels, index: int, target: Target, sweep: Sweep | None
-) -> dict[str, Any]:
-    """Dynamic region, ground truth, LiDAR depths and rendered geometry of one test view, as MeasuredView takes them.
-
-    sweep: of the view's frame. Geometry is rendered where there is something to compare it with, or a picture of it.
-    """
-    known = moving.truth_of(index)
-    lidar = None if sweep is None else depth_image(sweep.points, target.camera)
-    geometry = None
+    renderer: Renderer, target: Target, known: GroundTruth | None, lidar: np.ndarray | None
+) -> Geometry | None:
+    """Rendered where there is something to compare it with, or a picture of it."""
     has_truth = known is not None and (known.depth is not None or known.flow is not None)
-    if has_truth or lidar is not None or renderer.scene.capture == "drive":
-        geometry = renderer.geometry(target.camera, target.time, None if known is None else known.flow_dt)
-    return {"dynamic": moving.of(index, known), "geometry": geometry, "known": known, "lidar": lidar}
+    if not has_truth and lidar is None and renderer.scene.capture != "drive":
+        return None
+    return renderer.geometry(target.camera, target.time, None if known is None else known.flow_dt)
 
 
 def _foreground(target: Target, image: np.ndarray) -> np.ndarray:

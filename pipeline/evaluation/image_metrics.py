@@ -35,6 +35,11 @@ def psnr(image: np.ndarray, truth: np.ndarray) -> float:
     return -10.0 * math.log10(max(error, SMALLEST_MSE))
 
 
+def channels_psnr(image: np.ndarray, truth: np.ndarray) -> float:
+    """The mean of the PSNRs of the three channels, as the authors' released program has it. Never below `psnr`."""
+    return float(np.mean([psnr(image[..., c], truth[..., c]) for c in range(3)]))
+
+
 def masked_psnr(image: np.ndarray, truth: np.ndarray, mask: np.ndarray | None) -> float | None:
     """`psnr` over the pixels of `mask` alone; None without any."""
     return psnr(image[mask], truth[mask]) if mask is not None and mask.any() else None

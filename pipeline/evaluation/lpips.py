@@ -1,8 +1,9 @@
 """LPIPS (Zhang et al. 2018, version 0.1) without torchvision: the weighted distance between deep features.
 
 A network has two sets of weights: the convolutions of torchvision's ImageNet model (233 MB AlexNet, 528 MB VGG16) and
-the 6 kB linear heads of the LPIPS authors. They are read from torch.hub's cache (`torch.hub.get_dir()`, set by
-TORCH_HOME), or downloaded to it, and checked by SHA-256. Where that fails, LpipsUnavailable has the reason.
+the 6 kB linear heads of the LPIPS authors. They are read from the folder `evaluate.lpips_weights`, without one from
+torch.hub's cache (`torch.hub.get_dir()`, set by TORCH_HOME), or downloaded to it, and checked by SHA-256. A folder that
+lacks a file is refused; where cache and download fail, LpipsUnavailable has the reason.
 
 LPIPS-Alex is measured on every view. LPIPS-VGG costs 27 times as much: 21 s of one core and 1.8 GB for 1352 × 1014
 pixels, nearly two hours for the 300 frames of a Plenoptic Video scene. It is measured on evenly spread views of
@@ -77,17 +78,38 @@ _SCALE = torch.tensor([0.458, 0.448, 0.450]).reshape(1, 3, 1, 1)
 SMALLEST_SIDE = 32
 
 
+def refuse_wrong_weights(folder: str | None) -> None:
+    """ValueError, one line, where a folder of weights lacks a file or has another. None: no folder is given."""
+    if folder is None:
+        return
+    for name, digest, _ in (file for files in _FILES.values() for file in files):
+        path = Path(folder).expanduser() / name
+        if not path.is_file():
+            names = ", ".join(file[0] for files in _FILES.values() for file in files)
+            raise ValueError(f"evaluate.lpips_weights: expected {names} in {folder}, found no {name}")
+        if not (found := _sha256(path)).startswith(digest):
+            raise ValueError(f"{path}: expected SHA-256 {digest}…, found {found[:8]}…")
+
+
 class LpipsUnavailable(RuntimeError):
     """The weights are neither cached nor downloadable; the message is one line."""
 
 
 class Lpips(nn.Module):
-    """LPIPS of one network. Called with two images (H, W, 3) in [0, 1], it returns their distance."""
+    """LPIPS of one network. Called with two images (H, W, 3) in [0, 1], it returns their distance.
 
-    def __init__(self, net: str, backbone: dict[str, Tensor], heads: dict[str, Tensor]) -> None:
+    weights: SHA-256 of its files by name; empty for weights that are from no file.
+    """
+
+    weights: dict[str, str]
+
+    def __init__(
+        self, net: str, backbone: dict[str, Tensor], heads: dict[str, Tensor], weights: dict[str, str] | None = None
+    ) -> None:
         """net: alex or vgg. backbone: torchvision's state dict, "features.<i>.weight" and ".bias". heads: the state
         dict of the linear heads, "lin<k>.model.1.weight" (1, C, 1, 1)."""
         super().__init__()
+        self.weights = weights or {}
         self.slices = nn.ModuleList()
         self.heads: list[Tensor] = []
         layers: list[nn.Module] = []
@@ -129,6 +151,7 @@ class Perceptual:
         """Loads the networks whose weights are available. `note`: why others are missing, or which views a mean has."""
         self._networks: dict[str, Lpips | None] = dict.fromkeys(_FILES)
         self.note: str | None = None
+        self.weights: dict[str, str] = {}  # SHA-256 of the files in use, by name
         camera = camera_at(scene.test[0].camera, cfg.train.resolution_scale)
         count, pixels = len(scene.test), camera.width * camera.height
         self._vgg_views = set(evenly_spaced(count, max(1, int(VGG_PIXELS / pixels))))
@@ -139,9 +162,12 @@ class Perceptual:
         else:
             for net in _FILES:
                 try:
-                    self._networks[net] = load(net)
+                    network = load(net, cfg.evaluate.lpips_weights)
                 except LpipsUnavailable as error:
                     self.note = self.note or str(error)
+                    continue
+                self._networks[net] = network
+                self.weights |= network.weights
             if self._networks["vgg"] is not None and len(self._vgg_views) < count:
                 self.note = self.note or f"LPIPS-VGG is of {len(self._vgg_views)} of the {count} test views"
 
@@ -156,17 +182,20 @@ class Perceptual:
         return network(image, truth) if network and (net != "vgg" or index in self._vgg_views) else None
 
 
-def load(net: str) -> Lpips:
-    """LPIPS with its published weights, from the cache or the network. Raises LpipsUnavailable."""
-    loaded = []
+def load(net: str, folder: str | None = None) -> Lpips:
+    """LPIPS with its published weights, from `folder`; None: the cache or the network. Raises LpipsUnavailable."""
+    loaded: list[dict[str, Tensor]] = []
+    weights: dict[str, str] = {}
     for name, digest, url in _FILES[net]:
-        path = Path(torch.hub.get_dir()) / "checkpoints" / name
+        path = Path(folder).expanduser() if folder else Path(torch.hub.get_dir()) / "checkpoints"
+        path /= name
         if not path.exists():
             _download(url, path, digest)
-        elif not _sha256(path).startswith(digest):
-            raise LpipsUnavailable(f"{path}: expected SHA-256 {digest}…, found {_sha256(path)[:8]}…; delete it")
+        weights[name] = _sha256(path)
+        if not weights[name].startswith(digest):
+            raise LpipsUnavailable(f"{path}: expected SHA-256 {digest}…, found {weights[name][:8]}…; delete it")
         loaded.append(torch.load(path, map_location="cpu", weights_only=True))
-    return Lpips(net, *loaded)
+    return Lpips(net, loaded[0], loaded[1], weights)
 
 
 def _download(url: str, path: Path, digest: str) -> None:
@@ -182,8 +211,8 @@ def _download(url: str, path: Path, digest: str) -> None:
     raise LpipsUnavailable(
         " ".join(
             f"LPIPS weights {path.name} are neither in {folder} nor available from "
-            f"{url.split('/')[2]} ({problem}); put the file there, and "
-            "delete the run's metrics.json to evaluate again, or set evaluate.lpips=false".split()
+            f"{url.split('/')[2]} ({problem}); put the file there or give its folder by evaluate.lpips_weights, "
+            "and repeat the command with only=evaluate, or set evaluate.lpips=false".split()
         )
     )
 

@@ -8,7 +8,6 @@ from pipeline.presentation.statistics import Estimate
 
 EMPTY_NOTE = "Empty cell: no run."
 NOT_REPORTED_NOTE = "–: not reported."
-NOT_MEASURED_NOTE = "n/a: not measured in these runs."
 SEEDS_NOTE = "±: half the 95 % t-interval of the mean over the seeds; no ±: one seed."
 
 
@@ -38,7 +37,7 @@ class Cell:
 
 NO_RUN = Cell("")
 NOT_REPORTED = Cell("–")  # the paper gives no number
-NOT_MEASURED = Cell("n/a")  # the run lacks the number
+NOT_MEASURED = Cell("not measured")  # the run lacks the number
 NOTHING = Cell("·")  # not applicable, such as a comparison of the baseline with itself
 
 
@@ -75,7 +74,6 @@ class Table:
         legend = (
             (EMPTY_NOTE, NO_RUN in cells),
             (NOT_REPORTED_NOTE, NOT_REPORTED in cells),
-            (NOT_MEASURED_NOTE, NOT_MEASURED in cells),
             (SEEDS_NOTE, self.over_seeds and any(cell.value is not None for cell in ours)),
         )
         return self.notes + tuple(("", text) for text, occurs in legend if occurs)

@@ -67,7 +67,9 @@ def comma_separated(table: Table) -> str:
 
 
 def _csv_cell(cell: Cell, row: Row) -> str:
-    if cell in (NOT_REPORTED, NOT_MEASURED, NOTHING):
+    if cell == NOT_MEASURED:
+        return "n/a"  # which pandas and R read as a missing number
+    if cell in (NOT_REPORTED, NOTHING):
         return ""
     as_printed = row.kind != "ours" and cell.error is None  # the paper's numbers keep their digits
     return cell.text if cell.value is None or as_printed else _plain(cell.value)

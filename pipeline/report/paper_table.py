@@ -8,9 +8,10 @@ from pathlib import Path
 import pandas as pd
 
 from pipeline.evaluation.metrics import METRICS
-from pipeline.presentation.table import NO_RUN, Cell, Column, Row, Table, printed
+from pipeline.evaluation.protocol import protocols
+from pipeline.presentation.table import NO_RUN, NOT_REPORTED, Cell, Column, Row, Table, printed
 from pipeline.report import scenes
-from pipeline.report.run_table import PROTOCOL_NOTE, Shown, missing_notes
+from pipeline.report.run_table import PROTOCOL_NOTE, Shown, missing_notes, protocol_notes
 from pipeline.report.runs import BEST, FINAL, Collection
 
 PAPER_DIR = Path(__file__).resolve().parents[2] / "results" / "paper"
@@ -56,13 +57,14 @@ class PaperTable:
             rows += self._ours(runs[runs["model"] == scenes.FULL])
         if not any(row.kind == "ours" for row in rows):
             return None
-        heads = [Column("method", "Method", False)]
+        heads = [Column("method", "Method", False), Column("protocol", "Protocol", False, fold=True)]
         if self.by_model:
             heads.insert(0, Column("model", "Ablation", False))
         elif any(not self._is_partial(column) for column in self.columns):
             heads.append(Column("scenes", "Scenes", False))
         keys = [column.metric for column in self.columns]
-        notes = [METRICS[key].note for key in keys if METRICS[key].note]
+        notes = protocol_notes(row.cells["protocol"].text for row in rows)
+        notes += [METRICS[key].note for key in keys if METRICS[key].note]
         notes += [PROTOCOL_NOTE, *missing_notes(runs, keys), *_decided(runs), *self.notes]
         notes += [f"Not in this table: {note}" for note in scenes.other_split_notes(collection, self.scenes)]
         return Table(
@@ -84,7 +86,7 @@ class PaperTable:
 
     def _printed(self, line: dict[str, str]) -> Row:
         cells = {"method": Cell(line.get("method", THIS_PAPER)), "model": Cell(line.get("model", ""))}
-        cells["scenes"] = Cell(line.get("scenes") or "–")
+        cells["scenes"], cells["protocol"] = Cell(line.get("scenes") or "–"), Cell(line["protocol"])
         for column in self.columns:
             parts = [line[part] for part in column.mean_of if line.get(part)]
             cells[column.key] = printed(line.get(column.key, ""))
@@ -92,15 +94,18 @@ class PaperTable:
                 mean = sum(map(float, parts)) / len(parts)
                 decimals = max(len(part.partition(".")[2]) for part in parts)
                 cells[column.key] = Cell(f"{mean + 1e-9:.{decimals}f}", mean)  # 0.9605 rounds up in binary too
+        if protocols()[line["protocol"]].psnr == "channels" and "psnr_channels" in cells:
+            cells["psnr_channels"], cells["psnr"] = cells["psnr"], NOT_REPORTED
         return Row(cells, "paper" if cells["method"].text == THIS_PAPER else "other", line["note"])
 
     def _ours(self, runs: pd.DataFrame) -> list[Row]:
         rows = []
-        for method, of_method in runs.groupby("method", sort=True):
+        for (method, protocol_id), of_method in runs.groupby(["method", "protocol"], sort=True):
             covered, wanted = of_method["scene"].nunique(), len(self.scenes)
             for protocol, name in _PROTOCOL.items():
                 cells = {
                     "method": Cell(f"Ours, {method}, {name}"),
+                    "protocol": Cell(protocol_id),
                     "model": Cell(of_method["model"].iloc[0]),
                     "scenes": Cell(str(wanted) if covered == wanted else f"mean of {covered} of {wanted}"),
                 }

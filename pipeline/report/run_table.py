@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 
 from pipeline.evaluation.metrics import METRICS, Metric
+from pipeline.evaluation.protocol import in_words, one_protocol
 from pipeline.presentation.statistics import FORMULA, Estimate, estimate, verdicts
 from pipeline.presentation.table import NO_RUN, NOTHING, Cell, Column, Row, Table, measured, number, signed
 from pipeline.report import scenes
@@ -21,8 +22,10 @@ from pipeline.report.runs import BEST, FINAL, Collection
 HEADERS = {  # of the columns that rows are grouped by
     "run": "Run",
     "scene_label": "Scene",
+    "protocol": "Protocol",
     "recipe_label": "Recipe",
     "model": "Model",
+    "images": "Images",
     "trained": "Trained model",
     "validation": "Decided by validation",
     "machine": "Machine",
@@ -30,7 +33,7 @@ HEADERS = {  # of the columns that rows are grouped by
     "git_commit": "Commit",
     "command": "Command",
 }
-FOLDED = ("recipe_label", "model", "trained", "validation", "machine", "date", "git_commit")
+FOLDED = ("protocol", "recipe_label", "model", "images", "trained", "validation", "machine", "date", "git_commit")
 PROTOCOL_NOTE = (
     "final: the last iteration. best on test: the best of all test evaluations. The authors' release reports the "
     "latter, which selects on the test set."
@@ -63,7 +66,10 @@ class Shown:
         return self.metric.scale * runs[self.column]
 
     def estimate(self, runs: pd.DataFrame) -> Estimate | None:
-        """Over the seeds; over several scenes the mean of their means, and the std of the seeds that all have."""
+        """Over the seeds; over several scenes the mean of their means, and the std of the seeds that all have.
+
+        MixedProtocols where the runs follow several protocols."""
+        one_protocol(runs["protocol"], f"{self.title} of {len(runs)} runs")
         if runs["scene_label"].nunique() <= 1:
             return estimate(self.numbers(runs))
         if self.numbers(runs).isna().any():
@@ -77,7 +83,10 @@ class Shown:
         return measured(self.estimate(runs), self.metric.decimals)
 
     def difference(self, runs: pd.DataFrame, baseline: pd.DataFrame) -> Estimate | None:
-        """Of one scene, over the seeds that both sides have; None where there is none or a number is missing."""
+        """Of one scene, over the seeds that both sides have; None where there is none or a number is missing.
+
+        MixedProtocols where the sides follow different ones."""
+        one_protocol([*runs["protocol"], *baseline["protocol"]], f"difference in {self.title}")
         changed, base = (self.numbers(side).groupby(side["seed"]).mean() for side in (runs, baseline))
         common = changed.index.intersection(base.index)
         return estimate(changed[common] - base[common])
@@ -93,20 +102,22 @@ Baseline = Callable[[Key, Groups], "Key | None"]  # of a row: the row that it is
 
 
 def full_model(key: Key, groups: Groups) -> Key | None:
-    """The same scene, recipe and changes with model=full. Rows: (…, model)."""
+    """The same scene, protocol, recipe and changes with model=full. Rows: (…, model)."""
     return None if key[-1] == scenes.FULL else (*key[:-1], scenes.FULL)
 
 
 def fewest_changes(key: Key, groups: Groups) -> Key | None:
-    """The same scene and model with the fewest of the run's own changes; of its recipe, or else of the only other one.
+    """The same scene, protocol and model with the fewest of the run's own changes; of its recipe, or else of the only
+    other one.
 
-    An experiment names its recipes: `no_dropout (train.dropout=0)` is compared with `short`. Rows: (scene, model, …).
+    An experiment names its recipes: `no_dropout (train.dropout=0)` is compared with `short`.
+    Rows: (scene, protocol, model, …).
     """
     own = groups[key].iloc[0]
     found = [
         (run["recipe"] != own["recipe"], len(run["changes"]), other)
         for other, group in groups.items()
-        if other[:2] == key[:2] and (run := group.iloc[0])["changes"].items() < own["changes"].items()
+        if other[:3] == key[:3] and (run := group.iloc[0])["changes"].items() < own["changes"].items()
     ]
     first = sorted(found)[:2]
     several = len(first) == 2 and first[0][0] and first[0][:2] == first[1][:2]
@@ -253,14 +264,21 @@ def _over(of_scenes: Sequence[Estimate | None]) -> Estimate | None:
 def _notes(
     runs: pd.DataFrame, columns: Sequence[Shown], with_verdict: bool, more: Sequence[str]
 ) -> tuple[tuple[str, str], ...]:
-    """Definitions of the metrics, protocol, verdict, why numbers are missing, held-out views, and `more`."""
-    notes = [FORMULA] if with_verdict else []
+    """Protocol, verdict, definitions of the metrics, why numbers are missing, held-out views, and `more`."""
+    notes = [*protocol_notes(runs["protocol"]), *([FORMULA] if with_verdict else [])] if columns else []
     notes += [PROTOCOL_NOTE] if any(one.protocol == BEST for one in columns) else []
     notes += [one.metric.note for one in columns if one.metric.note]
     notes += missing_notes(runs, [one.key for one in columns])
     splits = runs[["scene", "test_split"]].drop_duplicates().to_dict("records") if columns else []
     notes += [f"{row['scene']}: held out {row['test_split']}." for row in splits if row["test_split"]]
     return tuple(("", note) for note in dict.fromkeys((*notes, *more)))
+
+
+def protocol_notes(ids: Iterable[str]) -> list[str]:
+    """What the protocols of a table's rows are; of several, that nothing across them is averaged."""
+    found = sorted(set(ids))
+    several = [f"Rows of {len(found)} protocols: none are averaged, compared or ranked across them."]
+    return [*(several if len(found) > 1 else []), *map(in_words, found)]
 
 
 def missing_notes(runs: pd.DataFrame, keys: Sequence[str]) -> list[str]:

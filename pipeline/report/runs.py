@@ -21,15 +21,18 @@ from datasets.files.errors import DataError, clear
 from datasets.scene import Capture
 from pipeline.config.schema import MAX_SEED
 from pipeline.evaluation.metrics import METRICS
+from pipeline.evaluation.protocol import UNRECORDED
 from pipeline.runs.run_identity import flat, read_config
 
 FINAL, BEST = "final", "best_on_test"  # the last iteration; the best test evaluation, as in the authors' release
-REQUIRED = ("final.psnr", "final.ssim", "iterations", "train_seconds", "n_gaussians")
+QUALITY = ("final.psnr", "final.ssim")
+REQUIRED = (*QUALITY, "iterations", "train_seconds", "n_gaussians")
 CURVE_COLUMNS = ("train_seconds", "iteration", "psnr", "n_gaussians")
 CURVE_OPTIONAL = ("ssim", "test_loss", "psnr_moving")
 PROVENANCE = ("machine", "date", "git_commit", "command")
 NOTES = ("lpips_note", "ms_ssim_note")  # why a number is missing
-IDENTITY = ("scene_label", "recipe_label", "model", "seed")  # runs that are equal in these are repetitions
+IMAGES = ("rendered", "given")  # by this program, or by anyone (pipeline.score)
+IDENTITY = ("scene_label", "protocol", "recipe_label", "model", "seed")  # runs that are equal in these are repetitions
 MAX_NUMBER = 1e15  # of a measurement; its square is finite too
 MAX_TEXT = 4000  # characters of a note or a command
 
@@ -51,6 +54,7 @@ class Collection:
     runs: one row per run.
         run, folder: path below the directory, and whole path.
         scene, recipe, model, changes (dotted key → value), seed, capture, kind, decided: as the run declares them.
+        protocol: the id of what its numbers are measured by. images: rendered by the program, or given.
         scene_label, recipe_label: name and changes of the data, or of all else, for people: `fast (train.batch=4)`.
         method: recipe and all changes. changed: whether anything but the data is. trained, validation: kind, decided.
         final.*, best_on_test.*, and costs: the numbers of metrics.METRICS as metrics.json has them; NaN: not measured.
@@ -150,7 +154,7 @@ def read_metrics(path: Path) -> dict[str, Any]:
     for column, key in metric_columns():
         row[column] = _number(parts.get(column.split(".")[0], data).get(key), column)
     row[f"{BEST}.iteration"] = _number(parts[BEST].get("iteration"), f"{BEST}.iteration")
-    for key in REQUIRED:
+    for key in REQUIRED if row["images"] == "rendered" else QUALITY:
         if math.isnan(row[key]):
             raise BrokenRun(f"metrics.json: {key}: expected a number, found none")
     return row | {"test_split": _text(data.get("test_split"))} | {key: _text(parts[FINAL].get(key)) for key in NOTES}
@@ -163,6 +167,10 @@ def _declared(data: Mapping[str, Any]) -> dict[str, Any]:
         row[key] = data.get(key)
         if not isinstance(row[key], str) or not row[key] or clear(row[key]) != row[key]:
             raise BrokenRun(f"metrics.json: {key}: expected a name, found {row[key]!r}")
+    row["protocol"] = _text(data.get("protocol")) or UNRECORDED
+    row["images"] = data.get("images", "rendered")
+    if row["images"] not in IMAGES:
+        raise BrokenRun(f"metrics.json: images: expected {' or '.join(IMAGES)}, found {row['images']!r}")
     row["capture"] = data.get("capture")
     if row["capture"] not in get_args(Capture):
         raise BrokenRun(f"metrics.json: capture: expected {', '.join(get_args(Capture))}, found {row['capture']!r}")

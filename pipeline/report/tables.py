@@ -35,7 +35,7 @@ def _of_family(name: str) -> Callable[[pd.DataFrame], pd.Series]:
 ABLATIONS = RunTable(
     "ablation_verdicts",
     "Ablations on the scenes made for them",
-    ("scene_label", "recipe_label", "model"),
+    ("scene_label", "protocol", "recipe_label", "model"),
     where=_made_for_ablation,
     columns=lambda: (Shown("psnr"), Shown("psnr", BEST)),
     against=full_model,
@@ -52,7 +52,7 @@ _COMPARED = (
 COMPARE = RunTable(
     "compare",
     "Effect of changed settings",
-    ("scene_label", "model", "recipe_label"),
+    ("scene_label", "protocol", "model", "recipe_label"),
     columns=lambda: (Shown("psnr"),),
     against=fewest_changes,
     baseline_name="unchanged",
@@ -66,7 +66,7 @@ SCENES = tuple(
     RunTable(
         f"scenes_{name}",
         title,
-        ("scene_label", "recipe_label", "model"),
+        ("scene_label", "protocol", "recipe_label", "model"),
         where=_of_family(name),
         columns=lambda: (
             Shown("psnr"),
@@ -91,7 +91,8 @@ PAPER = (
         "Table 1 · Plenoptic Video, mean over scenes",
         PLENOPTIC,
         tuple(
-            Averaged(key, key, PLENOPTIC) for key in ("psnr", "dssim", "dssim1", "dssim2", "lpips_alex", "fps_render")
+            Averaged(key, key, PLENOPTIC)
+            for key in ("psnr", "psnr_channels", "dssim", "dssim1", "dssim2", "lpips_alex", "fps_render")
         ),
         notes=(_ON_CPU, _OWN_SCENE),
     ),
@@ -109,7 +110,7 @@ PAPER = (
         "table2_dnerf",
         "Table 2 · D-NeRF, mean over scenes",
         DNERF,
-        tuple(Averaged(key, key, DNERF) for key in ("psnr", "ssim", "lpips_vgg")),
+        tuple(Averaged(key, key, DNERF) for key in ("psnr", "psnr_channels", "ssim", "lpips_vgg")),
     ),
     PaperTable(
         "table3_ablation",
@@ -144,7 +145,7 @@ RAW = (
     RunTable(
         "all_runs",
         "All runs",
-        ("run", "model", "trained", "validation"),
+        ("run", "protocol", "images", "model", "trained", "validation"),
         columns=lambda: (
             Shown("psnr"),
             Shown("psnr", BEST),

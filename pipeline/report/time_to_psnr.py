@@ -18,7 +18,7 @@ from pipeline.report.run_table import FOLDED, HEADERS
 from pipeline.report.runs import Collection
 
 LEVELS_BELOW = (4, 2, 1, 0)  # default levels: dB below the highest PSNR of the scene, rounded down
-_HEADS = ("scene_label", "model", "recipe_label")
+_HEADS = ("scene_label", "protocol", "model", "recipe_label")
 _NOTE = (
     "Training: mean over the seeds that reached the PSNR, interpolated between evaluations. Evaluations are at full "
     "resolution, so PSNR is low while training is at a coarse resolution."

@@ -13,6 +13,7 @@ from pipeline.config.compose import Command
 from pipeline.config.schema import Config
 from pipeline.data.prepare import prepare
 from pipeline.evaluation.evaluate import refuse_small_images
+from pipeline.evaluation.lpips import refuse_wrong_weights
 from pipeline.runs.provenance import git_commit, provenance
 from pipeline.runs.run_folder import RunFolder
 from pipeline.runs.run_identity import read_stages, refuse_foreign, refuse_other_run
@@ -46,6 +47,8 @@ def run(command: Command, log: Callable[[str], None]) -> dict | None:
             log(line)
     data = prepare(cfg, log)
     cfg = for_scene(command, data)
+    if cfg.evaluate.lpips:
+        refuse_wrong_weights(cfg.evaluate.lpips_weights)
     refuse_small_images(data.scene, cfg.train.resolution_scale)  # before hours of training
     refuse_large_batch(len(data.scene.train), cfg.train.batch)
     if data.poses_estimated and not trained:

@@ -16,6 +16,7 @@ from pipeline.data.stored_scene import to_dict
 from pipeline.evaluation.evaluate import Evaluation, evaluate, evaluate_with_images
 from pipeline.evaluation.moving_pixels import MovingPixels
 from pipeline.evaluation.outlook import outlook, path_angles
+from pipeline.evaluation.protocol import measured_by
 from pipeline.evaluation.quick_evaluate import quick_evaluate
 from pipeline.evaluation.renderer import Renderer
 from pipeline.evaluation.rivals import AgainstRivals, Rivals
@@ -149,6 +150,7 @@ def evaluate_model(job: Job) -> dict:
     write_json(folder.metrics, {
         "scene": cfg.scene.name, "recipe": cfg.train.name, "model": cfg.ablation.name,
         "changes": changes(job.command, scene), "seed": cfg.seed, "capture": scene.capture, "date": now(),
+        **measured_by(cfg, scene, final.lpips_weights), "images": "rendered",
         "final": final.metrics,
         "best_on_test": best_metrics,
         **({} if scene.test_split is None else {"test_split": scene.test_split}),

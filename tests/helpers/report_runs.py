@@ -11,6 +11,12 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+PROTOCOLS = {
+    "dnerf": "dnerf-400-black-v1",
+    "plenoptic": "plenoptic-half-cam00-v1",
+    "synthetic": "synthetic-v1",
+}  # of a scene's family
+
 
 def write_run(
     root: Path,
@@ -37,6 +43,7 @@ def write_run(
     (folder / "renders").mkdir(parents=True)
     quality = {
         "psnr": psnr,
+        "psnr_channels": psnr + 0.125,
         "ssim": 0.9,
         "ms_ssim": 0.96,
         "dssim": 0.02,
@@ -58,6 +65,8 @@ def write_run(
         "model_mb": 7.5,
         "model_with_optimiser_mb": 22.5,
         "iterations": iterations,
+        "protocol": PROTOCOLS.get(scene.split("/")[0], "unnamed-00000000"),
+        "images": "rendered",
         "scene": scene,
         "recipe": recipe,
         "model": model,

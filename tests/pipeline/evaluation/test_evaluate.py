@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -23,6 +25,18 @@ from pipeline.model.model import Model
 @pytest.fixture(scope="module")
 def model() -> Model:
     return initialise(tiny_scene(), tiny_config(), np.random.default_rng(0))
+
+
+class Known:
+    """A network whose distances are known."""
+
+    weights: ClassVar = {"alex.pth": "ab12"}
+
+    def __init__(self, distance: Callable[[], float]) -> None:
+        self.distance = distance
+
+    def __call__(self, image: np.ndarray, truth: np.ndarray) -> float:
+        return self.distance()
 
 
 def scene_of(model: Model) -> Scene:
@@ -81,7 +95,7 @@ def test_missing_metrics_are_none_with_a_reason(model: Model) -> None:
 
 
 def test_lpips_without_weights_is_none_with_a_reason(model: Model, monkeypatch) -> None:
-    def unavailable(net: str) -> None:
+    def unavailable(net: str, folder: None) -> None:
         raise lpips.LpipsUnavailable(f"no weights of {net}")
 
     monkeypatch.setattr(lpips, "load", unavailable)
@@ -91,16 +105,16 @@ def test_lpips_without_weights_is_none_with_a_reason(model: Model, monkeypatch) 
 
 
 def test_lpips_with_weights_is_measured(model: Model, monkeypatch) -> None:
-    monkeypatch.setattr(lpips, "load", lambda net: lambda image, truth: 0.25)
+    monkeypatch.setattr(lpips, "load", lambda net, folder: Known(lambda: 0.25))
     found = evaluate(model, tiny_scene(), evaluation_config(lpips=True), 1)
     assert found.metrics["lpips_alex"] == found.metrics["lpips_vgg"] == 0.25
-    assert found.metrics["lpips_note"] is None
+    assert found.metrics["lpips_note"] is None and found.lpips_weights == {"alex.pth": "ab12"}
 
 
 def test_lpips_vgg_of_large_scenes_is_measured_on_evenly_spread_views(model: Model, monkeypatch) -> None:
     """Networks that return known numbers; the pixel limit allows three of five views."""
     distances = {"alex": iter(range(5)), "vgg": iter((10.0, 20.0, 60.0))}
-    monkeypatch.setattr(lpips, "load", lambda net: lambda image, truth: float(next(distances[net])))
+    monkeypatch.setattr(lpips, "load", lambda net, folder: Known(lambda: float(next(distances[net]))))
     monkeypatch.setattr(lpips, "VGG_PIXELS", 3 * SIZE**2)
     found = evaluate(model, tiny_film(frames=5, held_out=("cam00",)), evaluation_config(lpips=True), 1)
     assert [row["lpips_vgg"] for row in found.per_image] == [10.0, None, 20.0, None, 60.0]

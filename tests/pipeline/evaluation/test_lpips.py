@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import threading
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -85,7 +86,7 @@ def test_missing_weights_are_one_line_with_the_reason(empty_cache: Path, monkeyp
     monkeypatch.setattr(lpips, "_unreachable", lambda url: "no route to host")
     with pytest.raises(
         lpips.LpipsUnavailable,
-        match=r"alexnet-owt-7be5be79.pth .* \(no route to host\); put .* delete .* or set evaluate.lpips=false",
+        match=r"alexnet-owt-7be5be79.pth .* \(no route to host\); put .* only=evaluate, or set evaluate.lpips=false",
     ):
         lpips.load("alex")
 
@@ -104,3 +105,24 @@ def test_the_reason_is_from_the_operating_system_or_the_server() -> None:
         reason = lpips._unreachable(f"http://127.0.0.1:{server.server_port}/not/there")
         server.shutdown()
     assert reason == "the server answers 404 File not found"
+
+
+def test_a_folder_of_weights_is_checked_and_its_hashes_are_kept(tmp_path: Path, monkeypatch) -> None:
+    """Random weights under the published names, whose hashes are exchanged for those of the files."""
+    alex, vgg = random_weights(ALEX, [64, 192, 384, 256, 256]), random_weights(VGG, [64, 128, 256, 512, 512])
+    files = {}
+    for net, weights in (("alex", alex), ("vgg", vgg)):
+        for content, (name, _, url) in zip(weights, lpips._FILES[net]):
+            torch.save(content, tmp_path / name)
+            digest = hashlib.sha256((tmp_path / name).read_bytes()).hexdigest()
+            files.setdefault(net, []).append((name, digest[:8], url))
+    with pytest.raises(ValueError, match=r"alexnet.*: expected SHA-256 7be5be79…, found"):
+        lpips.refuse_wrong_weights(str(tmp_path))
+    monkeypatch.setattr(lpips, "_FILES", files)
+    lpips.refuse_wrong_weights(str(tmp_path))
+    network = lpips.load("alex", str(tmp_path))
+    assert network(*images()) == lpips.Lpips("alex", *alex)(*images())
+    assert {name: digest[:8] for name, digest in network.weights.items()} == {f[0]: f[1] for f in files["alex"]}
+    (tmp_path / "vgg16-397923af.pth").unlink()
+    with pytest.raises(ValueError, match=r"evaluate.lpips_weights: expected .*, found no vgg16-397923af.pth"):
+        lpips.refuse_wrong_weights(str(tmp_path))

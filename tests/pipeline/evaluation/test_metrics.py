@@ -97,7 +97,7 @@ def test_a_view_has_every_metric_of_two_images() -> None:
     assert found["psnr"] == image_metrics.psnr(image, truth) and found["ssim"] == image_metrics.ssim(image, truth)
     assert found["dssim"] == pytest.approx((1 - image_metrics.ms_ssim(image, truth)) / 2)
     assert {key for key, value in found.items() if value is not None} == {
-        "psnr", "ssim", "ms_ssim", "dssim", "dssim1", "dssim2"}  # fmt: skip
+        "psnr", "psnr_channels", "ssim", "ms_ssim", "dssim", "dssim1", "dssim2"}  # fmt: skip
 
 
 @pytest.mark.parametrize("shape", [(24, 30, 3), (24, 31), (24, 31, 4)])

@@ -84,6 +84,14 @@ def test_averages_of_table_3(tmp_path: Path) -> None:
     assert half_up(mean) == 30.88 and "30.88" in dict(table.notes)[found["no_time_split"].mark]
 
 
+def test_a_printed_psnr_stands_in_the_column_of_its_kind(tmp_path: Path) -> None:
+    write_run(tmp_path, "dnerf/hook")
+    rows = {row.cells["method"].text: row.cells for row in TABLE2.build(collect(tmp_path)).rows}
+    found = {name: (cells["psnr"].text, cells["psnr_channels"].text) for name, cells in rows.items()}
+    assert found["4DGS (this paper)"] == ("–", "34.09") and found["V4D"] == ("33.72", "–")
+    assert found["Ours, fast, final"] == ("25.00", "25.12")
+
+
 # --- our rows -------------------------------------------------------------------------------------
 
 
@@ -98,8 +106,10 @@ def test_runs_of_all_six_scenes_fill_table_1(tmp_path: Path) -> None:
     final, best = ours(TABLE1.build(collection))
     assert {key: text for key, text in final.items() if key != "model"} == {
         "method": "Ours, paper, final",
+        "protocol": "plenoptic-half-cam00-v1",
         "scenes": "6",
         "psnr": f"{mean:.2f} ± 6.35",
+        "psnr_channels": f"{mean + 0.125:.2f} ± 6.35",
         "dssim": "0.0200 ± 0.0000",
         "dssim1": "0.0500 ± 0.0000",
         "dssim2": "0.0400 ± 0.0000",
@@ -120,8 +130,8 @@ def test_a_mean_of_fewer_scenes_states_their_number(tmp_path: Path) -> None:
     collection = collect(tmp_path)
     table = TABLE1.build(collection)
     final = ours(table)[0]
-    assert (final["scenes"], final["psnr"], final["lpips_alex"]) == ("mean of 1 of 6", "29.00", "n/a")
-    assert ("", "LPIPS: no weights: offline") in table.notes  # the reason for n/a
+    assert (final["scenes"], final["psnr"], final["lpips_alex"]) == ("mean of 1 of 6", "29.00", "not measured")
+    assert ("", "LPIPS: no weights: offline") in table.notes  # the reason
     final = ours(PER_SCENE.build(collection))[0]
     assert final["flame_salmon"] == "29.00" and final["cook_spinach"] == final["mean"] == ""
 
@@ -158,10 +168,10 @@ def test_scene_without_our_runs_is_hidden_in_markdown_but_not_in_csv(tmp_path: P
     write_run(tmp_path, "plenoptic/flame_steak", psnr=33.0)
     table = PER_SCENE.build(collect(tmp_path))
     shown = [line for line in markdown(table).splitlines() if line.startswith("|")]
-    assert shown[0].split() == ["|", "Method", "|", "flame_steak", "|"]
+    assert shown[0].split() == ["|", "Method", "|", "Protocol", "|", "flame_steak", "|"]
     assert any("4DGS (this paper)" in line and "34.03" in line for line in shown)
     assert any("Ours, fast, final" in line and "33.00" in line for line in shown)
-    assert comma_separated(table).splitlines()[0].startswith("kind,method,coffee_martini,cook_spinach,")
+    assert comma_separated(table).splitlines()[0].startswith("kind,method,protocol,coffee_martini,cook_spinach,")
 
 
 def test_csv_parses_back_to_full_precision(tmp_path: Path) -> None:
@@ -179,13 +189,16 @@ def test_csv_parses_back_to_full_precision(tmp_path: Path) -> None:
     assert float(final["psnr"]) == pytest.approx(statistics.mean(values), rel=1e-12)  # summation order: 1 ulp
     half = 4.302652730 * statistics.stdev(values) / 3**0.5  # t(2)
     assert float(final["psnr_ci95"]) == pytest.approx(half, rel=1e-8)
-    assert final["lpips_vgg"] == ""
+    assert final["lpips_vgg"] == "n/a"
     assert next(r for r in rows if r["method"] == "4DGS (Wu)") == {
         "kind": "other",
         "method": "4DGS (Wu)",
+        "protocol": "dnerf-800-quoted-v1",
         "scenes": "8",
         "psnr": "33.30",
         "psnr_ci95": "",
+        "psnr_channels": "",
+        "psnr_channels_ci95": "",
         "ssim": "0.98",
         "ssim_ci95": "",
         "lpips_vgg": "0.03",
@@ -200,7 +213,7 @@ def test_a_new_table_of_printed_numbers_is_its_csv_and_its_columns(
 ) -> None:
     monkeypatch.setattr(paper_table, "PAPER_DIR", tmp_path / "paper")
     (tmp_path / "paper").mkdir()
-    (tmp_path / "paper/toy.csv").write_text("method,ssim,note\nTheirs,0.5,¹\n")
+    (tmp_path / "paper/toy.csv").write_text("method,ssim,protocol,note\nTheirs,0.5,dnerf-400-quoted-v1,¹\n")
     (tmp_path / "paper/footnotes.csv").write_text("mark,text\n¹,A guess.\n")
     write_run(tmp_path / "runs", "synthetic/wheel")
     spec = PaperTable("toy", "Toy", ("synthetic/wheel",), (Averaged("ssim", "ssim", ("synthetic/wheel",)),))

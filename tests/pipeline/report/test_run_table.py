@@ -11,6 +11,7 @@ import pytest
 from report_runs import write_run
 
 from pipeline.evaluation.metrics import METRICS, Metric
+from pipeline.evaluation.protocol import MixedProtocols
 from pipeline.presentation.table import Row, Table
 from pipeline.presentation.table_files import markdown
 from pipeline.report import scenes, tables
@@ -101,7 +102,10 @@ def test_a_number_that_a_seed_lacks_has_no_mean(tmp_path: Path) -> None:
         write_run(tmp_path, "synthetic/wheel", seed=seed, **{"final.flicker": flicker})
     write_run(tmp_path, "synthetic/lamp", **{"final.flicker": 0.02})
     table = scene_table(tmp_path, "synthetic")
-    assert texts(table, "scene_label", "final.flicker") == [("synthetic/wheel", "n/a"), ("synthetic/lamp", "5.10")]
+    assert texts(table, "scene_label", "final.flicker") == [
+        ("synthetic/wheel", "not measured"),
+        ("synthetic/lamp", "5.10"),
+    ]
 
 
 def test_only_what_runs_have_numbers_of_is_a_column(tmp_path: Path) -> None:
@@ -115,6 +119,46 @@ def test_only_what_runs_have_numbers_of_is_a_column(tmp_path: Path) -> None:
     text = markdown(table)
     assert "PSNR, dynamic region, dB ↑" in text and "Dynamic region: pixels of moving bodies" in text
     assert "LPIPS: no weights: offline" in text and "LiDAR" not in text
+
+
+# --- protocols ------------------------------------------------------------------------------------
+
+
+def test_rows_of_two_protocols_are_neither_averaged_nor_compared(tmp_path: Path) -> None:
+    """The same command on images over white: rows of their own, without the other rows as their baseline."""
+    write_seeds(tmp_path, [30.0, 31.0, 32.0], "dnerf/hook")
+    write_seeds(tmp_path, [25.0, 26.0, 27.0], "dnerf/hook", model="no_4drot")
+    white = {"protocol": "dnerf-400-white-v1", "out": "white"}
+    write_seeds(tmp_path, [35.0, 36.0, 37.0], "dnerf/hook", model="no_4drot", **white)
+    write_seeds(tmp_path, [40.0], "dnerf/trex", **white)
+    table = scene_table(tmp_path, "dnerf")
+    assert texts(table, "scene_label", "protocol", "model", "seeds", DIFFERENCE) == [
+        ("dnerf/hook", "dnerf-400-black-v1", "full", "3", "·"),
+        ("dnerf/hook", "dnerf-400-black-v1", "no_4drot", "3", "-5.00 ± 0.00"),
+        ("dnerf/hook", "dnerf-400-white-v1", "no_4drot", "3", "·"),
+        ("dnerf/trex", "dnerf-400-white-v1", "full", "1", "·"),
+    ]
+    notes = [note for _, note in table.notes]
+    assert "Rows of 2 protocols: none are averaged, compared or ranked across them." in notes
+    assert any(note.startswith("dnerf-400-white-v1: D-NeRF, 400 × 400, over white;") for note in notes)
+    runs = collect(tmp_path).runs
+    with pytest.raises(MixedProtocols, match="expected rows of one protocol, found dnerf-400-black-v1 and dnerf-400-w"):
+        Shown("psnr").estimate(runs)
+    table2 = tables.PAPER[2].build(collect(tmp_path))
+    ours = [(row.cells["protocol"].text, row.cells["scenes"].text) for row in table2.rows if row.kind == "ours"]
+    assert ours[::2] == [("dnerf-400-black-v1", "mean of 1 of 8"), ("dnerf-400-white-v1", "mean of 1 of 8")]
+
+
+def test_one_protocol_stands_over_the_table(tmp_path: Path) -> None:
+    write_run(tmp_path, "dnerf/hook")
+    assert "Protocol: dnerf-400-black-v1" in markdown(scene_table(tmp_path, "dnerf")).splitlines()[2]
+
+
+def test_a_run_without_a_protocol_is_a_row_of_its_own(tmp_path: Path) -> None:
+    """metrics.json of a commit before protocols."""
+    write_run(tmp_path, "dnerf/hook")
+    write_run(tmp_path, "dnerf/hook", out="old", protocol=None)
+    assert texts(scene_table(tmp_path, "dnerf"), "protocol") == [("unrecorded",), ("dnerf-400-black-v1",)]
 
 
 # --- differences ----------------------------------------------------------------------------------
@@ -242,7 +286,7 @@ def test_lower_is_better_for_some(tmp_path: Path) -> None:
     table = RunTable(
         "flicker",
         "Flicker",
-        ("scene_label", "model", "recipe_label"),
+        ("scene_label", "protocol", "model", "recipe_label"),
         against=fewest_changes,
         differences=lambda: (Shown("flicker"),),
     )

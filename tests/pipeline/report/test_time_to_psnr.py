@@ -12,7 +12,9 @@ from pipeline.report.time_to_psnr import TimeToPsnr, levels_of, seconds_to
 
 def curve(points: list[tuple[float, float]], run: str = "a", recipe: str = "fast") -> pd.DataFrame:
     rows = [{"train_seconds": s, "iteration": i, "psnr": p, "n_gaussians": 1} for i, (s, p) in enumerate(points)]
-    return pd.DataFrame(rows).assign(run=run, scene_label="synthetic/wheel", model="full", recipe_label=recipe, seed=0)
+    return pd.DataFrame(rows).assign(
+        run=run, scene_label="synthetic/wheel", protocol="p", model="full", recipe_label=recipe, seed=0
+    )
 
 
 def collection(*curves: pd.DataFrame) -> Collection:
