@@ -1,4 +1,4 @@
-"""Command line of the report: `python -m pipeline.report RUNS_DIR [--out DIR]`."""
+"""Command line of the report: `python -m pipeline.report RUNS_DIR… [--out DIR]`."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ _EXIT_STATUS = "Exit status: 0, also if some runs can't be read (they are named 
 def main(arguments: list[str]) -> int:
     """Runs the command and returns its exit status. All files are written before anything is printed."""
     options = _parser().parse_args(arguments)
-    out = options.out or options.runs_dir.resolve().parent / "report"
-    report = build_report(options.runs_dir, tuple(options.no_pictures), tuple(options.psnr), options.latex, out)
+    out = options.out or options.runs_dirs[0].resolve().parent / "report"
+    report = build_report(options.runs_dirs, tuple(options.no_pictures), tuple(options.psnr), options.latex, out)
     replace_report(out, report.files)
     for line in report.warnings:
         print(f"warning: {line}", file=sys.stderr)
@@ -38,7 +38,13 @@ def main(arguments: list[str]) -> int:
 
 def _parser() -> CommandParser:
     parser = CommandParser("report", _DESCRIPTION, _EXIT_STATUS)
-    parser.add_argument("runs_dir", type=Path, metavar="RUNS_DIR", help="folder with run folders, at any depth")
+    parser.add_argument(
+        "runs_dirs",
+        type=Path,
+        nargs="+",
+        metavar="RUNS_DIR",
+        help="folder with run folders, at any depth; of several, as of several machines, all runs are compared",
+    )
     parser.add_argument("--out", type=Path, metavar="DIR", help="output folder (default: RUNS_DIR/../report)")
     parser.add_argument("--latex", action="store_true", help="write each table as .tex too (needs booktabs)")
     parser.add_argument(

@@ -1,10 +1,11 @@
-"""Builds all files of a report from a folder of runs."""
+"""Builds all files of a report from folders of runs."""
 
 from __future__ import annotations
 
 import base64
 import os
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -33,18 +34,18 @@ class Report:
 
 
 def build_report(
-    runs_dir: Path,
+    roots: Sequence[Path],
     no_pictures: tuple[str, ...] = (),
     levels: tuple[float, ...] = (),
     with_latex: bool = False,
     out: Path = Path(),
 ) -> Report:
-    """The report of the runs below `runs_dir`; FileNotFoundError if there are none.
+    """The report of the runs below `roots`; FileNotFoundError if there are none.
 
     no_pictures: scenes or families of scenes without images. levels: dB, of the table of training time to a PSNR.
     with_latex: whether to write each table as .tex too. out: the folder that the files will be in.
     """
-    collection = collect(runs_dir)
+    collection = collect(*roots)
     content = content_of(collection, no_pictures, levels, _plots(collection))
     files = {f"tables/{name}": data for table in content.tables for name, data in files_of(table, with_latex).items()}
     files |= {f"plots/{plot.slug}.svg": plot.light.encode() for plot in content.plots}

@@ -1,4 +1,4 @@
-"""Reads all run folders below a directory into data frames.
+"""Reads all run folders below one or more folders into data frames.
 
 A run folder is any folder with a config.yaml or a metrics.json. Every run declares in metrics.json what it is: scene,
 recipe, model, changes and seed. A run that is unfinished or whose metrics.json is invalid is left out and named in one
@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import json
 import math
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -49,10 +50,10 @@ class BrokenRun(ValueError):
 
 @dataclass(frozen=True)
 class Collection:
-    """The runs below a directory.
+    """The runs below folders.
 
     runs: one row per run.
-        run, folder: path below the directory, and whole path.
+        run, folder: path below the folder, or below the one that holds all folders, and whole path.
         scene, recipe, model, changes (dotted key → value), seed, capture, kind, decided: as the run declares them.
         protocol: the id of what its numbers are measured by. images: rendered by the program, or given.
         scene_label, recipe_label: name and changes of the data, or of all else, for people: `fast (train.batch=4)`.
@@ -72,11 +73,13 @@ class Collection:
     warnings: tuple[str, ...] = ()
 
 
-def collect(runs_dir: Path) -> Collection:
-    """All runs below `runs_dir`; of repetitions the first. FileNotFoundError if there is none that can be read."""
-    if not runs_dir.is_dir():
-        found = "a file" if runs_dir.exists() else "nothing"
-        raise FileNotFoundError(f"{runs_dir}: expected a folder of runs, found {found}; {_HOW_TO_START}")
+def collect(*roots: Path) -> Collection:
+    """All runs below `roots`; of repetitions the first. FileNotFoundError if there is none that can be read."""
+    for root in roots:
+        if not root.is_dir():
+            found = "a file" if root.exists() else "nothing"
+            raise FileNotFoundError(f"{root}: expected a folder of runs, found {found}; {_HOW_TO_START}")
+    base = Path(os.path.commonpath([root.absolute() for root in roots]))
     rows: dict[tuple, dict[str, Any]] = {}
     curves: list[pd.DataFrame] = []
     settings: dict[str, dict[str, Any]] = {}
@@ -90,8 +93,8 @@ def collect(runs_dir: Path) -> Collection:
             warnings.append(f"{run}: {error}")
             return default
 
-    for folder in run_folders(runs_dir):
-        run = folder.relative_to(runs_dir).as_posix()
+    for folder in dict.fromkeys(folder for root in roots for folder in run_folders(root)):
+        run = folder.absolute().relative_to(base).as_posix()
         try:
             row = {"run": run, "folder": folder, **read_metrics(folder / "metrics.json")}
             config = read_settings(folder / "config.yaml")
@@ -113,7 +116,8 @@ def collect(runs_dir: Path) -> Collection:
         found = f"none; {_HOW_TO_START}"
         if left_out:
             found = f"{len(left_out)} that cannot be used; the first: {left_out[0]}; {_HOW_TO_RESUME}"
-        raise FileNotFoundError(f"{runs_dir}: expected at least one finished run (metrics.json), found {found}")
+        where = ", ".join(map(str, roots))
+        raise FileNotFoundError(f"{where}: expected at least one finished run (metrics.json), found {found}")
     no_curves = pd.DataFrame(columns=[*CURVE_COLUMNS, *CURVE_OPTIONAL, "run", *IDENTITY])
     all_curves = pd.concat(curves, ignore_index=True) if curves else no_curves
     return Collection(pd.DataFrame(list(rows.values())), all_curves, settings, tuple(left_out), tuple(warnings))

@@ -142,3 +142,25 @@ def test_a_run_says_that_validation_took_shared_motion(tmp_path):
     assert row["validation"] == "fourier_order=0, shared_motion=true"
     assert row["trained"] == "fourier_order=0, motion=velocity, sh_degree=3, trajectories=32"
     assert row["recipe_label"] == "fast", "a decision is no change"
+
+
+def test_runs_of_several_machines_are_one_collection(tmp_path, capsys):
+    """The one seed that both have counts once; a folder within another one, too."""
+    for machine, seeds in {"a/runs": (0, 1), "b/runs": (1, 2)}.items():
+        for seed in seeds:
+            write_run(tmp_path / machine, "synthetic/wheel", seed=seed)
+    roots = [tmp_path / name for name in ("a/runs", "b/runs", "b/runs/synthetic")]
+    found = collect(*roots)
+    name = "runs/synthetic/wheel/full/fast/seed"
+    assert list(found.runs["run"]) == [f"a/{name}0", f"a/{name}1", f"b/{name}2"]
+    assert set(found.curves["run"]) == set(found.settings) == set(found.runs["run"])
+    repeated = f"b/{name}1: left out: same scene, recipe, model, changes and seed as a/{name}1"
+    assert found.left_out == (repeated,)
+    assert main([*map(str, roots)]) == 0
+    assert capsys.readouterr().err == f"warning: {repeated}\n" and (tmp_path / "a/report/report.html").exists()
+
+
+def test_a_folder_that_is_missing_among_several_is_an_error(tmp_path, capsys):
+    write_run(tmp_path / "runs", "synthetic/wheel")
+    assert main([str(tmp_path / "runs"), str(tmp_path / "none")]) == 1
+    assert capsys.readouterr().err.startswith(f"error: {tmp_path / 'none'}: expected a folder of runs, found nothing")
