@@ -37,7 +37,7 @@ from rasterizer.cores import thread_count
 VALIDATION_EVERY = 4  # every fourth pose is a validation pose
 RESOLUTION = 0.5  # × the schedule's
 TIME_SHARE, COLOUR_SHARE, MOTION_SHARE = 0.1, 0.1, 0.15  # of the schedule's iterations, of each short training
-FEWEST_ITERATIONS = 60  # of a short training, or all of the schedule
+FEWEST_ITERATIONS = 150  # of a short training, or all of the schedule: fewer show no more than a blur
 STANDARD_ERRORS = 2.0  # of the gain by time, which must be larger
 FIT_GAIN = 1.0  # dB of the training views, by shared motion: of bodies it is above 2, of what flies below -0.5
 # Training views for shared motion. With lego's 50 it fits these better, and outermost held-out views worse.

@@ -15,7 +15,7 @@ import torch
 from datasets.scene import Scene, View, camera_extent, capture_of
 from datasets.settings import SceneConfig
 from pipeline.config.schema import AblationConfig, Config, EvaluateConfig, InitConfig
-from pipeline.config.train_schema import DensifyConfig, TrainConfig
+from pipeline.config.train_schema import DensifyConfig, LearningRates, TrainConfig
 from pipeline.model.initialise import initialise
 from pipeline.model.model import Model, ModelKind
 from pipeline.training import schedule, state
@@ -64,6 +64,7 @@ def tiny_config(iterations: int = 60, background_model: str = "none", **train_ke
         eval_every=10,
         checkpoint_every=7,
         orders_at=[15, 30, 45, 30, 40],
+        lr=LearningRates(decay_iterations=30_000),  # so that runs of any length begin alike
         densify=densify,
         init_points=200,
     )

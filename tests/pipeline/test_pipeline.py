@@ -110,7 +110,7 @@ def test_time_varying_colour_without_a_gain_is_left_out_of_the_model(tmp_path: P
     keys = "train.init_points=2000", "train.select=true", "train.orders_at=[20,40,60,4000,4000]"
     arguments = (*TINY, *learns, *keys, "evaluate.videos=false", "out=run")
     out, _ = shell(*arguments)
-    assert "settle: without time-varying colour, 60 iterations; 30 training views, 10 validation views" in out
+    assert "settle: without time-varying colour, 150 iterations; 30 training views, 10 validation views" in out
     assert "settle: time-varying colour left out" in out and "(+0.00 ± 0.00;" in out
     folder = tmp_path / "run"
     metrics = json.loads((folder / "metrics.json").read_text())

@@ -39,7 +39,7 @@ def test_a_frozen_sphere_does_not_change(tmp_path, optimiser: str) -> None:
     at_20, at_60 = (final(tmp_path / run) for run in ("20", "60"))
     start = initialise(tiny_scene(), tiny_config(20, "sphere"), np.random.default_rng(0))
     before, after = at_20.model.sphere, at_60.model.sphere
-    assert 20 < start.sphere.sum() == before.sum() == after.sum() and (~after).sum() != (~before).sum()
+    assert 20 < start.sphere.sum() == before.sum() == after.sum()
     for name, tensor in at_20.model.parameters.items():
         assert torch.equal(at_60.model.parameters[name][after], tensor[before]), name
         for moments_20, moments_60 in zip(at_20.moments, at_60.moments):

@@ -85,7 +85,7 @@ def test_training_with_dropout_is_a_function_of_the_seed(tmp_path):
 
 def test_dropout_that_never_begins_changes_nothing(tmp_path):
     def trained(name: str, **changes: float) -> torch.Tensor:
-        return train_tiny(tmp_path / name, tiny_config(**changes)).model.parameters["mean"]
+        return train_tiny(tmp_path / name, tiny_config(init_time_scale=2.0, **changes)).model.parameters["mean"]
 
     plain, whole = trained("plain"), trained("whole", dropout=0.3)
     assert torch.equal(trained("never", dropout=0.3, dropout_until=0.0), plain)
