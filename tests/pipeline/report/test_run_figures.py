@@ -28,7 +28,7 @@ def test_they_are_of_the_run_whose_views_are_shown(tmp_path: Path) -> None:
     write_run(tmp_path, "synthetic/lamp", "full")
     found, warnings = run_figures(collect(tmp_path).runs)
     assert not warnings and [figure.seen for figure in found] == ["Of <fast>.", "Of the only one."]
-    report = build_report(tmp_path)
+    report = build_report([tmp_path])
     assert "strips/synthetic_wheel__figures__flow.webp" in report.files
     page = report.files["report.html"].decode()
     assert "Motion and time" in page and "Of &lt;fast&gt;." in page and "Of <fast>" not in page
@@ -48,4 +48,4 @@ def test_damaged_ones_give_a_warning(tmp_path: Path) -> None:
 
 def test_a_report_without_figures_has_no_section(tmp_path: Path) -> None:
     write_run(tmp_path, "synthetic/wheel")
-    assert "Motion and time" not in build_report(tmp_path).files["report.html"].decode()
+    assert "Motion and time" not in build_report([tmp_path]).files["report.html"].decode()

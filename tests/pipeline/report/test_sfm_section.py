@@ -83,11 +83,11 @@ def test_missing_picture_gives_a_warning_and_keeps_the_row(tmp_path) -> None:
 
 def test_the_page_has_the_section_with_its_picture(tmp_path) -> None:
     write_sfm(write_run(tmp_path, SALMON))
-    report = build_report(tmp_path)
+    report = build_report([tmp_path])
     page, text = (report.files[name].decode() for name in ("report.html", "report.md"))
     assert 'id="sfm"' in page and "Points and camera poses from COLMAP" in report.terminal
     assert "![points and cameras of plenoptic/flame_salmon](strips/plenoptic_flame_salmon__sfm.webp)" in text
     (code,) = re.findall(r"data:image/webp;base64,([^\"]+)", page)
     assert Image.open(io.BytesIO(base64.b64decode(code))).size == (80, 60)
-    without = build_report(tmp_path, ("plenoptic",)).files
+    without = build_report([tmp_path], ("plenoptic",)).files
     assert not any(name.startswith("strips/") for name in without) and "12,345" in without["report.html"].decode()
