@@ -14,14 +14,12 @@ from dataclasses import asdict
 from pathlib import Path
 
 import torch
-from hydra.errors import HydraException
-from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
 from rich.table import Table
 
 from datasets.canonical import Canonical
 from datasets.files.atomic_write import write_json
-from pipeline.config.compose import Command, one_line, quote_text
+from pipeline.config.compose import command_of
 from pipeline.config.schema import Config
 from pipeline.data.prepare import Prepared, prepare
 from pipeline.evaluation.evaluate import Evaluation, evaluate_with_images
@@ -46,7 +44,7 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--out", type=Path, metavar="DIR", help="default: results/evaluated/SCENE/MODEL")
     parser.add_argument("--coordinates", choices=NAMES, help="of a .ply that does not state them (default: found out)")
     options = parser.parse_intermixed_args(arguments)
-    order, cfg = _composed(options.keys)
+    order, cfg = command_of(options.keys)
     path = options.model / FILE_NAME if options.model.is_dir() else options.model
     if not path.is_file():  # before what structure from motion may take
         raise ValueError(f"{path}: expected a run folder or a file of a model, found none")
@@ -104,15 +102,6 @@ def _of_its_run(path: Path, cfg: Config, data: Prepared) -> Canonical | None:
             f"found {cfg.scene.first_frame}"
         )
     return stored_canonical(path.parent)
-
-
-def _composed(keys: list[str]) -> tuple[Command, Config]:
-    """A command's keys and their configuration. ValueError, one line, where one is wrong."""
-    order = Command(tuple(quote_text(keys)))
-    try:
-        return order, order.config()
-    except (HydraException, OmegaConfBaseException) as error:
-        raise ValueError(one_line(error)) from None
 
 
 def _metrics(cfg: Config, path: Path, model: Model, found: Evaluation) -> dict:

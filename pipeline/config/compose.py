@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, is_dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -18,6 +18,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override, QuotedString, ValueType
 from hydra.errors import HydraException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
 from datasets.files.errors import clear
 from pipeline.config.scaled import ITERATIONS, scaled, scaled_keys
@@ -75,6 +76,15 @@ class Command:
     def _of_kind(self, capture: str | None) -> list[str]:
         given = any(override.startswith("capture=") for override in self.overrides)
         return [] if capture is None or given else [f"capture={capture}"]
+
+
+def command_of(keys: Sequence[str]) -> tuple[Command, Config]:
+    """The `key=value` of a command line and their configuration. ValueError, one line, where one is wrong."""
+    order = Command(tuple(quote_text(list(keys))))
+    try:
+        return order, order.config()
+    except (HydraException, OmegaConfBaseException) as error:
+        raise ValueError(one_line(error)) from None
 
 
 def _composed(overrides: list[str], with_choices: bool = False) -> DictConfig:

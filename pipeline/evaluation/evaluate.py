@@ -89,15 +89,20 @@ def evaluate(
         raise ValueError(
             f"model to evaluate: expected finite values, found NaN or Inf in {wrong[0]} of Gaussian {wrong[1]}"
         )
-    renderer = Renderer(model, scene, cfg, Rasterizer(threads=threads))
+    render = rendered_by(Renderer(model, scene, cfg, Rasterizer(threads=threads)))
+    found = measure_images(scene, cfg, threads, render, save, film)
+    found.metrics.update(frames_per_second(model, scene, cfg, threads))
+    return found
+
+
+def rendered_by(renderer: Renderer) -> Render:
+    """A model's own views."""
 
     def render(index: int, target: Target, known: GroundTruth | None, lidar: np.ndarray | None) -> Rendered:
         image, alive = renderer.image(target.camera, target.time), renderer.rasterizer.alive
         return Rendered(image, alive, _geometry_of(renderer, target, known, lidar))
 
-    found = measure_images(scene, cfg, threads, render, save, film)
-    found.metrics.update(frames_per_second(model, scene, cfg, threads))
-    return found
+    return render
 
 
 def measure_images(

@@ -11,7 +11,7 @@ import pandas as pd
 
 from pipeline.presentation.table import NO_RUN, NOTHING, Row, Table
 from pipeline.presentation.table_files import markdown
-from pipeline.report.runs import BEST, FINAL
+from pipeline.report.runs import BEST, FINAL, GIVEN
 from pipeline.report.scenes import FULL
 from pipeline.report.strips import RunFigure, Strip
 
@@ -82,14 +82,16 @@ class Content:
         return [
             {
                 "scene": _shown(row, "scene_label"),
-                "name": _shown(row, "recipe_label") + ("" if model == FULL else f", {model}"),
+                "name": _shown(row, "recipe_label")
+                + ("" if model in (FULL, GIVEN) else f", {model}")
+                + (", images given" if _shown(row, "images") == GIVEN else ""),
                 "seeds": _shown(row, "seeds"),
                 "psnr": _shown(row, f"{FINAL}.psnr"),
                 "best": _shown(row, f"{BEST}.psnr"),
                 "seconds": _shown(row, "train_seconds"),
             }
             for row in rows
-            if (model := _shown(row, "model")) == FULL or _shown(row, "scene_label") not in with_full
+            if (model := _shown(row, "model")) in (FULL, GIVEN) or _shown(row, "scene_label") not in with_full
         ]
 
     @property

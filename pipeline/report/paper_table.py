@@ -12,7 +12,7 @@ from pipeline.evaluation.protocol import protocols
 from pipeline.presentation.table import NO_RUN, NOT_REPORTED, Cell, Column, Row, Table, printed
 from pipeline.report import scenes
 from pipeline.report.run_table import PROTOCOL_NOTE, Shown, missing_notes, protocol_notes
-from pipeline.report.runs import BEST, FINAL, Collection
+from pipeline.report.runs import BEST, FINAL, GIVEN, Collection
 
 PAPER_DIR = Path(__file__).resolve().parents[2] / "results" / "paper"
 THIS_PAPER = "4DGS (this paper)"
@@ -54,7 +54,7 @@ class PaperTable:
             if self.by_model:
                 rows += self._ours(runs[runs["model"] == line["model"]])
         if not self.by_model:
-            rows += self._ours(runs[runs["model"] == scenes.FULL])
+            rows += self._ours(runs[(runs["model"] == scenes.FULL) | (runs["images"] == GIVEN)])
         if not any(row.kind == "ours" for row in rows):
             return None
         heads = [Column("method", "Method", False), Column("protocol", "Protocol", False, fold=True)]
@@ -100,11 +100,12 @@ class PaperTable:
 
     def _ours(self, runs: pd.DataFrame) -> list[Row]:
         rows = []
-        for (method, protocol_id), of_method in runs.groupby(["method", "protocol"], sort=True):
+        for (images, method, protocol_id), of_method in runs.groupby(["images", "method", "protocol"], sort=True):
             covered, wanted = of_method["scene"].nunique(), len(self.scenes)
-            for protocol, name in _PROTOCOL.items():
+            given = images == GIVEN
+            for protocol, name in ((FINAL, ""),) if given else _PROTOCOL.items():
                 cells = {
-                    "method": Cell(f"Ours, {method}, {name}"),
+                    "method": Cell(f"{method}, images given" if given else f"Ours, {method}, {name}"),
                     "protocol": Cell(protocol_id),
                     "model": Cell(of_method["model"].iloc[0]),
                     "scenes": Cell(str(wanted) if covered == wanted else f"mean of {covered} of {wanted}"),

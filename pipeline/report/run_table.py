@@ -17,7 +17,7 @@ from pipeline.evaluation.protocol import in_words, one_protocol
 from pipeline.presentation.statistics import FORMULA, Estimate, estimate, verdicts
 from pipeline.presentation.table import NO_RUN, NOTHING, Cell, Column, Row, Table, measured, number, signed
 from pipeline.report import scenes
-from pipeline.report.runs import BEST, FINAL, Collection
+from pipeline.report.runs import BEST, FINAL, GIVEN, Collection
 
 HEADERS = {  # of the columns that rows are grouped by
     "run": "Run",
@@ -103,7 +103,7 @@ Baseline = Callable[[Key, Groups], "Key | None"]  # of a row: the row that it is
 
 def full_model(key: Key, groups: Groups) -> Key | None:
     """The same scene, protocol, recipe and changes with model=full. Rows: (…, model)."""
-    return None if key[-1] == scenes.FULL else (*key[:-1], scenes.FULL)
+    return None if key[-1] in (scenes.FULL, GIVEN) else (*key[:-1], scenes.FULL)
 
 
 def fewest_changes(key: Key, groups: Groups) -> Key | None:

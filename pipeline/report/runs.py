@@ -32,8 +32,15 @@ CURVE_COLUMNS = ("train_seconds", "iteration", "psnr", "n_gaussians")
 CURVE_OPTIONAL = ("ssim", "test_loss", "psnr_moving")
 PROVENANCE = ("machine", "date", "git_commit", "command")
 NOTES = ("lpips_note", "ms_ssim_note")  # why a number is missing
-IMAGES = ("rendered", "given")  # by this program, or by anyone (pipeline.score)
-IDENTITY = ("scene_label", "protocol", "recipe_label", "model", "seed")  # runs that are equal in these are repetitions
+RENDERED, GIVEN = IMAGES = ("rendered", "given")  # by this program, or by anyone (pipeline.score)
+IDENTITY = (
+    "scene_label",
+    "protocol",
+    "recipe_label",
+    "images",
+    "model",
+    "seed",
+)  # runs that are equal in these are repetitions
 MAX_NUMBER = 1e15  # of a measurement; its square is finite too
 MAX_TEXT = 4000  # characters of a note or a command
 
@@ -109,7 +116,7 @@ def collect(*roots: Path) -> Collection:
             read_provenance, folder / "environment.json", dict.fromkeys(PROVENANCE, "unknown")
         )
         settings[run] = config
-        curve = or_warn(read_curve, folder / "error_vs_time.csv", None)
+        curve = or_warn(read_curve, folder / "error_vs_time.csv", None) if row["images"] == RENDERED else None
         if curve is not None:
             curves.append(curve.assign(run=run, **dict(zip(IDENTITY, identity))))
     if not rows:
@@ -158,7 +165,7 @@ def read_metrics(path: Path) -> dict[str, Any]:
     for column, key in metric_columns():
         row[column] = _number(parts.get(column.split(".")[0], data).get(key), column)
     row[f"{BEST}.iteration"] = _number(parts[BEST].get("iteration"), f"{BEST}.iteration")
-    for key in REQUIRED if row["images"] == "rendered" else QUALITY:
+    for key in REQUIRED if row["images"] == RENDERED else QUALITY:
         if math.isnan(row[key]):
             raise BrokenRun(f"metrics.json: {key}: expected a number, found none")
     return row | {"test_split": _text(data.get("test_split"))} | {key: _text(parts[FINAL].get(key)) for key in NOTES}
@@ -172,7 +179,7 @@ def _declared(data: Mapping[str, Any]) -> dict[str, Any]:
         if not isinstance(row[key], str) or not row[key] or clear(row[key]) != row[key]:
             raise BrokenRun(f"metrics.json: {key}: expected a name, found {row[key]!r}")
     row["protocol"] = _text(data.get("protocol")) or UNRECORDED
-    row["images"] = data.get("images", "rendered")
+    row["images"] = data.get("images", RENDERED)
     if row["images"] not in IMAGES:
         raise BrokenRun(f"metrics.json: images: expected {' or '.join(IMAGES)}, found {row['images']!r}")
     row["capture"] = data.get("capture")

@@ -21,7 +21,7 @@ from scipy.ndimage import binary_dilation, find_objects, label
 from datasets.files.errors import DataError, clear, read_json
 from pipeline.report import scenes
 from pipeline.report.curve_figures import file_name
-from pipeline.report.runs import read_view_psnr
+from pipeline.report.runs import RENDERED, read_view_psnr
 
 MOVING_PARTS = ("render, dynamic region outlined", "truth", "render, enlarged", "truth, enlarged")
 MOTION = "largest dynamic region"  # the choice of a view
@@ -91,7 +91,9 @@ def make_strips(runs: pd.DataFrame, no_pictures: tuple[str, ...] = ()) -> tuple[
             continue
         of_scene = runs[runs["scene"] == scene]
         recipe, model = shown_experiment(of_scene)
-        of_recipe = of_scene[of_scene["recipe_label"] == recipe].sort_values("seed", kind="stable")
+        of_recipe = of_scene[of_scene["recipe_label"] == recipe].sort_values(
+            ["images", "seed"], ascending=[False, True]
+        )
         first = of_recipe[of_recipe["model"] == model].iloc[0]
         views = choose_views(first["folder"] / "renders", read_view_psnr(first["folder"] / "per_image.csv"))
         wanted = [(first, *view) for view in views]
@@ -112,6 +114,8 @@ def shown_experiment(runs: pd.DataFrame) -> tuple[str, str]:
 
     Changed recipes only where there are no other runs. Without `full`: of the first model.
     """
+    own = runs[runs["images"] == RENDERED]
+    runs = runs if own.empty else own
     unchanged = runs[~runs["changed"]]
     runs = runs if unchanged.empty else unchanged
     full = runs[runs["model"] == scenes.FULL]

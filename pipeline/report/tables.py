@@ -11,7 +11,7 @@ import pandas as pd
 from pipeline.presentation.table import Table
 from pipeline.report.paper_table import Averaged, PaperTable
 from pipeline.report.run_table import RunTable, Shown, fewest_changes, full_model, shown
-from pipeline.report.runs import BEST, Collection
+from pipeline.report.runs import BEST, RENDERED, Collection
 from pipeline.report.scenes import DNERF, FAMILIES, FULL, MADE_FOR, PLENOPTIC, TABLE3, family, short
 
 
@@ -22,7 +22,13 @@ class Built(Protocol):
 def _made_for_ablation(runs: pd.DataFrame) -> pd.Series:
     """The runs of the scenes that an ablation was made for, of that ablation or of the full model."""
     pairs = {(made.scene, model) for made in MADE_FOR for model in (made.ablation, FULL)}
-    return pd.Series([pair in pairs for pair in zip(runs["scene"], runs["model"])], index=runs.index)
+    found = pd.Series([pair in pairs for pair in zip(runs["scene"], runs["model"])], index=runs.index)
+    return found & _rendered(runs)
+
+
+def _rendered(runs: pd.DataFrame) -> pd.Series:
+    """Of this program's own runs, which may have been packed and scored too."""
+    return runs["images"] == RENDERED
 
 
 def _of_family(name: str) -> Callable[[pd.DataFrame], pd.Series]:
@@ -53,6 +59,7 @@ COMPARE = RunTable(
     "compare",
     "Effect of changed settings",
     ("scene_label", "protocol", "model", "recipe_label"),
+    where=_rendered,
     columns=lambda: (Shown("psnr"),),
     against=fewest_changes,
     baseline_name="unchanged",
@@ -66,7 +73,7 @@ SCENES = tuple(
     RunTable(
         f"scenes_{name}",
         title,
-        ("scene_label", "protocol", "recipe_label", "model"),
+        ("scene_label", "protocol", "recipe_label", "images", "model"),
         where=_of_family(name),
         columns=lambda: (
             Shown("psnr"),

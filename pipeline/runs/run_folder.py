@@ -40,6 +40,11 @@ def csv_text(header: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
     return text.getvalue()
 
 
+def config_text(config: dict) -> str:
+    """The content of config.yaml."""
+    return OmegaConf.to_yaml(OmegaConf.create(config))
+
+
 def write_csv(path: Path, rows: list[dict]) -> None:
     """One row a dict; the first one names the columns."""
     write_text(path, csv_text(rows[0] if rows else [], (row.values() for row in rows)))
@@ -86,7 +91,7 @@ class RunFolder:
         self.write_config(config)
 
     def write_config(self, config: dict) -> None:
-        write_text(self.config, OmegaConf.to_yaml(OmegaConf.create(config)))
+        write_text(self.config, config_text(config))
 
     # What grows while a run goes on.
 
