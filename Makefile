@@ -1,7 +1,7 @@
 # Everything starts here: `make` lists the targets, and each of them first sets up what it needs.
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help setup build lock lint format test test-data reproduce ablations bench work-precision stability report sanitize fuzz clean
+.PHONY: help setup build gpu lock lint format test test-data reproduce ablations bench work-precision stability report sanitize fuzz clean
 
 PYTHON ?= $(or $(shell command -v python3.11 || command -v python3),python3)
 RUN := .venv/bin/python -m
@@ -40,6 +40,9 @@ help: ## list the targets
 setup: $(BUILT) ## make .venv, install what requirements.lock pins, build the kernel
 
 build: $(BUILT) ## rebuild the kernel if its sources changed
+
+gpu: $(BUILT) ## put PyTorch with CUDA and gsplat into .venv, for backend=gsplat (docs/gpu.md)
+	@"$(PYTHON)" tools/setup_environment.py gpu
 
 lock: ## renew requirements.lock after a change of pyproject.toml; UPGRADE=--upgrade takes the newest versions
 	@"$(PYTHON)" tools/lock.py $(UPGRADE)

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from rasterizer import on_device
 from rasterizer.cores import thread_count
 from rasterizer.gaussians import SH_LAYOUTS
 from rasterizer.gradients import Gradients
@@ -34,6 +35,10 @@ def adam_step(
     moments included (dense Adam would still move them by their momentum). ValueError for tensors that are not
     contiguous float32 of one shape, a wrong number of rates or rows, and a step below 1.
     """
+    if on_device.is_on_device(param):
+        rate = lr if isinstance(lr, float) else param.new_tensor(lr)
+        on_device.adam_step(param, grad, m, v, rate, step, sparse_rows, **_ADAM)
+        return
     for name, tensor in (("param", param), ("grad", grad), ("m", m), ("v", v)):
         check_array(name, tensor, torch.float32, param.shape)
     if param.ndim not in (1, 2):
@@ -75,6 +80,14 @@ def sh_adam_step(
     """
     if sh.ndim != 3 or sh.shape[1] not in SH_LAYOUTS or sh.shape[2] != 3:
         raise ValueError(f"sh must be (N, K, 3) with K among {', '.join(map(str, SH_LAYOUTS))}, got {list(sh.shape)}")
+    if on_device.is_on_device(sh):
+        coefficients, orders = SH_LAYOUTS[sh.shape[1]]
+        constant, by_direction, by_time, by_both = lr
+        rates = [[constant] + [by_direction] * (coefficients - 1)]
+        rates += [[by_time] + [by_both] * (coefficients - 1)] * (orders - 1)
+        rate = sh.new_tensor(rates).view(-1, 1)
+        on_device.adam_step(sh, gradients.sh(), m, v, rate, step, sparse_rows, **_ADAM)
+        return
     for name, tensor in (("sh", sh), ("m", m), ("v", v)):
         check_array(name, tensor, torch.float32, gradients.sh_shape)
     _check_step(sparse_rows, len(sh), step)

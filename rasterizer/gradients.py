@@ -9,6 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from rasterizer import on_device
 from rasterizer.camera import Camera
 from rasterizer.cores import thread_count
 from rasterizer.gaussians import SH_LAYOUTS, Gaussians
@@ -42,6 +43,9 @@ class ViewGradient:
 
     def mark_visible(self, mask: Tensor, threads: int = 1) -> None:
         """Set `mask` (N,) uint8 to 1 in place for the visible Gaussians; other entries stay."""
+        if on_device.is_on_device(mask):
+            mask[self.visible.long()] = 1
+            return
         self._check(len(mask), torch.uint8, mask=mask)
         kernel.mark_visible(visible=self.visible, mask=mask, threads=thread_count(threads))
 
@@ -60,6 +64,10 @@ class ViewGradient:
         space: Σ |∂L/∂(projected mean)| in normalized device coordinates. time: Σ |∂L/∂μt| times the duration.
         views: number of views. radius: largest radius, pixels.
         """
+        if on_device.is_on_device(space):
+            seen = self.visible, self.mean2d, self.mean_t, self.radius
+            on_device.accumulate(seen, (space, time, views, radius), camera, duration)
+            return
         self._check(len(space), torch.float32, space=space, time=time, views=views, radius=radius)
         kernel.accumulate(
             visible=self.visible,
@@ -113,12 +121,17 @@ class Gradients:
 
     def zero_(self, threads: int = 1, kernel: ModuleType = kernel) -> None:
         """Reset to zero in place. kernel: a build that computes in the gradients' floating-point type."""
-        kernel.set_to_zero(arrays=list(self.dense().values()), threads=thread_count(threads))
+        if on_device.is_on_device(self.mean):
+            torch._foreach_zero_(list(self.dense().values()))
+        else:
+            kernel.set_to_zero(arrays=list(self.dense().values()), threads=thread_count(threads))
         self.views.clear()
 
     def all_finite(self, threads: int = 1) -> bool:
         """Whether no gradient, SH included, is NaN or infinite."""
         tensors = [*self.dense().values(), *(view.gradient for view in self.views)]
+        if on_device.is_on_device(self.mean):
+            return on_device.all_finite(tensors)
         threads = thread_count(threads)
         return all(kernel.all_finite(array=tensor, threads=threads) for tensor in tensors)
 
@@ -128,7 +141,9 @@ class Gradients:
         kernel: the build that rendered the views.
         """
         coefficients, orders = SH_LAYOUTS[self.sh_shape[1]]
-        out = torch.empty(self.sh_shape, dtype=self.mean.dtype) if out is None else out
+        out = self.mean.new_empty(self.sh_shape) if out is None else out
+        if on_device.is_on_device(out):
+            return on_device.sh_gradient([view.as_tuple() for view in self.views], out)
         check_array("out", out, self.mean.dtype, self.sh_shape)
         kernel.expand_sh(
             views=[view.as_tuple() for view in self.views],

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from rasterizer import on_device
 from rasterizer.cores import thread_count
 from rasterizer.kernel_loader import kernel
 from rasterizer.validation import check_array, plain
@@ -39,6 +40,9 @@ class PhotometricLoss:
         """
         if image.ndim != 3 or image.numel() == 0:
             raise ValueError(f"image must be float32 [3, H, W] with at least one pixel, got {list(image.shape)}")
+        if on_device.is_on_device(image) and image.device == target.device:
+            l1, ssim, mse, d_image = on_device.photometric_loss(image, target, self.ssim_weight, self.mse_weight, share)
+            return LossValue(self._of(l1, ssim, mse), l1, ssim, mse, d_image)
         for name, tensor in (("image", image), ("target", target)):
             check_array(name, tensor, torch.float32, (3, *image.shape[1:]), contiguous=False)
         d_image = torch.empty_like(image, memory_format=torch.contiguous_format)
@@ -51,5 +55,7 @@ class PhotometricLoss:
             share=share,
             threads=self.threads,
         )
-        loss = (1 - self.ssim_weight) * l1 + self.ssim_weight * (1 - ssim) + self.mse_weight * mse
-        return LossValue(loss, l1, ssim, mse, d_image)
+        return LossValue(self._of(l1, ssim, mse), l1, ssim, mse, d_image)
+
+    def _of(self, l1: float, ssim: float, mse: float) -> float:
+        return (1 - self.ssim_weight) * l1 + self.ssim_weight * (1 - ssim) + self.mse_weight * mse

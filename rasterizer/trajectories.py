@@ -89,7 +89,7 @@ class Trajectories:
 
     def _combined(self, basis: Tensor) -> Tensor:
         points = self.control_points.double()
-        return (basis @ points.flatten(1)).view(points.shape[1:]).to(self.control_points.dtype)
+        return (basis.to(points.device) @ points.flatten(1)).view(points.shape[1:]).to(self.control_points.dtype)
 
 
 @lru_cache(maxsize=4096)

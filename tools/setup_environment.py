@@ -2,6 +2,7 @@
 
     setup_environment.py tools      .venv, and what the kernel is compiled with
     setup_environment.py packages   the rest, which make installs while the kernel compiles
+    setup_environment.py gpu        the build of torch with CUDA in place of the other, and the extra `gpu`
 
 Only the standard library is used, since nothing else is there yet. torch is not in the lock: one version of it has
 many builds, each with hashes of its own, and which is wanted depends on the machine. Linux wheels on the default
@@ -47,6 +48,8 @@ def main(part: str) -> None:
     if part == "tools":
         check_compiler()
         install_tools(python, pyproject)
+    elif part == "gpu":
+        install_gpu(python, pyproject)
     else:
         log(f"installing what {LOCK.name} pins")
         install(python, *locked(LOCK))
@@ -169,6 +172,22 @@ def install_torch(python: Path, pin: str) -> None:
         )
 
 
+def install_gpu(python: Path, pyproject: dict) -> None:
+    """Installs torch with CUDA, from where pip is set to look: the default index has that build for Linux. The rest of
+    the lock stays as it is."""
+    pin, extra = torch_pin(pyproject), pyproject["project"]["optional-dependencies"]["gpu"]
+    if not installed_torch(python) or installed_torch(python).endswith("+cpu"):
+        log(f"installing {pin} with CUDA")
+        install(python, "--force-reinstall", "--no-deps", "--only-binary", ":all:", pin)
+        if installed_torch(python).endswith("+cpu"):
+            raise SetupError(
+                f"{pin}: expected a build with CUDA, found {installed_torch(python)}; name an index that has one: "
+                "`PIP_INDEX_URL=https://download.pytorch.org/whl/cu130 make gpu`"
+            )
+    log(f"installing {', '.join(extra)}")
+    install(python, pin, *extra)
+
+
 def installed_torch(python: Path) -> str:
     """Its version in `.venv`; empty if it is not there."""
     question = "import importlib.metadata as m; print(m.version('torch'))"
@@ -215,7 +234,7 @@ def last_line(text: str) -> str:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("part", choices=("tools", "packages"))
+    parser.add_argument("part", choices=("tools", "packages", "gpu"))
     try:
         main(parser.parse_args().part)
     except SetupError as error:

@@ -171,13 +171,18 @@ def blending_order(gaussians: Gaussians, request: Request, min_marginal: float =
     return in_view[torch.argsort(depth[in_view], stable=True)]
 
 
+def viewing_direction(sliced: Slice, camera: Camera) -> Tensor:
+    """(N, 3) unit, from the camera to the slices."""
+    position = torch.tensor(camera.position, dtype=sliced.mean.dtype, device=sliced.mean.device)
+    return F.normalize(sliced.mean - position, dim=-1)
+
+
 def colors(gaussians: Gaussians, sliced: Slice, request: Request) -> Tensor:
     """RGB (N, 3) of the slices from the camera's position, with coefficients up to the requested degree and order."""
     order = gaussians.fourier_order if request.fourier_order is None else request.fourier_order
     degree = gaussians.sh_degree if request.sh_degree is None else request.sh_degree
     stored = gaussians.sh.unflatten(1, (gaussians.fourier_order + 1, (gaussians.sh_degree + 1) ** 2))
-    position = torch.tensor(request.camera.position, dtype=sliced.mean.dtype, device=sliced.mean.device)
-    direction = F.normalize(sliced.mean - position, dim=-1)
+    direction = viewing_direction(sliced, request.camera)
     elapsed = None if gaussians.motion == "static" else request.time - gaussians.mean[:, 3]
     return sh_color(stored[:, : order + 1, : (degree + 1) ** 2], direction, elapsed, request.duration)
 
@@ -206,28 +211,50 @@ def opacity(logit: Tensor) -> Tensor:
     return F.logsigmoid(logit.clamp(-MAX_LOGIT, MAX_LOGIT)).exp()
 
 
+def features(gaussians: Gaussians, sliced: Slice, request: Request) -> Tensor:
+    """(N, C) what the requested outputs blend, in the order of FEATURES."""
+    found = [sliced.mean[:, :0]]  # no channels: torch.cat needs a tensor even if only alpha is requested
+    if "color" in request.outputs:
+        found.append(colors(gaussians, sliced, request))
+    if "depth" in request.outputs:
+        found.append(world_to_camera(sliced.mean, request.camera)[:, 2:])
+    if "flow" in request.outputs:
+        found.append(displacement(sliced, request))
+    if "stats" in request.outputs and sliced.variance_t is not None:
+        found.append(torch.stack([gaussians.mean[:, 3], sliced.variance_t], dim=-1))
+    return torch.cat(found, dim=-1)
+
+
+def named_images(sums: Tensor, transmittance: Tensor, request: Request) -> dict[str, Tensor]:
+    """The requested outputs from the blended `features` (C, H, W) and the final transmittance (H, W)."""
+    named = [name for name in FEATURES if name in request.outputs]
+    images = dict(zip(named, sums.split([OUTPUT_CHANNELS[name] for name in named])))
+    if "color" in request.outputs:
+        behind = torch.tensor(request.background, dtype=sums.dtype, device=sums.device)
+        images["color"] = images["color"] + transmittance * behind[:, None, None]
+    if "alpha" in request.outputs:
+        images["alpha"] = 1 - transmittance[None]
+    return images
+
+
+def slice_of(gaussians: Gaussians, request: Request) -> Slice:
+    """The Gaussians at the time of the view."""
+    flow_dt = as_float(request.flow_dt) if "flow" in request.outputs else 0.0
+    return slice_in_time(gaussians, request.time, request.marginal_offset, flow_dt)
+
+
 def make_splats(gaussians: Gaussians, request: Request, min_marginal: float = MIN_MARGINAL) -> Splats:
-    """Slice, project and colour the Gaussians in view; features: the requested ones, in the order of FEATURES."""
+    """Slice, project and colour the Gaussians in view."""
     index = blending_order(gaussians, request, min_marginal)
     gaussians = gaussians.rows(index)
-    flow_dt = as_float(request.flow_dt) if "flow" in request.outputs else 0.0
-    sliced = slice_in_time(gaussians, request.time, request.marginal_offset, flow_dt)
+    sliced = slice_of(gaussians, request)
     mean_cam = world_to_camera(sliced.mean, request.camera)
-    features = [mean_cam[:, :0]]  # no channels: torch.cat needs a tensor even if only alpha is requested
-    if "color" in request.outputs:
-        features.append(colors(gaussians, sliced, request))
-    if "depth" in request.outputs:
-        features.append(mean_cam[:, 2:])
-    if "flow" in request.outputs:
-        features.append(displacement(sliced, request))
-    if "stats" in request.outputs and sliced.variance_t is not None:
-        features.append(torch.stack([gaussians.mean[:, 3], sliced.variance_t], dim=-1))
     return Splats(
         index=index,
         center=project_point(mean_cam, request.camera),
         ellipse=ellipse(project_factor(sliced.factor, mean_cam, request.camera)),
         opacity=opacity(gaussians.opacity_logit) * sliced.marginal,
-        features=torch.cat(features, dim=-1),
+        features=features(gaussians, sliced, request),
     )
 
 
@@ -240,11 +267,4 @@ def rasterize(gaussians: Gaussians, *view: Any, **named_view: Any) -> RenderOutp
     request.check_against(gaussians)
     check_finite(gaussians)
     sums, transmittance = blend(make_splats(gaussians, request), request.camera)
-    named = [name for name in FEATURES if name in request.outputs]
-    images = dict(zip(named, sums.split([OUTPUT_CHANNELS[name] for name in named])))
-    if "color" in request.outputs:
-        behind = torch.tensor(request.background, dtype=sums.dtype, device=sums.device)
-        images["color"] = images["color"] + transmittance * behind[:, None, None]
-    if "alpha" in request.outputs:
-        images["alpha"] = 1 - transmittance[None]
-    return RenderOutput(**{"color": None, **images})
+    return RenderOutput(**{"color": None, **named_images(sums, transmittance, request)})

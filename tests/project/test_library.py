@@ -37,7 +37,8 @@ def test_only_the_rasterizer_is_in_the_wheel_and_the_checkout_holds_all():
 def test_the_library_needs_only_what_it_declares():
     packages_of = packages_distributions()
     for file in (ROOT / "rasterizer").rglob("*.py"):
-        groups = {"library", "bench"} if file.parent.name == "bench" else {"library"}
+        extra = "bench" if file.parent.name == "bench" else "gpu" if file.name.startswith("gsplat") else None
+        groups = {"library", extra} - {None}
         may = {needed.name for name in groups for needed in declared()[name]} | {"gaussians-4d"}
         modules = imported_modules(file)
         assert not modules & {"pipeline", "datasets", "fuzz", "tests"}, file

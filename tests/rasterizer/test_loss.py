@@ -14,6 +14,7 @@ from torch import Tensor
 
 from rasterizer.kernel_loader import kernel
 from rasterizer.loss import SSIM_WEIGHT, PhotometricLoss
+from rasterizer.reference.loss import photometric_terms
 
 
 def photometric_loss(
@@ -25,18 +26,9 @@ def photometric_loss(
 
 
 def plain_loss(image: Tensor, target: Tensor, weight: float, mse_weight: float = 0.0) -> tuple[Tensor, Tensor, Tensor]:
-    """(loss, L1, SSIM) of 3D Gaussian Splatting and MSE: window 11 × 11, σ = 1.5, zero padding, mean over pixels."""
-    offset = torch.arange(11, dtype=torch.float64) - 5
-    bell = torch.exp(-0.5 * (offset / 1.5) ** 2)
-    window = (bell[:, None] * bell / bell.sum() ** 2).expand(3, 1, 11, 11)
-    blur = lambda x: F.conv2d(x, window, padding=5, groups=3)  # noqa: E731
-    mu_x, mu_y = blur(image), blur(target)
-    var_x, var_y = blur(image * image) - mu_x**2, blur(target * target) - mu_y**2
-    covariance = blur(image * target) - mu_x * mu_y
-    c1, c2 = 0.01**2, 0.03**2
-    ssim = ((2 * mu_x * mu_y + c1) * (2 * covariance + c2)) / ((mu_x**2 + mu_y**2 + c1) * (var_x + var_y + c2))
-    l1, ssim = (image - target).abs().mean(), ssim.mean()
-    return (1 - weight) * l1 + weight * (1 - ssim) + mse_weight * ((image - target) ** 2).mean(), l1, ssim
+    """(loss, L1, SSIM) of the reference implementation."""
+    l1, ssim, mse = photometric_terms(image, target)
+    return (1 - weight) * l1 + weight * (1 - ssim) + mse_weight * mse, l1, ssim
 
 
 def pair(size: tuple[int, int], seed: int) -> tuple[Tensor, Tensor]:
