@@ -19,6 +19,7 @@ from typing import Any
 import torch
 
 from datasets.files.atomic_write import write_json, write_text
+from datasets.manifest import recorded
 from pipeline.config.compose import command_of
 from pipeline.config.schema import Config
 from pipeline.data.prepare import Prepared, prepare
@@ -132,6 +133,7 @@ def _declared(cfg: Config, data: Prepared, changed: dict[str, Any]) -> dict[str,
     return {
         "scene": cfg.scene.name, "changes": changed, "seed": cfg.seed, "capture": data.scene.capture, "date": now(),
         **measured_by(cfg, data.scene, {}), "images": "given", "best_on_test": None,
+        "data": recorded(cfg.scene.name, data.scene.source),
         **({} if data.scene.test_split is None else {"test_split": data.scene.test_split}),
     }  # fmt: skip
 

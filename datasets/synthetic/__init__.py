@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from datasets.files.errors import SceneError
+from datasets.manifest import OWN, Manifest, described, write_manifest
 from datasets.synthetic.camera_path import TimedPose, arc_poses, held_out_poses, poses_beside_camera, training_poses
 
 PHOTOGRAPHED = ("wheel", "lamp", "burst", "still")  # in the D-NeRF layout: one camera per time
@@ -41,6 +42,8 @@ def make_scene(name: str, cache: str | Path, *, progress: Progress | None = None
     folder = Path(cache) / f"{name}-{_fingerprint({'scene': name, **parameters})}"
     if not (folder / "meta.json").is_file():
         build_scene(folder, scene=name, progress=progress, **parameters)
+    elif not (folder / OWN).is_file():  # it was killed in between
+        _publish(folder, name)
     return folder
 
 
@@ -76,22 +79,45 @@ def parameters_of(
 def build_scene(
     folder: Path, *, scene: str, samples: int = 3, processes: int = 1, progress: Progress | None = None, **given: Any
 ) -> Path:
-    """Traces a scene into `folder`, which must be absent or empty. The same arguments give the same bytes.
+    """Traces a scene into `folder`, which must be absent or empty, and writes its manifest. The same arguments give the
+    same bytes.
 
     given: as of `parameters_of`. samples, processes: of filmed scenes: samples × samples rays per pixel, `processes`
     cameras in parallel (spawned: the caller's main module must be importable).
     """
     parameters = parameters_of(scene, **given)
+    folder = Path(folder)
+    _trace(folder, scene, parameters, samples, processes, progress)
+    _publish(folder, scene)
+    return folder
+
+
+def _publish(folder: Path, scene: str) -> None:
+    """The manifest of a scene's folder."""
+    files = [path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()]
+    own = Manifest(
+        f"synthetic/{scene}",
+        f"Synthetic scene {scene}, traced with known motion and geometry; meta.json has its parameters",
+        f"python -m datasets.synthetic {scene}",
+        "Apache-2.0",
+        {scene: described(folder, [name for name in files if name != OWN])},
+    )
+    write_manifest(folder / OWN, own)
+
+
+def _trace(
+    folder: Path, scene: str, parameters: dict[str, Any], samples: int, processes: int, progress: Progress | None
+) -> Path:
     if scene in FILMED:
         from datasets.synthetic.write_film import FilmSettings, write_film
 
         settings = FilmSettings(scene=scene, samples=samples, **parameters)
-        return write_film(settings, Path(folder), processes=processes, progress=progress)
+        return write_film(settings, folder, processes=processes, progress=progress)
 
     if scene in DRIVEN:
         from datasets.synthetic.drive import write_drive
 
-        return write_drive(Path(folder), scene=scene, progress=progress, **parameters)
+        return write_drive(folder, scene=scene, progress=progress, **parameters)
 
     from datasets.synthetic.write import write_scene
 
@@ -109,7 +135,7 @@ def build_scene(
         "flow": "pixels right and down to time + flow_dt, same camera",
         "depth": "z along the viewing axis",
     }
-    return write_scene(world, poses, parameters["size"], meta, Path(folder))
+    return write_scene(world, poses, parameters["size"], meta, folder)
 
 
 def _poses(

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from datasets.files.atomic_write import write_json
 from datasets.files.errors import read_json
+from datasets.manifest import AS_PUBLISHED, recorded
 from pipeline.config.compose import Command
 from pipeline.config.schema import Config
 from pipeline.data.prepare import prepare
@@ -51,6 +52,9 @@ def run(command: Command, log: Callable[[str], None]) -> dict | None:
         refuse_wrong_weights(cfg.evaluate.lpips_weights)
     refuse_small_images(data.scene, cfg.train.resolution_scale)  # before hours of training
     refuse_large_batch(len(data.scene.train), cfg.train.batch)
+    published = recorded(cfg.scene.name, data.scene.source)
+    if published and published["found"] != AS_PUBLISHED:
+        log(f"{data.scene.source}: not the data of the manifest {published['manifest']}: {published['found']}")
     if data.poses_estimated and not trained:
         log(training_minutes(cfg, data.scene))
 

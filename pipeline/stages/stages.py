@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 
 from datasets.files.atomic_write import atomic_file, write_json
+from datasets.manifest import recorded
 from pipeline.config.compose import Command
 from pipeline.config.random_streams import Stream, stream
 from pipeline.config.schema import Config
@@ -151,6 +152,7 @@ def evaluate_model(job: Job) -> dict:
         "scene": cfg.scene.name, "recipe": cfg.train.name, "model": cfg.ablation.name,
         "changes": changes(job.command, scene), "seed": cfg.seed, "capture": scene.capture, "date": now(),
         **measured_by(cfg, scene, final.lpips_weights), "images": "rendered",
+        "data": recorded(cfg.scene.name, scene.source),
         "final": final.metrics,
         "best_on_test": best_metrics,
         **({} if scene.test_split is None else {"test_split": scene.test_split}),

@@ -105,6 +105,7 @@ def test_bytes_depend_on_the_seed_and_not_on_processes(scene: Path, tmp_path: Pa
         "cam00.mp4",
         "cam01.mp4",
         "cam02.mp4",
+        "manifest.yaml",
         "meta.json",
         "poses_bounds.npy",
         *(name for n in range(3) for name in (f"truth/cam0{n}.npz", f"truth/cam0{n}_depth.npy")),
