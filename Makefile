@@ -1,7 +1,7 @@
 # Everything starts here: `make` lists the targets, and each of them first sets up what it needs.
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help setup build gpu lock lint format test test-data reproduce ablations bench work-precision stability report sanitize fuzz clean
+.PHONY: help setup build gpu lock lint format test test-data cluster-test reproduce ablations bench work-precision stability report sanitize fuzz clean
 
 PYTHON ?= $(or $(shell command -v python3.11 || command -v python3),python3)
 RUN := .venv/bin/python -m
@@ -70,6 +70,10 @@ test-data: $(BUILT) ## the tests that need real data: DATA_DIR=/path holds dnerf
 	$(RUN) pytest -m data tests/real_data
 	@$(call took,passed)
 
+cluster-test: $(BUILT) build/cluster/.installed ## sweeps on a real Slurm (apt-get install slurm-wlm munge), Ray and HyperQueue of this machine
+	$(RUN) pytest -m cluster tests/cluster
+	@$(call took,passed)
+
 reproduce: $(BUILT) ## train the synthetic suite, and each ablation on the scene made for it; write tables, plots, report
 	$(RUN) pipeline experiment=reproduce
 	$(RUN) pipeline.report results/runs
@@ -110,6 +114,14 @@ $(TOOLS): pyproject.toml requirements.lock tools/setup_environment.py
 
 $(INSTALLED): $(TOOLS)
 	@"$(PYTHON)" tools/setup_environment.py packages
+	@touch $@
+
+# Ray and HyperQueue, in front of the packages of .venv.
+build/cluster/.installed: $(INSTALLED) tests/cluster/requirements.txt
+	@.venv/bin/python -m venv build/cluster
+	@cd build/cluster/lib/python*/site-packages && \
+		echo "import site; site.addsitedir('$$(ls -d $(CURDIR)/.venv/lib/python*/site-packages)')" > locked.pth
+	@build/cluster/bin/python -m pip install --quiet --disable-pip-version-check -r tests/cluster/requirements.txt
 	@touch $@
 
 # The project itself, editable. No build isolation, which would fetch a second set of tools for every build. Ninja is

@@ -7,6 +7,7 @@ another process is at work in the run folder. HYDRA_FULL_ERROR=1 shows traceback
 from __future__ import annotations
 
 import os
+import platform
 import shlex
 import sys
 from pathlib import Path
@@ -78,6 +79,7 @@ def run_one(composed: DictConfig) -> bool | None:
     keep_printing()  # in the workers of a sweep, too
     interruption.watch()
     try:
+        _work_in(job.runtime.cwd)
         sweep = SweepRun.joined(composed.out)
         order = Command(tuple(job.overrides.task))
         cfg = order.config()
@@ -123,6 +125,13 @@ def run_one(composed: DictConfig) -> bool | None:
             return False
         _complain(line)
         sys.exit(interruption.AGAIN if isinstance(error, (Busy, Lost)) else 1)
+
+
+def _work_in(folder: str) -> None:
+    """Where the command was given, which its paths are relative to; Ray's workers begin elsewhere."""
+    if not os.path.isdir(folder):
+        raise ValueError(f"{folder}: expected on every machine of a sweep, not found on {platform.node()}")
+    os.chdir(folder)
 
 
 def _kept_progress(cfg: Config | None) -> str:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -68,7 +69,14 @@ def stop_noted() -> bool:
 
 
 def requeue() -> None:
-    """Of a job that submitit started and that Slurm has not ended itself: back into the queue; does not return then."""
+    """Gives the run back to the engine that started this process; does not return where there is one.
+
+    A job that submitit started, and that Slurm has not ended itself, goes back into the queue. A task of Ray ends its
+    process, as Ray repeats tasks of workers that died but not interrupted ones.
+    """
+    ray = sys.modules.get("ray")
+    if ray and ray.is_initialized() and ray.get_runtime_context().get_task_id():
+        os._exit(AGAIN)
     handler = _before.get(signal.SIGUSR2)
     if handler and (_stopped_by == signal.SIGUSR2 or _is_running(os.environ.get("SLURM_JOB_ID", ""))):
         handler(signal.SIGUSR2, None)

@@ -27,10 +27,16 @@ def register_sweeper(sweeper: type[Sweeper]) -> None:
     Plugins.instance().class_name_to_class["hydra_plugins.pipeline.RunSweeper"] = sweeper
 
 
+# Of what launchers raise where a worker died: joblib's, Ray's, submitit's.
+_DIED = {"BrokenProcessPool", "RayError", "UncompletedJobError"}
+_DEATHS = 3
+
+
 class RunSweeper(Sweeper):
     """Launches the runs of a sweep. A failed run stops no other; then the exit status is 1.
 
-    Runs that another process is at work on, as the same sweep in another shell, are waited for and looked at again.
+    Runs that another process is at work on, as the same sweep in another shell, are waited for and looked at again. All
+    are launched again where the launcher lost a worker: finished ones are found done, others go on.
     """
 
     def __init__(self, **params: Any) -> None:
@@ -46,10 +52,21 @@ class RunSweeper(Sweeper):
     def sweep(self, arguments: list[str]) -> None:
         """arguments: of the command line. Raises what `planned_runs` raises, before anything is launched."""
         runs = planned_runs(self._loader, self._config, arguments)
-        left, failed = dict(runs), False
+        left, failed, deaths = dict(runs), False, 0
         with sweep_progress.sweep({out: run.work for out, run in runs.items()}):
             while left:
-                results = self._launcher.launch([run.overrides for run in left.values()], initial_job_idx=0)
+                try:
+                    results = self._launcher.launch([run.overrides for run in left.values()], initial_job_idx=0)
+                except Exception as error:
+                    if not _DIED & {base.__name__ for base in type(error).__mro__}:
+                        raise
+                    deaths += 1
+                    if deaths == _DEATHS:
+                        raise ChildProcessError(
+                            f"sweep: expected its workers to live, found that one died, {deaths} times; the same "
+                            f"command goes on with what is left ({str(error).strip().splitlines()[0]})"
+                        ) from error
+                    continue
                 values = [result.return_value for result in results]
                 failed |= False in values
                 left = {out: run for (out, run), value in zip(left.items(), values) if value is None}

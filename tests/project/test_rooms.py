@@ -84,5 +84,5 @@ def test_there_is_no_circle() -> None:
 def test_the_rooms_of_the_tests_are_those_of_the_code() -> None:
     tests = ROOT / "tests"
     rooms = {file.parent.relative_to(tests) for file in tests.rglob("test_*.py")}
-    others = {"fuzz", "project", "real_data"}
+    others = {"cluster", "fuzz", "project", "real_data"}
     assert [room for room in sorted(rooms) if room.parts[0] not in others and not (ROOT / room).is_dir()] == []

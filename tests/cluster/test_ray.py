@@ -1,0 +1,69 @@
+"""Sweeps on a real Ray of this machine: every run once, none lost, the same bits as by one process."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from engines import ENGINES, Place, free_ports, place, small_disk, sweep, until
+
+pytestmark = pytest.mark.cluster
+LONG = 400
+PYTHON = str(ENGINES / "python")
+
+
+@pytest.fixture(scope="module")
+def ray(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The address of a Ray of one node with three cores, started in another folder than the sweeps."""
+    if not (ENGINES / "ray").exists():
+        pytest.skip(f"{ENGINES / 'ray'} not found: make cluster-test installs it")
+    elsewhere, (port,) = place(tmp_path_factory.mktemp("ray")), free_ports(1)
+    node = elsewhere.start(
+        str(ENGINES / "ray"),
+        "start",
+        "--head",
+        "--block",
+        "--num-cpus=3",
+        f"--port={port}",
+        "--include-dashboard=false",
+    )
+    until(lambda: "Ray runtime started" in elsewhere.said(), elsewhere.said, node)
+    yield f"127.0.0.1:{port}"
+    node.terminate()
+    node.wait()
+
+
+def launched(address: str) -> list[str]:
+    return [PYTHON, "-m", "pipeline", "-m", "launcher=ray", f"+hydra.launcher.ray.init.address='{address}'",
+            *sweep(LONG)]  # fmt: skip
+
+
+@pytest.mark.parametrize("signum", [signal.SIGKILL, signal.SIGTERM, signal.SIGUSR2])
+def test_a_worker_that_ends_is_replaced(
+    ray: str, tmp_path: Path, alone: Callable[[int], Place], signum: signal.Signals
+) -> None:
+    here = place(tmp_path / "work")
+    driver = here.start(*launched(ray))
+    os.kill(here.worker(1, driver), signum)
+    here.wait(driver)
+    here.assert_as_alone(alone(LONG))
+
+
+def test_a_full_disk(ray: str, tmp_path: Path, alone: Callable[[int], Place]) -> None:
+    here = place(tmp_path / "work")
+    with small_disk(here.folder / "results", megabytes=30):
+        (ballast := here.folder / "results/ballast").write_bytes(bytes(29 * 2**20))
+        said = here(*launched(ray), status=1)
+        assert "found no space left" in said and "Traceback" not in said
+        ballast.unlink()
+        here(*launched(ray))
+        here.assert_as_alone(alone(LONG))
+
+
+def test_a_ray_of_this_sweep_alone(ray: str, tmp_path: Path, alone: Callable[[int], Place]) -> None:
+    work = place(tmp_path / "work")
+    work(PYTHON, "-m", "pipeline", "-m", "launcher=ray", *sweep(LONG))
+    work.assert_as_alone(alone(LONG))
