@@ -7,6 +7,7 @@ from pathlib import Path
 
 from pipeline.report.build import build_report
 from pipeline.report.output_folder import replace_report
+from pipeline.report.site import build_site
 from pipeline.terminal.command_line import CommandParser, command
 
 _DESCRIPTION = """\
@@ -27,6 +28,13 @@ def main(arguments: list[str]) -> int:
     """Runs the command and returns its exit status. All files are written before anything is printed."""
     options = _parser().parse_args(arguments)
     out = options.out or options.runs_dirs[0].resolve().parent / "report"
+    if options.site:
+        site = build_site(options.runs_dirs, tuple(options.no_pictures), tuple(options.psnr))
+        replace_report(options.site, site.files)
+        for line in site.warnings:
+            print(f"warning: {line}", file=sys.stderr)
+        print(f"Site: {options.site / 'index.html'}, {len(site.files)} files", flush=True)
+        return 0
     report = build_report(options.runs_dirs, tuple(options.no_pictures), tuple(options.psnr), options.latex, out)
     replace_report(out, report.files)
     for line in report.warnings:
@@ -46,6 +54,7 @@ def _parser() -> CommandParser:
         help="folder with run folders, at any depth; of several, as of several machines, all runs are compared",
     )
     parser.add_argument("--out", type=Path, metavar="DIR", help="output folder (default: RUNS_DIR/../report)")
+    parser.add_argument("--site", type=Path, metavar="DIR", help="write a site instead: leaderboards, a page a scene")
     parser.add_argument("--latex", action="store_true", help="write each table as .tex too (needs booktabs)")
     parser.add_argument(
         "--no-pictures",

@@ -13,6 +13,7 @@ from urllib.parse import quote
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
+from pipeline.presentation.table import Table
 from pipeline.presentation.table_files import files_of
 from pipeline.presentation.table_layout import laid_out
 from pipeline.presentation.theme import DARK
@@ -46,7 +47,7 @@ def build_report(
     with_latex: whether to write each table as .tex too. out: the folder that the files will be in.
     """
     collection = collect(*roots)
-    content = content_of(collection, no_pictures, levels, _plots(collection))
+    content = content_of(collection, no_pictures, levels, plots_of(collection))
     files = {f"tables/{name}": data for table in content.tables for name, data in files_of(table, with_latex).items()}
     files |= {f"plots/{plot.slug}.svg": plot.light.encode() for plot in content.plots}
     pictures: list[Strip | RunFigure] = [*content.strips, *content.figures, *content.sfm_pictures]
@@ -65,22 +66,27 @@ def content_of(
     strips, strip_warnings = make_strips(collection.runs, no_pictures)
     figures, figure_warnings = run_figures(collection.runs, no_pictures)
     sfm_table, sfm_pictures, sfm_warnings = sfm_section(collection.runs, no_pictures)
-    built = [spec.build(collection) for spec in (*tables.TABLES, TimeToPsnr(levels))]
     warnings = (*collection.warnings, *strip_warnings, *figure_warnings, *sfm_warnings)
-    found = [table for table in (*built, sfm_table) if table is not None]
+    found = [*tables_of(collection, levels), *([] if sfm_table is None else [sfm_table])]
     return Content(collection.runs, collection.left_out, warnings, found, strips, figures, plots or [], sfm_pictures)
 
 
-def _plots(collection: Collection) -> list[CurvePlot]:
+def tables_of(collection: Collection, levels: tuple[float, ...] = ()) -> list[Table]:
+    """All tables that have rows."""
+    built = (spec.build(collection) for spec in (*tables.TABLES, TimeToPsnr(levels)))
+    return [table for table in built if table is not None]
+
+
+def plots_of(collection: Collection) -> list[CurvePlot]:
     drawn = {figure: plot(collection, figure) for figure in curve_figures(collection)}
     return [CurvePlot(figure.title, figure.slug, svg, recoloured(svg, DARK)) for figure, svg in drawn.items()]
 
 
-def render_page(content: Content, out: Path = Path()) -> str:
+def render_page(content: Content, out: Path = Path(), page: object = None) -> str:
     """HTML text of page.html, without scripts. The template engine escapes text; images become data URIs. Empty
     sections are left out.
 
-    out: the page's folder, from which links lead to the runs' viewers.
+    out: the page's folder, from which links lead to the runs' viewers. page: of a site (site.Page).
     """
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent),
@@ -90,7 +96,9 @@ def render_page(content: Content, out: Path = Path()) -> str:
         lstrip_blocks=True,
     )
     environment.filters |= {"data_uri": _data_uri, "pieces": pieces, "viewer_link": partial(viewer_link, out=out)}
-    return environment.get_template("page.html").render(content=content, laid_out=laid_out, sections=content.sections)
+    return environment.get_template("page.html").render(
+        content=content, laid_out=laid_out, sections=content.sections, page=page
+    )
 
 
 def viewer_link(strip: Strip, out: Path) -> str:

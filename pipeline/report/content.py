@@ -16,6 +16,7 @@ from pipeline.report.scenes import FULL
 from pipeline.report.strips import RunFigure, Strip
 
 TITLES = {
+    "leaderboards": "Leaderboards",
     "summary": "Summary",
     "strips": "Held-out views",
     "figures": "Motion and time",

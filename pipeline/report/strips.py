@@ -110,12 +110,13 @@ def make_strips(runs: pd.DataFrame, no_pictures: tuple[str, ...] = ()) -> tuple[
 
 
 def shown_experiment(runs: pd.DataFrame) -> tuple[str, str]:
-    """(recipe, model) of one scene with the best mean final PSNR of `full`.
+    """(recipe, model) of one scene with the best mean final PSNR of `full`, of the protocol that most runs follow.
 
-    Changed recipes only where there are no other runs. Without `full`: of the first model.
+    Changed recipes and images that were given only where there are no other runs. Without `full`: of the first model.
     """
     own = runs[runs["images"] == RENDERED]
     runs = runs if own.empty else own
+    runs = runs[runs["protocol"] == runs["protocol"].mode()[0]]
     unchanged = runs[~runs["changed"]]
     runs = runs if unchanged.empty else unchanged
     full = runs[runs["model"] == scenes.FULL]

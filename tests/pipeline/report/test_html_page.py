@@ -105,7 +105,7 @@ def test_pictures_of_a_family_can_be_excluded(tmp_path, capsys):
 def test_strips_are_of_the_recipe_with_the_best_final_psnr_of_full() -> None:
     def best(*rows: tuple[str, bool, str, float]) -> tuple[str, str]:
         runs = pd.DataFrame(rows, columns=["recipe_label", "changed", "model", "final.psnr"])
-        return shown_experiment(runs.assign(images="rendered"))
+        return shown_experiment(runs.assign(images="rendered", protocol="dnerf-400-black-v1"))
 
     def fast(change: str, psnr: float) -> tuple[str, bool, str, float]:
         return (f"fast ({change})", True, "full", psnr)
