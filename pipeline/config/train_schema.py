@@ -48,10 +48,7 @@ class DensifyConfig:
     max_gaussians: int = 200_000
     # Gaussians of the lowest image sensitivity are pruned, together this share of the total sensitivity; 0: none
     prune_sensitivity: float = 0.0
-    prune_sensitivity_every: int = 500  # iterations between prunings by sensitivity, and by visibility
-    # Gaussians of which less than this share reaches the camera in every training view, because others hide them, are
-    # pruned (pipeline/training/density/visibility_pruning.py); 0: none
-    prune_hidden: float = 0.0
+    prune_sensitivity_every: int = 500  # iterations between prunings by sensitivity
     # Gaussians added where and when the error is (pipeline/training/density/error_guided.py); × their number; 0: none
     add_by_error: float = 0.0
     add_by_error_every: int = 500  # iterations between such additions
@@ -65,7 +62,6 @@ class DensifyConfig:
             "space_gradient": above(0),
             "opacity_reset_every": at_least(0).but("0: never"),
             "prune_sensitivity": between("[0, 1)", 0, 1).but("0: nothing"),
-            "prune_hidden": between("[0, 1)", 0, 1).but("0: nothing"),
             "prune_sensitivity_every": positive_count(),
             "add_by_error": at_least(0).but("0: none"),
             "add_by_error_every": positive_count(),
@@ -90,15 +86,13 @@ class ResolutionStep:
 class RegularizationConfig:
     """Weights of the regularization terms (pipeline/training/objective/model_terms.py). 0: none.
 
-    Those of motion and opacity are × the share of the training images that is not background.
+    That of opacity is × the share of the training images that is not background.
     """
 
-    motion: float = 0.0  # towards no motion: × mean of 2 sin(θ/2), θ the tilt between space and time
     opacity: float = 0.0  # towards transparency: × mean opacity
-    reference_views: float = 0.0  # `motion` and `opacity` are × this / number of training views; 0: they are as given
+    reference_views: float = 0.0  # `opacity` is × this / number of training views; 0: it is as given
     rigid: float = 0.0  # towards neighbours that move alike; along shared trajectories, as a rigid body
     rigid_released: bool = False  # the rigid loss in the form of the released program, the same for all views
-    still_lifetime: float = 0.0  # Gaussians of a larger st do not move (still_gaussians.py); × duration; 0: all may
     flow: float = 0.0  # towards the optical flow measured in videos: × mean error, image widths
 
     def __post_init__(self) -> None:

@@ -10,19 +10,9 @@ from __future__ import annotations
 import math
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 UNTILTED = torch.tensor([1.0, 1.0, 1.0, -1.0])  # × ql is the qr without tilt
-
-
-def tilt(quat_left: Tensor, quat_right: Tensor) -> Tensor:
-    """(N,) 2 sin(θ/2), where θ is the angle by which the rotation tilts the time axis into space; (N, 4) quaternions.
-
-    A Gaussian much longer in time than in space moves with velocity tan θ.
-    """
-    untilted = F.normalize(quat_left, dim=1) * UNTILTED.to(quat_left.dtype)
-    return (F.normalize(quat_right, dim=1) - untilted).norm(dim=1)
 
 
 def spatial_and_tilt(of_left: Tensor, of_right: Tensor) -> tuple[Tensor, Tensor]:

@@ -72,8 +72,7 @@ def train(
     views = TrainingViews(scene.train, flows, _depths(scene, cfg))
     objective, density = Objective(scene, cfg, state.threads), refiners(scene, cfg)
     if state.iteration == 0:
-        rules = objective.regularization
-        run.log({"event": "regularization", "iteration": 0, "motion": rules.motion, "opacity": rules.opacity})
+        run.log({"event": "regularization", "iteration": 0, "opacity": objective.regularization.opacity})
     for observer in observers:
         observer.start(state.iteration)
 

@@ -17,7 +17,6 @@ from pipeline.training import finite_checks
 from pipeline.training.objective.dropout import draw_dropped, short_lived
 from pipeline.training.objective.marginal_jitter import draw_offsets
 from pipeline.training.objective.objective import Objective, RenderedView
-from pipeline.training.objective.still_gaussians import hold_still
 from pipeline.training.objective.terms import DrawnView
 from pipeline.training.schedule import Phase
 from pipeline.training.state import TrainState
@@ -96,8 +95,6 @@ def render_batch(
 
 
 def optimiser_step(state: TrainState, batch: Batch, phase: Phase, scene: Scene, cfg: Config) -> None:
-    """Do one step of Adam, and hold long-lived Gaussians still."""
+    """Do one step of Adam."""
     rows = trainable_rows(state.model, phase.sphere, batch.visible)
     state.optimiser.step(state.gradients, phase.lr, rows, batch.d_environment_map)
-    if (share := cfg.train.regularization.still_lifetime) > 0 and state.model.kind.moves:
-        hold_still(state.model, share * scene.duration)

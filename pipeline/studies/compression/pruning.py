@@ -63,7 +63,7 @@ def retrain(model: Model, scene: Scene, cfg: Config, share: float, evaluate_fn: 
     first = round(iterations * (1 - share))
     if first == iterations:
         return model
-    fixed_count = replace(cfg.train.densify, stop=0, prune_sensitivity=0.0, prune_hidden=0.0, add_by_error=0.0)
+    fixed_count = replace(cfg.train.densify, stop=0, prune_sensitivity=0.0, add_by_error=0.0)
     schedule = replace(
         cfg.train, densify=fixed_count, time_budget_s=None, eval_every=iterations, checkpoint_every=iterations
     )

@@ -12,7 +12,6 @@ from pipeline.training.density.error_guided import ErrorGuidedDensification
 from pipeline.training.density.sensitivity_pruning import SensitivityPruning, scoring_views
 from pipeline.training.density.track_linking import TrackLinking
 from pipeline.training.density.trajectory_start import TrajectoryStart
-from pipeline.training.density.visibility_pruning import VisibilityPruning
 from pipeline.training.schedule import Phase
 from pipeline.training.state import TrainState
 
@@ -34,11 +33,7 @@ def refiners(scene: Scene, cfg: Config) -> list[Refiner]:
     """Those of a schedule, in the order in which they are applied."""
     rules, views = cfg.train.densify, scoring_views(scene)
     found: list[Refiner] = [TrajectoryStart(cfg)] if cfg.train.motion == "trajectories" else []
-    found += [
-        Densification(rules, scene.extent, cfg.ablation.time_split),
-        SensitivityPruning(scene, cfg, views),
-        VisibilityPruning(scene, cfg, views),
-    ]
+    found += [Densification(rules, scene.extent, cfg.ablation.time_split), SensitivityPruning(scene, cfg, views)]
     if cfg.ablation.add_by_error:
         found.append(ErrorGuidedDensification(scene, cfg))
     if cfg.train.motion == "tracks" and cfg.ablation.shared_motion:

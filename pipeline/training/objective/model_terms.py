@@ -1,8 +1,7 @@
-"""The losses on the parameters of the model: neighbours that move alike, little motion, transparency. None is in the
-paper.
+"""The losses on the parameters of the model: neighbours that move alike, transparency. None is in the paper.
 
 A monocular scene has one view per time: a Gaussian that is visible in one frame only is constrained by one camera, and
-its depth and velocity are arbitrary. An infinite `motion` weight is no_4drot.
+its depth and velocity are arbitrary.
 
 To add one, write its term, enter it in `model_terms`, and give its weight a key in pipeline/config/train_schema.py.
 """
@@ -20,7 +19,6 @@ from datasets.scene import Scene
 from pipeline.config.train_schema import RegularizationConfig
 from pipeline.data.covered_share import covered_share
 from pipeline.model.model import Model
-from pipeline.model.tilt import UNTILTED
 from pipeline.training.objective.rigid_neighbours import RigidNeighbours
 from pipeline.training.objective.terms import DrawnView, ModelTerm
 from rasterizer import Gradients
@@ -34,7 +32,6 @@ MIN_MARGINAL = 0.7  # only Gaussians with temporal marginal p(t) above this
 # Velocities are displacements per this fraction of the duration; the release uses 0.1 with D-NeRF's duration of 1.
 VELOCITY_STEP = 0.1
 OPACITY_VIEWS = 10.0  # opacity counts less where more training views than this are within one st
-TILT_SOFTENING = 1e-3  # radians: smooths the norm at zero tilt
 
 # That the rigid loss depends on; a model has one of the last two, and without 4D rotation neither.
 FIELDS = ("mean", "log_scale", "quat_left", "quat_right", "velocity")
@@ -82,27 +79,6 @@ class ReleasedRigid:
 
 
 @dataclass(frozen=True)
-class LittleMotion:
-    """`weight` × the mean of 2 sin(θ/2), θ the angle between a Gaussian's path and the time axis. Gradient alone."""
-
-    weight: float
-
-    def add(self, gradients: Gradients, model: Model, view: DrawnView) -> float:
-        if view.place != view.batch - 1:
-            return 0.0
-        p, share = model.parameters, 1.0 / len(model)
-        if model.kind.motion == "velocity":
-            assert gradients.velocity is not None
-            gradients.velocity.add_(speed_gradient(p["velocity"]), alpha=self.weight * share)
-        if model.kind.motion == "full":
-            left, right = tilt_gradient(p["quat_left"], p["quat_right"])
-            gradients.quat_left.add_(left, alpha=self.weight * share)
-            assert gradients.quat_right is not None
-            gradients.quat_right.add_(right, alpha=self.weight * share)
-        return 0.0
-
-
-@dataclass(frozen=True)
 class Transparency:
     """`weight` × the mean opacity, weighted by `opacity_weight`. Gradient alone."""
 
@@ -127,25 +103,24 @@ def model_terms(
         RigidNeighbours(rules.rigid, scene, seed)
         if shared_motion
         else (ReleasedRigid if rules.rigid_released else Rigid)(rules.rigid, scene.duration, threads),
-        LittleMotion(rules.motion),
         Transparency(rules.opacity, scene),
     ]
     return [term for term in terms if term.weight > 0]
 
 
 def relative_to_data(rules: RegularizationConfig, scene: Scene) -> RegularizationConfig:
-    """`rules` with its weights on motion and opacity in proportion to what the training views determine.
+    """`rules` with its weight on opacity in proportion to what the training views determine.
 
     The photometric loss is a mean over all pixels and over the views. Pixels of the background's colour add nothing to
-    it: where the scene covers a tenth of the images, a Gaussian's share of the loss is a tenth. The weights are
+    it: where the scene covers a tenth of the images, a Gaussian's share of the loss is a tenth. The weight is
     multiplied by the covered share, and by reference_views / number of training views unless reference_views is 0.
     """
-    if rules.motion == rules.opacity == 0:
+    if rules.opacity == 0:
         return rules  # without reading the images
     factor = covered_share(scene.train, scene.background)
     if rules.reference_views > 0:
         factor *= rules.reference_views / len(scene.train)
-    return replace(rules, motion=rules.motion * factor, opacity=rules.opacity * factor)
+    return replace(rules, opacity=rules.opacity * factor)
 
 
 def add_gradient(gradients: Gradients, model: Model, loss_of: Callable[[dict[str, Tensor]], Tensor]) -> float:
@@ -241,7 +216,7 @@ def _moving_at(fields: dict[str, Tensor], time: float) -> Tensor:
     return torch.exp(-0.5 * (time - fields["mean"][:, 3]) ** 2 / (axes * axes).sum(dim=1)) > MIN_MARGINAL
 
 
-# ---- Motion and opacity -----------------------------------------------------------------------------------------
+# ---- Opacity -----------------------------------------------------------------------------------------
 
 
 def opacity_weight(model: Model, scene: Scene) -> Tensor | float:
@@ -258,24 +233,3 @@ def opacity_weight(model: Model, scene: Scene) -> Tensor | float:
         return 1.0
     views_in_scale = torch.exp(model.parameters["log_scale"][:, 3]).mul_(views / scene.duration)
     return (OPACITY_VIEWS / views_in_scale).clamp_(max=1.0)
-
-
-def speed_gradient(velocity: Tensor) -> Tensor:
-    """∂ Σ 2 sin(θ/2) / ∂velocity, (N, 3), with the angle θ = arctan √(|v|² + ε²) of the path to the time axis."""
-    speed = torch.sqrt((velocity * velocity).sum(dim=1, keepdim=True) + TILT_SOFTENING**2)
-    return velocity / speed * torch.cos(0.5 * torch.atan(speed)) / (1 + speed * speed)
-
-
-def tilt_gradient(quat_left: Tensor, quat_right: Tensor) -> tuple[Tensor, Tensor]:
-    """∂ Σ √(tilt² + ε²) / ∂(quat_left, quat_right), (N, 4) each.
-
-    With the unit vectors r = qr/|qr| and l = ql/|ql| without its tilt, c = r · l and w = √(|r - l|² + ε²), the
-    gradients are (c r - l) / (|qr| w) and, of the untilted ql, (c l - r) / (|ql| w). Autograd takes 2.6 times as long.
-    """
-    norm_left, norm_right = quat_left.norm(dim=1, keepdim=True), quat_right.norm(dim=1, keepdim=True)
-    left, right = quat_left / norm_left * UNTILTED.to(quat_left.dtype), quat_right / norm_right
-    cosine = (left * right).sum(dim=1, keepdim=True)
-    length = torch.sqrt((right - left).square_().sum(dim=1, keepdim=True) + TILT_SOFTENING**2)
-    of_left = torch.addcmul(right.neg(), cosine, left).div_(norm_left * length).mul_(UNTILTED.to(quat_left.dtype))
-    of_right = torch.addcmul(left.neg(), cosine, right).div_(norm_right * length)
-    return of_left, of_right

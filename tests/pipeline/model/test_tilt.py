@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from builders import generator
 
-from pipeline.model.tilt import UNTILTED, left_and_right, spatial_and_tilt, tilt
+from pipeline.model.tilt import UNTILTED, left_and_right, spatial_and_tilt
 from rasterizer.covariance import rotation_4d
 
 
@@ -14,19 +14,11 @@ def random_quaternions(seed: int, count: int = 50) -> tuple[torch.Tensor, torch.
     return left, right
 
 
-def test_tilt_is_twice_the_sine_of_half_the_angle_of_the_time_axis() -> None:
-    left, right = random_quaternions(0)
-    along = rotation_4d(left, right)[:, 3, 3]  # cos θ of the time axis
-    # 1e-12: float64 rounding
-    torch.testing.assert_close(tilt(left, right) ** 2, 2 - 2 * along, rtol=1e-12, atol=1e-12)
-
-
 def test_a_rotation_of_space_alone_has_no_tilt() -> None:
     left, _ = random_quaternions(1)
     right = left * UNTILTED.double()
     rotation = rotation_4d(left, right)
     torch.testing.assert_close(rotation[:, 3], torch.tensor([0.0, 0, 0, 1]).double().expand(50, 4), atol=1e-14, rtol=0)
-    assert tilt(left, right).max() < 1e-14
 
 
 def test_the_coordinates_are_orthogonal_and_have_an_inverse() -> None:

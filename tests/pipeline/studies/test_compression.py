@@ -144,7 +144,7 @@ def test_pruning_to_fraction_zero_keeps_one_gaussian(trained):
 def test_retraining_keeps_the_number_of_gaussians(trained):
     cfg = tiny_config(60)
     rules = replace(
-        cfg.train.densify, prune_hidden=0.9, prune_sensitivity=0.1, prune_sensitivity_every=10,
+        cfg.train.densify, prune_sensitivity=0.1, prune_sensitivity_every=10,
         add_by_error=1.0, add_by_error_every=10,
     )  # fmt: skip
     cfg = replace(cfg, train=replace(cfg.train, densify=rules))

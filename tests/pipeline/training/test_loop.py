@@ -225,7 +225,7 @@ def test_a_checkpoint_of_another_run_is_refused(tmp_path) -> None:
 @pytest.mark.parametrize(
     "keys",
     [
-        {"motion": "velocities", "regularization": RegularizationConfig(rigid=1.0, motion=1.0, still_lifetime=0.3)},
+        {"motion": "velocities", "regularization": RegularizationConfig(rigid=1.0, opacity=1.0)},
         {"optimiser": "sparse_adam"},
         {"batch": 1},
         {"resolution_steps": [ResolutionStep(0.5, 0.5)]},

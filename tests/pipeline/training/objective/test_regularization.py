@@ -13,8 +13,7 @@ from tiny import tiny_scene
 from pipeline.config.train_schema import RegularizationConfig, TrainConfig
 from pipeline.data.training_views import target_of
 from pipeline.model.model import Model
-from pipeline.model.tilt import tilt
-from pipeline.training.objective.model_terms import TILT_SOFTENING, model_terms, opacity_weight, relative_to_data
+from pipeline.training.objective.model_terms import model_terms, opacity_weight, relative_to_data
 from pipeline.training.objective.terms import DrawnView
 from pipeline.training.schedule import phase
 from rasterizer import Gradients
@@ -42,16 +41,14 @@ def add_gradients(gradients: Gradients, model: Model, rules: RegularizationConfi
 
 
 def penalty(p: dict[str, torch.Tensor], cfg: RegularizationConfig) -> torch.Tensor:
-    """The sum of the terms as defined in the configuration; any dtype."""
-    softened = torch.sqrt(tilt(p["quat_left"], p["quat_right"]) ** 2 + TILT_SOFTENING**2)
+    """The term as defined in the configuration; any dtype."""
     lifetime = p["log_scale"][:, 3].exp()
     weight = (10 / (51 * lifetime.detach())).clamp(max=1)
-    return cfg.motion * softened.mean() + cfg.opacity * (weight * p["opacity_logit"].sigmoid()).mean()
+    return cfg.opacity * (weight * p["opacity_logit"].sigmoid()).mean()
 
 
-@pytest.mark.parametrize("keys", [{"motion": 0.7}, {"opacity": 0.7}])
-def test_the_gradient_equals_autograd_of_the_penalty(keys):
-    found, cfg = model(), RegularizationConfig(**keys)
+def test_the_gradient_equals_autograd_of_the_penalty():
+    found, cfg = model(), RegularizationConfig(opacity=0.7)
     gradients = Gradients.zeros_like(found.gaussians())
     add_gradients(gradients, found, cfg)
     leaves = {key: tensor.double().requires_grad_() for key, tensor in found.parameters.items()}
@@ -60,19 +57,6 @@ def test_the_gradient_equals_autograd_of_the_penalty(keys):
         truth = leaves[key].grad if leaves[key].grad is not None else torch.zeros_like(leaves[key])
         # float32 against float64: a few rounding errors of 6e-8, relative to the largest of the field
         torch.testing.assert_close(mine.double(), truth, rtol=1e-5, atol=1e-6 * float(truth.abs().max()) + 1e-12)
-
-
-def test_the_motion_of_velocities_is_the_angle_of_their_paths():
-    """Autograd of 2 sin(θ/2), θ = arctan of the softened speed, in float64; one Gaussian stands still."""
-    found = model("velocity")
-    found.parameters["velocity"][0] = 0
-    gradients = Gradients.zeros_like(found.gaussians())
-    add_gradients(gradients, found, RegularizationConfig(motion=0.7))
-    velocity = found.parameters["velocity"].double().requires_grad_()
-    angle = torch.atan(torch.sqrt((velocity**2).sum(dim=1) + TILT_SOFTENING**2))
-    (0.7 * (2 * torch.sin(angle / 2)).mean()).backward()
-    # float32 against float64: a few rounding errors of 6e-8
-    torch.testing.assert_close(gradients.velocity.double(), velocity.grad, rtol=1e-5, atol=1e-9)
 
 
 def test_the_opacity_weight_falls_with_the_number_of_views_in_a_lifetime():
@@ -90,26 +74,26 @@ def test_the_opacity_weight_is_1_for_dynamic_scenes_with_several_cameras():
     assert opacity_weight(model(), film) == 1.0
 
 
-def test_weights_follow_the_covered_share_and_the_number_of_views():
+def test_the_weight_follows_the_covered_share_and_the_number_of_views():
     """tiny_scene's disc has a radius of 6 of 32 pixels; 51 views instead of 100."""
-    cfg = RegularizationConfig(motion=0.5, opacity=2.0, flow=3.0)
+    cfg = RegularizationConfig(opacity=2.0, flow=3.0)
     red = np.stack([np.asarray(view.image)[..., 0] for view in SCENE.train])
     share = np.count_nonzero(red) / red.size
     assert share == pytest.approx(np.pi * 36 / 32**2, rel=0.05)  # the pixels whose centre is in the disc, not its area
     found = relative_to_data(cfg, SCENE)
-    assert (found.motion, found.opacity) == pytest.approx((0.5 * share, 2.0 * share))
-    assert replace(found, motion=0.5, opacity=2.0) == cfg  # nothing else changes
+    assert found.opacity == pytest.approx(2.0 * share)
+    assert replace(found, opacity=2.0) == cfg  # nothing else changes
     found = relative_to_data(replace(cfg, reference_views=100.0), SCENE)
-    assert (found.motion, found.opacity) == pytest.approx((0.5 * share * 100 / 51, 2.0 * share * 100 / 51))
+    assert found.opacity == pytest.approx(2.0 * share * 100 / 51)
 
 
 def test_empty_background_does_not_shift_loss_against_regularization():
     """Images with a border of background, twice as wide and high: a quarter of the weight beside a quarter of the
     loss, which is a mean over all pixels."""
     framed = tuple(replace(view, image=np.pad(view.image, ((16, 16), (16, 16), (0, 0)))) for view in SCENE.train)
-    cfg = RegularizationConfig(motion=1.0, opacity=1.0)
+    cfg = RegularizationConfig(opacity=1.0)
     whole, part = relative_to_data(cfg, SCENE), relative_to_data(cfg, replace(SCENE, train=framed))
-    assert (part.motion, part.opacity) == pytest.approx((whole.motion / 4, whole.opacity / 4))
+    assert part.opacity == pytest.approx(whole.opacity / 4)
 
 
 def test_without_weights_there_are_no_gradients():
@@ -117,11 +101,3 @@ def test_without_weights_there_are_no_gradients():
     gradients = Gradients.zeros_like(found.gaussians())
     add_gradients(gradients, found, RegularizationConfig())
     assert all(not tensor.any() for tensor in gradients.dense().values())
-
-
-@pytest.mark.parametrize("motion", ["static", "separable"])
-def test_terms_of_missing_parameters_have_no_gradients(motion):
-    found = model(motion)
-    gradients = Gradients.zeros_like(found.gaussians())
-    add_gradients(gradients, found, RegularizationConfig(motion=1.0))
-    assert not any(tensor.any() for tensor in gradients.dense().values())
