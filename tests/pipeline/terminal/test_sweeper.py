@@ -105,8 +105,12 @@ def test_reproduce_is_each_scene_and_each_ablation_on_its_own_scene() -> None:
         *(f"{scene}/full/short/seed0" for scene in scenes),
         *(
             f"{scene}/{ablation}/short/seed{seed}"
-            for scene, part in (("wheel", "no_4drot"), ("lamp", "no_4dsh"), ("burst", "no_time_split"))
-            for ablation in ("full", part)
+            for scene, *parts in (
+                ("wheel", "no_4drot"),
+                ("lamp", "no_4dsh"),
+                ("burst", "no_time_split", "no_error_guided"),
+            )
+            for ablation in ("full", *parts)
             for seed in range(3)
             if (ablation, seed) != ("full", 0)
         ),
