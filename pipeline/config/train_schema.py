@@ -84,19 +84,16 @@ class ResolutionStep:
 
 @dataclass
 class RegularizationConfig:
-    """Weights of the regularization terms (pipeline/training/objective/model_terms.py). 0: none.
-
-    That of opacity is × the share of the training images that is not background.
-    """
+    """Weights of the regularization terms (pipeline/training/objective/model_terms.py). 0: none."""
 
     opacity: float = 0.0  # towards transparency: × mean opacity
     reference_views: float = 0.0  # `opacity` is × this / number of training views; 0: it is as given
-    rigid: float = 0.0  # towards neighbours that move alike; along shared trajectories, as a rigid body
-    rigid_released: bool = False  # the rigid loss in the form of the released program, the same for all views
+    rigid: float = 0.0  # towards neighbours that move along shared trajectories as a rigid body
+    rigid_released: float = 0.0  # towards neighbours that move alike, as in the released program
     flow: float = 0.0  # towards the optical flow measured in videos: × mean error, image widths
 
     def __post_init__(self) -> None:
-        weights = {f.name: at_least(0).but("0: none") for f in fields(self) if f.name != "rigid_released"}
+        weights = {f.name: at_least(0).but("0: none") for f in fields(self)}
         check("train.regularization", self, weights)
 
 

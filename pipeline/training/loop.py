@@ -71,8 +71,6 @@ def train(
     flows = FlowTargets(scene) if cfg.train.regularization.flow > 0 and state.model.kind.moves else None
     views = TrainingViews(scene.train, flows, _depths(scene, cfg))
     objective, density = Objective(scene, cfg, state.threads), refiners(scene, cfg)
-    if state.iteration == 0:
-        run.log({"event": "regularization", "iteration": 0, "opacity": objective.regularization.opacity})
     for observer in observers:
         observer.start(state.iteration)
 

@@ -14,7 +14,7 @@ from pipeline.model.model import Model
 from pipeline.model.render import ImageGradient, backward, render
 from pipeline.training.objective.dropout import without
 from pipeline.training.objective.image_terms import image_terms
-from pipeline.training.objective.model_terms import model_terms, relative_to_data
+from pipeline.training.objective.model_terms import model_terms
 from pipeline.training.objective.terms import DrawnView
 from rasterizer import Gradients, Rasterizer, Request, ViewGradient
 
@@ -34,12 +34,10 @@ class Objective:
     """The terms, and the rasterizer whose memory every view reuses."""
 
     def __init__(self, scene: Scene, cfg: Config, threads: int) -> None:
-        self.regularization = relative_to_data(cfg.train.regularization, scene)
         self._scene, self._near = scene, cfg.scene.near * scene.unit
         self._rasterizer = Rasterizer(threads=threads)
         self._image_terms = image_terms(cfg.train, scene, threads)
-        shared_motion = cfg.train.motion == "trajectories"
-        self._model_terms = model_terms(self.regularization, shared_motion, scene, threads, cfg.seed)
+        self._model_terms = model_terms(cfg.train.regularization, scene, threads, cfg.seed)
 
     def backward(
         self, model: Model, view: DrawnView, gradients: Gradients, d_environment_map: Tensor | None = None

@@ -111,7 +111,7 @@ def test_release_differs_from_scene_to_scene(scene: str, batch: int, points: int
     cfg = config_of(f"scene=dnerf/{scene}", "train=release")
     train = cfg.train
     assert (train.batch, train.init_points) == (batch, points)
-    assert train.regularization.rigid == (1.0 if scene == "lego" else 0.0)
+    assert train.regularization.rigid_released == (1.0 if scene == "lego" else 0.0)
     schedule = (train.iterations, train.lr.decay_iterations, train.densify.every, train.densify.stop)
     assert schedule == ((20_000, 15_000, 200, 10_000) if scene == "bouncingballs" else (30_000, None, 100, 15_000))
     assert cfg.scene.init_box == [-1.3, 1.3] and not train.densify.use_time_gradient

@@ -225,13 +225,12 @@ def test_a_checkpoint_of_another_run_is_refused(tmp_path) -> None:
 @pytest.mark.parametrize(
     "keys",
     [
-        {"motion": "velocities", "regularization": RegularizationConfig(rigid=1.0, opacity=1.0)},
+        {"motion": "velocities", "regularization": RegularizationConfig(opacity=1.0)},
         {"optimiser": "sparse_adam"},
         {"batch": 1},
         {"resolution_steps": [ResolutionStep(0.5, 0.5)]},
         {"resolution_scale": 0.5},
-        {"regularization": RegularizationConfig(rigid=1.0)},
-        {"regularization": RegularizationConfig(rigid=1.0, rigid_released=True)},
+        {"regularization": RegularizationConfig(rigid_released=1.0)},
     ],
 )
 def test_every_option_runs(tmp_path, keys: dict) -> None:

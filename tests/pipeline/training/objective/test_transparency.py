@@ -1,4 +1,4 @@
-"""Regularization: gradients against autograd, and closed forms."""
+"""The loss on opacity: its gradient against autograd, and closed forms."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from tiny import tiny_scene
 from pipeline.config.train_schema import RegularizationConfig, TrainConfig
 from pipeline.data.training_views import target_of
 from pipeline.model.model import Model
-from pipeline.training.objective.model_terms import model_terms, opacity_weight, relative_to_data
 from pipeline.training.objective.terms import DrawnView
+from pipeline.training.objective.transparency import Transparency, opacity_weight, relative_to_data
 from pipeline.training.schedule import phase
 from rasterizer import Gradients
 
@@ -30,29 +30,17 @@ def model(motion: str = "full") -> Model:
     )
 
 
-def add_gradients(gradients: Gradients, model: Model, rules: RegularizationConfig) -> None:
-    """With the last view of a batch of two, and not with the first."""
-    target, at = target_of(SCENE.train[0], 1.0), phase(1.0, TrainConfig(), SCENE.extent, 3, 2)
-    for term in model_terms(rules, False, SCENE, threads=1, seed=0):
-        before = {name: tensor.clone() for name, tensor in gradients.dense().items()}
-        assert term.add(gradients, model, DrawnView(target, at, batch=2, place=0)) == 0
-        assert all(torch.equal(before[name], tensor) for name, tensor in gradients.dense().items())
-        term.add(gradients, model, DrawnView(target, at, batch=2, place=1))
-
-
-def penalty(p: dict[str, torch.Tensor], cfg: RegularizationConfig) -> torch.Tensor:
-    """The term as defined in the configuration; any dtype."""
-    lifetime = p["log_scale"][:, 3].exp()
-    weight = (10 / (51 * lifetime.detach())).clamp(max=1)
-    return cfg.opacity * (weight * p["opacity_logit"].sigmoid()).mean()
-
-
-def test_the_gradient_equals_autograd_of_the_penalty():
-    found, cfg = model(), RegularizationConfig(opacity=0.7)
+def test_the_gradient_is_that_of_the_weighted_mean_with_the_last_view_of_a_batch():
+    found, term = model(), Transparency(0.7, SCENE)
     gradients = Gradients.zeros_like(found.gaussians())
-    add_gradients(gradients, found, cfg)
+    target, at = target_of(SCENE.train[0], 1.0), phase(1.0, TrainConfig(), SCENE.extent, 3, 2)
+    term.add(gradients, found, DrawnView(target, at, batch=2, place=0))
+    assert not any(tensor.any() for tensor in gradients.dense().values())
+    term.add(gradients, found, DrawnView(target, at, batch=2, place=1))
+
     leaves = {key: tensor.double().requires_grad_() for key, tensor in found.parameters.items()}
-    penalty(leaves, cfg).backward()
+    weight = (10 / (51 * leaves["log_scale"][:, 3].exp().detach())).clamp(max=1)
+    (0.7 * (weight * leaves["opacity_logit"].sigmoid()).mean()).backward()
     for key, mine in gradients.dense().items():
         truth = leaves[key].grad if leaves[key].grad is not None else torch.zeros_like(leaves[key])
         # float32 against float64: a few rounding errors of 6e-8, relative to the largest of the field
@@ -76,28 +64,18 @@ def test_the_opacity_weight_is_1_for_dynamic_scenes_with_several_cameras():
 
 def test_the_weight_follows_the_covered_share_and_the_number_of_views():
     """tiny_scene's disc has a radius of 6 of 32 pixels; 51 views instead of 100."""
-    cfg = RegularizationConfig(opacity=2.0, flow=3.0)
+    rules = RegularizationConfig(opacity=2.0)
     red = np.stack([np.asarray(view.image)[..., 0] for view in SCENE.train])
     share = np.count_nonzero(red) / red.size
     assert share == pytest.approx(np.pi * 36 / 32**2, rel=0.05)  # the pixels whose centre is in the disc, not its area
-    found = relative_to_data(cfg, SCENE)
-    assert found.opacity == pytest.approx(2.0 * share)
-    assert replace(found, opacity=2.0) == cfg  # nothing else changes
-    found = relative_to_data(replace(cfg, reference_views=100.0), SCENE)
-    assert found.opacity == pytest.approx(2.0 * share * 100 / 51)
+    assert relative_to_data(rules, SCENE) == pytest.approx(2.0 * share)
+    assert relative_to_data(replace(rules, reference_views=100.0), SCENE) == pytest.approx(2.0 * share * 100 / 51)
+    assert relative_to_data(RegularizationConfig(), SCENE) == 0
 
 
 def test_empty_background_does_not_shift_loss_against_regularization():
     """Images with a border of background, twice as wide and high: a quarter of the weight beside a quarter of the
     loss, which is a mean over all pixels."""
     framed = tuple(replace(view, image=np.pad(view.image, ((16, 16), (16, 16), (0, 0)))) for view in SCENE.train)
-    cfg = RegularizationConfig(opacity=1.0)
-    whole, part = relative_to_data(cfg, SCENE), relative_to_data(cfg, replace(SCENE, train=framed))
-    assert part.opacity == pytest.approx(whole.opacity / 4)
-
-
-def test_without_weights_there_are_no_gradients():
-    found = model()
-    gradients = Gradients.zeros_like(found.gaussians())
-    add_gradients(gradients, found, RegularizationConfig())
-    assert all(not tensor.any() for tensor in gradients.dense().values())
+    rules = RegularizationConfig(opacity=1.0)
+    assert relative_to_data(rules, replace(SCENE, train=framed)) == pytest.approx(relative_to_data(rules, SCENE) / 4)
