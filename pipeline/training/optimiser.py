@@ -10,12 +10,10 @@ import torch
 from torch import Tensor
 
 from pipeline.model.model import Model
-from pipeline.model.tilt import left_and_right, spatial_and_tilt
 from pipeline.training.schedule import LearningRate
 from rasterizer import Gradients
 from rasterizer.adam import adam_step, sh_adam_step
 
-QUATERNIONS = ("quat_left", "quat_right")
 SMALLEST_SCALE = 1e-6  # units of time, a divisor: steps of velocities stay finite
 
 
@@ -31,18 +29,13 @@ class Adam:
     The step count of the bias correction is global, as in 3DGS: a new Gaussian starts with zero moments and the
     correction of the current step.
 
-    With `separate_tilt`, the coordinates of 4D rotations are spatial rotation and tilt (pipeline/model/tilt.py), whose
-    moments are those under "quat_left" and "quat_right". Adam divides each coordinate of the gradient by its own size,
-    and that of the tilt is larger (docs/method.md 5.1): in the quaternions' components it would slow down the other.
-
     The rate of velocities is that of the displacement in a Gaussian's temporal scale √Σtt: short-lived ones
     may be fast.
     """
 
-    def __init__(self, model: Model, threads: int = 1, separate_tilt: bool = False) -> None:
+    def __init__(self, model: Model, threads: int = 1) -> None:
         self.model = model
         self.threads = threads
-        self.separate_tilt = separate_tilt and model.kind.motion == "full"
         self.step_count = 0
         self.first = {name: torch.zeros_like(p) for name, p in model.parameters.items()}
         self.second = {name: torch.zeros_like(p) for name, p in model.parameters.items()}
@@ -63,8 +56,6 @@ class Adam:
         for name, parameter in self.model.parameters.items():
             moments = self.first[name], self.second[name]
             rate = learning_rates[name]
-            if self.separate_tilt and name in QUATERNIONS:
-                continue
             if name == "sh":
                 assert isinstance(rate, tuple)
                 sh_adam_step(
@@ -78,8 +69,6 @@ class Adam:
             adam_step(stepped, gradient, *moments, rate, self.step_count, sparse_rows=rows, threads=self.threads)
             if name == "velocity":  # stepped: a displacement in one temporal scale
                 parameter += stepped / self.model.parameters["log_scale"][:, 3:].exp().clamp_min(SMALLEST_SCALE)
-        if self.separate_tilt:
-            self._rotate(gradients, learning_rates, rows)
         for name, gradient in (("environment", d_environment_map), ("trajectories", gradients.trajectories)):
             if gradient is None:
                 continue
@@ -87,18 +76,6 @@ class Adam:
             parameter, gradient, first, second = (tensor.view(-1) for tensor in tensors)
             rate = learning_rates[name]
             adam_step(parameter, gradient, first, second, rate, self.step_count, threads=self.threads)
-
-    def _rotate(self, gradients: Gradients, learning_rates: dict[str, LearningRate], rows: Tensor | None) -> None:
-        """The step of both quaternions, in the coordinates spatial rotation and tilt."""
-        assert gradients.quat_right is not None
-        steps = []
-        for name, gradient in zip(QUATERNIONS, spatial_and_tilt(gradients.quat_left, gradients.quat_right)):
-            step, moments = torch.zeros_like(gradient), (self.first[name], self.second[name])
-            rate = learning_rates[name]
-            adam_step(step, gradient, *moments, rate, self.step_count, sparse_rows=rows, threads=self.threads)
-            steps.append(step)
-        for name, change in zip(QUATERNIONS, left_and_right(*steps)):
-            self.model.parameters[name] += change
 
     def adopt(self, model: Model) -> None:
         """Go on with a model of the same Gaussians that has further tensors; their moments are zero."""

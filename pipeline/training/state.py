@@ -136,7 +136,7 @@ def start(model: Model, scene: Scene, cfg: Config, run: RunLog, start_seconds: f
         model = saved.model
     state = TrainState(
         model,
-        Adam(model, threads, separate_tilt=cfg.train.motion == "tilt"),
+        Adam(model, threads),
         Statistics(len(model)),
         # One random stream per purpose, so that the draws of one never shift those of another.
         BatchSampler(len(scene.train), cfg.train.batch, stream(cfg.seed, Stream.BATCHES)),

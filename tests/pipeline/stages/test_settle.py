@@ -46,7 +46,7 @@ def test_the_scene_chooses_the_file_of_its_kind(scene: Scene, kind: str) -> None
 def test_each_kind_has_its_own_settings_and_nothing_else_changes() -> None:
     base = settled(MOVING)
     assert settled(STATIC)["train.init_points"] == 60_000 != base["train.init_points"]
-    assert {settled(FILM)["train.motion"], settled(CLIP)["train.regularization.flow"]} == {"tilt", 5.0}
+    assert (settled(FILM)["train.dropout_until"], settled(CLIP)["train.regularization.flow"]) == (1.0, 5.0)
     for scene in (STATIC, FILM, CLIP):
         found = {key for key in differing(settled(scene), base) if not key.startswith("train.")}
         assert found <= {"ablation.static", "ablation.fourier_order"}, "a static model has neither"

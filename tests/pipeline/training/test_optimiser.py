@@ -8,8 +8,7 @@ from tiny import random_model
 
 from pipeline.model.environment_map import EnvironmentMap
 from pipeline.model.model import Model, ModelKind
-from pipeline.model.tilt import left_and_right, spatial_and_tilt
-from pipeline.training.optimiser import QUATERNIONS, Adam
+from pipeline.training.optimiser import Adam
 from rasterizer import Gradients
 
 KIND = ModelKind("full", 2, 3)
@@ -77,35 +76,6 @@ def test_the_columns_of_the_mean_have_their_own_rates() -> None:
     assert torch.allclose(moved, torch.tensor(RATES["mean"]).expand(5, 4), atol=1e-6)
 
 
-def test_separate_tilt_is_adam_on_spatial_rotation_and_tilt() -> None:
-    """Against torch.optim.Adam on both coordinates, float64; the gradient with respect to them is by autograd."""
-    model, rng = random_model(KIND, 20), torch.Generator().manual_seed(0)
-    start = [model.parameters[name].double() for name in QUATERNIONS]
-    spatial, tilted = (part.requires_grad_() for part in spatial_and_tilt(*start))
-    reference = torch.optim.Adam([spatial, tilted], lr=RATES["quat_left"], eps=1e-15)
-    optimiser = Adam(model, separate_tilt=True)
-    for _ in range(5):
-        gradients = random_gradients(model, rng)
-        optimiser.step(gradients, RATES)
-        reference.zero_grad()
-        left, right = left_and_right(spatial, tilted)
-        ((left * gradients.quat_left.double()).sum() + (right * gradients.quat_right.double()).sum()).backward()
-        reference.step()
-    for name, expected in zip(QUATERNIONS, left_and_right(spatial.detach(), tilted.detach())):
-        # five float32 updates of values near 1: rounding of 6e-8 each, and about 1e-6 of the rate
-        torch.testing.assert_close(model.parameters[name].double(), expected, rtol=0, atol=1e-6)
-
-
-@pytest.mark.parametrize("motion", ["separable", "static"])
-def test_separate_tilt_changes_nothing_without_4d_rotation(motion: str) -> None:
-    plain = random_model(ModelKind(motion, 0 if motion == "static" else 2, 3), 6)
-    separate = plain.copy()
-    gradients = random_gradients(plain, torch.Generator().manual_seed(0))
-    Adam(plain).step(gradients, RATES)
-    Adam(separate, separate_tilt=True).step(gradients, RATES)
-    assert all(torch.equal(plain.parameters[name], separate.parameters[name]) for name in plain.parameters)
-
-
 def test_the_rate_of_velocities_is_that_of_the_displacement_in_a_lifetime() -> None:
     """Against torch.optim.Adam, float64, whose steps are divided by st."""
     model, rng = random_model(ModelKind("velocity", 2, 3), 20), torch.Generator().manual_seed(0)
@@ -123,10 +93,10 @@ def test_the_rate_of_velocities_is_that_of_the_displacement_in_a_lifetime() -> N
     torch.testing.assert_close(model.parameters["velocity"].double(), expected, rtol=0, atol=1e-6)
 
 
-@pytest.mark.parametrize("motion, separate_tilt", [("full", False), ("full", True), ("velocity", False)])
-def test_excluded_rows_keep_their_values_and_moments(motion: str, separate_tilt: bool) -> None:
+@pytest.mark.parametrize("motion", ["full", "velocity"])
+def test_excluded_rows_keep_their_values_and_moments(motion: str) -> None:
     model, rng = random_model(ModelKind(motion, 2, 3), 6), torch.Generator().manual_seed(0)
-    optimiser = Adam(model, separate_tilt=separate_tilt)
+    optimiser = Adam(model)
     rows = torch.tensor([1, 0, 1, 0, 0, 1], dtype=torch.uint8)
     before = model.copy()
     for _ in range(2):  # the first steps of Adam are all as long as the rate, and may cancel
