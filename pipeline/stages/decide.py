@@ -39,7 +39,7 @@ RESOLUTION = 0.5  # × the schedule's
 TIME_SHARE, COLOUR_SHARE, MOTION_SHARE = 0.1, 0.1, 0.15  # of the schedule's iterations, of each short training
 FEWEST_ITERATIONS = 150  # of a short training, or all of the schedule: fewer show no more than a blur
 STANDARD_ERRORS = 2.0  # of the gain by time, which must be larger
-FIT_GAIN = 1.0  # dB of the training views, by shared motion: of bodies it is above 2, of what flies below -0.5
+SHARED_GAIN = 1.0  # dB, of training views and of held-out ones, by shared motion: of bodies both are above 2
 # Training views for shared motion. With lego's 50 it fits these better, and outermost held-out views worse.
 FEWEST_SHARED = 75
 # dB, and standard errors, of the gain by time-varying colour. Leaving out colours that do change costs more than
@@ -84,8 +84,8 @@ class Comparison:
     @property
     def takes_shared_motion(self) -> bool:
         """Shared motion is taken where it follows what moves: in as many iterations it then fits the training views
-        better. Held-out views do not tell both kinds of scenes apart so early."""
-        return self.fit_gain > FIT_GAIN
+        better, and shows others better. Of what flies it does one at most, so early."""
+        return min(self.gain, self.fit_gain) > SHARED_GAIN
 
     @property
     def keeps_colour(self) -> bool:

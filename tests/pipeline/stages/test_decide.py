@@ -159,9 +159,10 @@ def test_colour_is_open_where_the_model_has_it() -> None:
     assert not colour_is_open(cfg, replace(scene, train=two)), "with two poses none can be held out"
 
 
-def test_shared_motion_must_fit_the_training_views() -> None:
-    taken = [replace(compared(-0.5, 0.2), fit_gain=fit).takes_shared_motion for fit in (2.0, 1.1, 0.9, -1.3)]
-    assert taken == [True, True, False, False]
+def test_shared_motion_must_gain_on_training_views_and_on_others() -> None:
+    gains = {(2.0, 1.1): True, (1.1, 2.0): True, (0.9, 2.0): False, (2.0, 0.9): False, (-1.3, 3.0): False}
+    for (held_out, fit), taken in gains.items():
+        assert replace(compared(held_out, 0.2), fit_gain=fit).takes_shared_motion == taken
 
 
 def test_shared_motion_is_open_for_one_camera_that_films_from_everywhere() -> None:
