@@ -128,9 +128,9 @@ class TrainConfig:
     # Each view takes its temporal marginals at a time off by up to this; × spacing of the training times; 0: none
     marginal_jitter: float = 0.0
     optimiser: str = "adam"  # adam (dense, the paper's) | sparse_adam (Gaussians of the batch's views only)
-    # How motion is trained (docs/method.md 5.1). rotations: the paper's quaternions; velocities, with spatial
-    # covariances and lifetimes; tracks: velocities, and brief Gaussians are linked to the tracks of what flies;
-    # trajectories: Gaussians exist at all times and share these
+    # How motion is trained (docs/method.md 5.1). rotations: the paper's quaternions; tracks: velocities with spatial
+    # covariances and lifetimes, and brief Gaussians are linked to the tracks of what flies; trajectories: Gaussians
+    # exist at all times and share these
     motion: str = "rotations"
     # Iterations from which SH degree 1, 2, 3 and Fourier order 1, 2 are trained
     orders_at: list[int] = field(default_factory=lambda: [1000, 2000, 3000, 4000, 5000])
@@ -150,7 +150,7 @@ class TrainConfig:
             "iterations": positive_count(),
             "batch": positive_count(),
             "optimiser": one_of("adam", "sparse_adam"),
-            "motion": one_of("rotations", "velocities", "tracks", "trajectories"),
+            "motion": one_of("rotations", "tracks", "trajectories"),
             "resolution_scale": between("(0, 1]", 0, 1),
             "mse_weight": at_least(0),
             "time_budget_s": above(0),

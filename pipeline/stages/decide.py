@@ -201,7 +201,6 @@ def short_schedule(cfg: TrainConfig, share: float) -> TrainConfig:
     short = schedule.shortened(cfg, min(1.0, max(share, FEWEST_ITERATIONS / cfg.iterations)))
     return replace(
         short,
-        motion="velocities" if short.motion == "tracks" else short.motion,
         resolution_scale=RESOLUTION * short.resolution_scale,
         eval_every=short.iterations,
         checkpoint_every=short.iterations,

@@ -113,7 +113,7 @@ def start(model: Model, scene: Scene, cfg: Config, run: RunLog, start_seconds: f
     if not cfg.resume:
         path.unlink(missing_ok=True)  # otherwise a later resume would continue the replaced run
     saved = checkpoints.load(path) if path.exists() else None
-    if cfg.train.motion in ("velocities", "tracks", "trajectories"):
+    if cfg.train.motion in ("tracks", "trajectories"):
         model = in_velocities(model)
     if cfg.train.motion == "trajectories" and model.kind.motion == "velocity" and model.trajectories is None:
         model = with_trajectories(model, scene)

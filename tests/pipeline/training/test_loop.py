@@ -169,7 +169,7 @@ def test_the_first_checkpoint_comes_by_time(uninterrupted: Path, tmp_path, monke
 
 def test_training_in_velocities_learns_resumes_and_ends_in_rotations(tmp_path, monkeypatch) -> None:
     """The disc of the scene moves. An interrupted training is the same to the bit."""
-    cfg = tiny_config(120, eval_every=60, checkpoint_every=30, motion="velocities")
+    cfg = tiny_config(120, eval_every=60, checkpoint_every=30, motion="tracks")
     first, last = batch_losses(tmp_path / "whole", tiny_scene(), cfg)
     assert last < 0.5 * first, "noise between batches is much less than half"
     interrupted_in(75, tmp_path / "parts", monkeypatch, cfg)
@@ -225,7 +225,7 @@ def test_a_checkpoint_of_another_run_is_refused(tmp_path) -> None:
 @pytest.mark.parametrize(
     "keys",
     [
-        {"motion": "velocities", "regularization": RegularizationConfig(opacity=1.0)},
+        {"motion": "tracks", "regularization": RegularizationConfig(opacity=1.0)},
         {"optimiser": "sparse_adam"},
         {"batch": 1},
         {"resolution_steps": [ResolutionStep(0.5, 0.5)]},
