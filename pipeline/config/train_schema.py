@@ -90,6 +90,7 @@ class RegularizationConfig:
     reference_views: float = 0.0  # `opacity` is × this / number of training views; 0: it is as given
     rigid: float = 0.0  # towards neighbours that move along shared trajectories as a rigid body
     rigid_released: float = 0.0  # towards neighbours that move alike, as in the released program
+    still_lifetime: float = 0.0  # Gaussians of a larger st do not move (still_gaussians.py); × duration; 0: all may
     flow: float = 0.0  # towards the optical flow measured in videos: × mean error, image widths
 
     def __post_init__(self) -> None:

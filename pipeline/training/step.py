@@ -17,6 +17,7 @@ from pipeline.training import finite_checks
 from pipeline.training.objective.dropout import draw_dropped, short_lived
 from pipeline.training.objective.marginal_jitter import draw_offsets
 from pipeline.training.objective.objective import Objective, RenderedView
+from pipeline.training.objective.still_gaussians import hold_still
 from pipeline.training.objective.terms import DrawnView
 from pipeline.training.schedule import Phase
 from pipeline.training.state import TrainState
@@ -55,7 +56,7 @@ def draw_batch(state: TrainState, views: TrainingViews, phase: Phase, scene: Sce
         if phase.dropout_lifetime is not None:
             may_drop = short_lived(state.model, phase.dropout_lifetime * scene.duration)
         drawn = [replace(view, dropped=draw_dropped(len(state.model), phase.dropout, rng) & may_drop) for view in drawn]
-    if (jitter := cfg.train.marginal_jitter) > 0 and state.model.kind.moves:
+    if (jitter := cfg.train.marginal_jitter) > 0:
         rng = stream(cfg.seed, Stream.MARGINAL, state.iteration)
         offsets = draw_offsets(len(drawn), jitter, state.model, scene, rng)
         drawn = [replace(view, marginal_offset=offset) for view, offset in zip(drawn, offsets, strict=True)]
@@ -95,6 +96,8 @@ def render_batch(
 
 
 def optimiser_step(state: TrainState, batch: Batch, phase: Phase, scene: Scene, cfg: Config) -> None:
-    """Do one step of Adam."""
+    """Do one step of Adam, and hold long-lived Gaussians still."""
     rows = trainable_rows(state.model, phase.sphere, batch.visible)
     state.optimiser.step(state.gradients, phase.lr, rows, batch.d_environment_map)
+    if (share := cfg.train.regularization.still_lifetime) > 0:
+        hold_still(state.model, share * scene.duration)
