@@ -25,6 +25,7 @@ from pipeline.report.runs import Collection, collect
 from pipeline.report.sfm import sfm_section
 from pipeline.report.strips import RunFigure, Strip, make_strips, run_figures
 from pipeline.report.time_to_psnr import TimeToPsnr
+from pipeline.report.time_to_target import TimeToTarget
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,7 @@ def content_of(
 
 def tables_of(collection: Collection, levels: tuple[float, ...] = ()) -> list[Table]:
     """All tables that have rows."""
-    built = (spec.build(collection) for spec in (*tables.TABLES, TimeToPsnr(levels)))
+    built = (spec.build(collection) for spec in (*tables.TABLES, TimeToPsnr(levels), TimeToTarget()))
     return [table for table in built if table is not None]
 
 

@@ -41,6 +41,7 @@ IDENTITY = (
     "model",
     "seed",
 )  # runs that are equal in these are repetitions
+CPU = ("threads", "multiply_adds_per_s", "bytes_per_s")  # of training: what one thread achieves at most
 MAX_NUMBER = 1e15  # of a measurement; its square is finite too
 MAX_TEXT = 4000  # characters of a note or a command
 
@@ -66,7 +67,7 @@ class Collection:
         scene_label, recipe_label: name and changes of the data, or of all else, for people: `fast (train.batch=4)`.
         method: recipe and all changes. changed: whether anything but the data is. trained, validation: kind, decided.
         final.*, best_on_test.*, and costs: the numbers of metrics.METRICS as metrics.json has them; NaN: not measured.
-        best_on_test.iteration, test_split, NOTES.
+        best_on_test.iteration, test_split, NOTES, CPU.
         machine, date, git_commit, command.
     curves: one row per evaluation: run, IDENTITY, CURVE_COLUMNS, CURVE_OPTIONAL (NaN: not measured).
     settings: run -> config.yaml, flattened to dotted keys.
@@ -164,6 +165,7 @@ def read_metrics(path: Path) -> dict[str, Any]:
     parts = {protocol: _part(data, protocol) for protocol in (FINAL, BEST)}
     for column, key in metric_columns():
         row[column] = _number(parts.get(column.split(".")[0], data).get(key), column)
+    row |= {key: _number(_part(data, "cpu").get(key), f"cpu.{key}") for key in CPU}
     row[f"{BEST}.iteration"] = _number(parts[BEST].get("iteration"), f"{BEST}.iteration")
     for key in REQUIRED if row["images"] == RENDERED else QUALITY:
         if math.isnan(row[key]):

@@ -39,8 +39,10 @@ from pipeline.view.live.feed import Feed, TrainingView
 from pipeline.view.live.server import LiveServer, address_of
 from pipeline.view.viewer import Shown, live_page, write_viewer
 from rasterizer import Rasterizer
+from rasterizer.bench.roofline import measure_rates
 from rasterizer.cores import thread_count
 
+TIMED_SECONDS = 30  # of training, from which on the machine's speed is measured: that takes a second
 Log = Callable[[str], None]  # takes a line of text for the user
 
 
@@ -125,6 +127,7 @@ def train_model(job: Job) -> dict:
         "train_seconds": result.train_seconds,
         "n_gaussians": len(result.model),
         **_sizes(result),
+        "cpu": _speed(thread_count(cfg.threads), result.train_seconds),
         # The highest of this process and of the interrupted ones it continues, which log.jsonl holds.
         "peak_rss_mb": max([peak_memory_mb(), *(r["peak_rss_mb"] for r in folder.log_rows() if "peak_rss_mb" in r)]),
     }
@@ -199,6 +202,13 @@ def _live_view(cfg: Config, job: Job) -> Iterator[TrainingView | None]:
     with LiveServer(address_of(cfg.view_at, "view_at"), page, feed) as server:
         job.log(f"live view: {server.url}")
         yield TrainingView(feed, job.data.scene, cfg.train.iterations)
+
+
+def _speed(threads: int, train_seconds: float) -> dict[str, float | None]:
+    """Threads of training, and what one achieves at most, measured right after it; not for runs of seconds."""
+    rates = measure_rates() if train_seconds >= TIMED_SECONDS else None
+    own = (None, None) if rates is None else (rates.operations, rates.bytes)
+    return {"threads": threads, "multiply_adds_per_s": own[0], "bytes_per_s": own[1]}
 
 
 def _sizes(result: TrainResult) -> dict[str, float]:
