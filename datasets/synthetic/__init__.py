@@ -22,6 +22,7 @@ import numpy as np
 from datasets.files.errors import SceneError
 from datasets.manifest import OWN, Manifest, described, write_manifest
 from datasets.synthetic.camera_path import TimedPose, arc_poses, held_out_poses, poses_beside_camera, training_poses
+from datasets.synthetic.croissant import write_croissant
 
 PHOTOGRAPHED = ("wheel", "lamp", "burst", "still")  # in the D-NeRF layout: one camera per time
 FILMED = ("counter",)  # in the Plenoptic Video layout: several cameras at every time
@@ -93,7 +94,8 @@ def build_scene(
 
 
 def _publish(folder: Path, scene: str) -> None:
-    """The manifest of a scene's folder."""
+    """The Croissant metadata and the manifest of a scene's folder."""
+    write_croissant(folder, scene)
     files = [path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()]
     own = Manifest(
         f"synthetic/{scene}",

@@ -26,8 +26,7 @@ _NOTES = (
     f"Core seconds: training × threads, median over the seeds. A target counts if {REACHED} of {SEEDS} seeds reach it.",
     "Targets are the paper's: mean of the channels' PSNRs, best on test. Ours is of the image, which is never higher.",
     "D-NeRF: the mean of eight scenes, each trained for as long; core seconds are those of one scene.",
-    "Roof: what one thread of the machine achieved right after training. Work: core seconds × multiply-adds a second, to "
-    "compare two machines.",
+    "Roof: what one thread of the machine achieved right after training. Work: core seconds × multiply-adds a second.",
 )
 
 

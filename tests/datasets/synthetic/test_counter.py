@@ -105,6 +105,7 @@ def test_bytes_depend_on_the_seed_and_not_on_processes(scene: Path, tmp_path: Pa
         "cam00.mp4",
         "cam01.mp4",
         "cam02.mp4",
+        "croissant.json",
         "manifest.yaml",
         "meta.json",
         "poses_bounds.npy",
