@@ -18,7 +18,7 @@ from pipeline.evaluation.renderer import Renderer
 from pipeline.runs.run_identity import FILES
 from pipeline.terminal.command_line import CommandParser, command, log
 from pipeline.trained.open_run import open_run
-from rasterizer import Rasterizer
+from rasterizer import engine_for
 from rasterizer.cores import thread_count
 
 
@@ -36,7 +36,7 @@ def main(arguments: list[str]) -> int:
     trained = open_run(run, log, options.data)
     torch.set_num_threads(1)
     scene, cfg, threads = trained.scene, trained.cfg, thread_count(trained.cfg.threads)
-    model = rendered_by(Renderer(trained.model, scene, cfg, Rasterizer(threads=threads)))
+    model = rendered_by(Renderer(trained.model, scene, cfg, engine_for(cfg.backend, threads)))
     out.parent.mkdir(parents=True, exist_ok=True)
     with atomic_file(out) as temporary:
         with zipfile.ZipFile(temporary, "w") as file:

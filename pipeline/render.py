@@ -25,7 +25,7 @@ from pipeline.evaluation.pictures.view_pictures import longest_flow, save_pictur
 from pipeline.evaluation.renderer import Renderer
 from pipeline.terminal.command_line import CommandParser, command, log
 from pipeline.trained.open_run import open_run
-from rasterizer import Rasterizer
+from rasterizer import engine_for
 from rasterizer.cores import thread_count
 
 ORBIT = "orbit"
@@ -42,7 +42,7 @@ def main(arguments: list[str]) -> int:
         parser.require(options.path == ORBIT, "--frames", f"--path {ORBIT}", f"--path {options.path}")
         parser.require(options.frames >= 1, "--frames", "at least 1", options.frames)
     run = open_run(options.run, log, needs_images=False)
-    renderer = Renderer(run.model, run.scene, run.cfg, Rasterizer(threads=thread_count(run.cfg.threads)))
+    renderer = Renderer(run.model, run.scene, run.cfg, engine_for(run.cfg.backend, thread_count(run.cfg.threads)))
     frames = path_frames(renderer, run.canonical, options.path, options.times, options.frames)
     out = options.out or options.run / "films" / (ORBIT if options.path == ORBIT else Path(options.path).stem)
     pictures = options.png or len(frames) <= PICTURES

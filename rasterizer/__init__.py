@@ -6,9 +6,21 @@ PyTorch. `Rasterizer` is the kernel without autograd, for training loops.
 
 from rasterizer.autograd import rasterize
 from rasterizer.camera import Camera
+from rasterizer.engine import Engine, engine_for
 from rasterizer.gaussians import Gaussians
 from rasterizer.gradients import Gradients, ViewGradient
 from rasterizer.rasterizer import Rasterizer
 from rasterizer.request import RenderOutput, Request
 
-__all__ = ["Camera", "Gaussians", "Gradients", "Rasterizer", "RenderOutput", "Request", "ViewGradient", "rasterize"]
+__all__ = [
+    "Camera",
+    "Engine",
+    "Gaussians",
+    "Gradients",
+    "Rasterizer",
+    "RenderOutput",
+    "Request",
+    "ViewGradient",
+    "engine_for",
+    "rasterize",
+]

@@ -26,7 +26,7 @@ from rasterizer.request import RenderOutput, Request
 SMALLEST_NEAR = 1e-6  # world units: gsplat divides by the depth of all that is not nearer than the near plane
 
 
-class NoGpu(Exception):
+class NoGpu(ValueError):
     """One line: what is missing, and what installs it."""
 
 

@@ -31,6 +31,8 @@ MISSING: dict[str, Any] = dict.fromkeys(OPTIONAL)  # to the kernel, None
 class Rasterizer:
     """Renders a view and keeps its state for the backward pass; the next `render` replaces it."""
 
+    device = torch.device("cpu")
+
     def __init__(self, threads: int = 0, kernel: ModuleType = kernel) -> None:
         """threads: 0 for all usable cores; results are the same bits for any number.
 

@@ -84,6 +84,7 @@ class Config:
     train: TrainConfig = field(default_factory=TrainConfig)
     evaluate: EvaluateConfig = field(default_factory=EvaluateConfig)
     seed: int = 0  # of everything random in the run
+    backend: str = "cpu"  # cpu: the compiled kernel | gsplat: a GPU (docs/gpu.md)
     threads: int = 0  # 0: all the cores this process may use
     estimate: bool = False  # print what time, memory and disk the run will need, and stop
     out: str = "results/runs/${scene.name}/${ablation.name}/${train.name}/seed${seed}"  # the run folder
@@ -95,4 +96,5 @@ class Config:
 
     def __post_init__(self) -> None:
         require(0 <= self.seed <= MAX_SEED, "seed", f"in 0..{MAX_SEED}", self.seed)
+        require(self.backend in ("cpu", "gsplat"), "backend", "cpu or gsplat", self.backend)
         require(self.threads >= 0, "threads", ">= 0 (0: all)", self.threads)

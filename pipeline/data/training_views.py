@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -32,6 +33,18 @@ class Target:
     depth: SparseDepth | None = None  # of LiDAR or structure from motion; None: unknown
     sky: Tensor | None = None  # (1, H, W) float32, share of each pixel that is sky; None: unknown
     mask: Tensor | None = None  # (H, W) bool: valid pixels; None: all
+
+    def to(self, device: torch.device) -> Target:
+        """The same view with its tensors on the device; itself if they are."""
+        if self.image.device == device:
+            return self
+        tensors: dict[str, Any] = {n: value.to(device) for n, value in vars(self).items() if isinstance(value, Tensor)}
+        motion, depth = self.motion, self.depth
+        if motion is not None:
+            motion = replace(motion, flow=motion.flow.to(device))
+        if depth is not None:
+            depth = SparseDepth(depth.pixel.to(device), depth.inverse.to(device))
+        return replace(self, **tensors, motion=motion, depth=depth)
 
 
 def target_of(view: View, scale: float) -> Target:

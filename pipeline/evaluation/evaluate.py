@@ -28,7 +28,7 @@ from pipeline.evaluation.pictures.films import held_out_films, write_bullet_time
 from pipeline.evaluation.pictures.view_pictures import picture_saver
 from pipeline.evaluation.renderer import Renderer, frames_per_second
 from pipeline.model.model import Model
-from rasterizer import Camera, Rasterizer
+from rasterizer import Camera, engine_for
 
 METRICS_BYTES_PER_PIXEL = 400  # memory while a view is measured, its images and LPIPS-Alex included, without LPIPS-VGG
 MEASURE_BYTES = 4 * 1024**3  # memory limit for the views that are measured in parallel
@@ -89,9 +89,9 @@ def evaluate(
         raise ValueError(
             f"model to evaluate: expected finite values, found NaN or Inf in {wrong[0]} of Gaussian {wrong[1]}"
         )
-    render = rendered_by(Renderer(model, scene, cfg, Rasterizer(threads=threads)))
+    render = rendered_by(Renderer(model, scene, cfg, engine_for(cfg.backend, threads)))
     found = measure_images(scene, cfg, threads, render, save, film)
-    found.metrics.update(frames_per_second(model, scene, cfg, threads))
+    found.metrics["fps_render"], found.metrics["fps_raster"] = frames_per_second(model, scene, cfg, threads)
     return found
 
 
@@ -177,7 +177,7 @@ def measure_images(
 def evaluate_with_images(model: Model, scene: Scene, cfg: Config, threads: int, folder: Path) -> Evaluation:
     """`evaluate`, with images in `folder` and, for a filmed scene with `evaluate.videos`, videos: one per test camera
     (films.held_out_films) and bullet_time.mp4 (films.write_bullet_time); of one clip films.write_clip_films."""
-    save, renderer = picture_saver(folder, scene), Renderer(model, scene, cfg, Rasterizer(threads=threads))
+    save, renderer = picture_saver(folder, scene), Renderer(model, scene, cfg, engine_for(cfg.backend, threads))
     if not cfg.evaluate.videos or scene.frame_rate is None:
         found = evaluate(model, scene, cfg, threads, save)
         if cfg.evaluate.videos and scene.playback_rate is not None:

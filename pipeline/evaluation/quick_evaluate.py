@@ -14,14 +14,14 @@ from pipeline.evaluation.metrics import mean
 from pipeline.evaluation.moving_pixels import MovingPixels
 from pipeline.evaluation.renderer import Renderer
 from pipeline.model.model import Model
-from rasterizer import Rasterizer
+from rasterizer import Engine, engine_for
 from rasterizer.loss import PhotometricLoss
 
 EVAL_VIEWS = 30  # held-out views of an evaluation during training; the final one takes all
 
 
 def quick_evaluate(
-    model: Model, scene: Scene, cfg: Config, rasterizer: Rasterizer, moving: MovingPixels | None = None
+    model: Model, scene: Scene, cfg: Config, rasterizer: Engine, moving: MovingPixels | None = None
 ) -> dict[str, float | None]:
     """{psnr, ssim, test_loss, psnr_moving} over at most EVAL_VIEWS evenly spread test views, and train_psnr over as
     many training views. PSNR is that of the valid pixels, as in `held_out_psnr`.
@@ -39,8 +39,8 @@ def quick_evaluate(
         for index in evenly_spaced(len(views), EVAL_VIEWS):
             target = target_of(views[index], cfg.train.resolution_scale)
             image = renderer.tensor(target.camera, target.time).clamp_(0.0, 1.0)
-            loss = criterion(image, target.image)
-            render, truth = (pixels.numpy().transpose(1, 2, 0) for pixels in (image, target.image))
+            loss = criterion(image, target.image.to(image.device))
+            render, truth = (pixels.cpu().numpy().transpose(1, 2, 0) for pixels in (image, target.image))
             rows.append({"psnr": valid_psnr(render, truth, target), "ssim": loss.ssim, "test_loss": loss.loss})
             mask = moving.of(index) if views is scene.test else None
             rows[-1]["psnr_moving"] = masked_psnr(render, truth, mask)
@@ -53,7 +53,7 @@ def quick_evaluate(
 def held_out_psnr(model: Model, scene: Scene, cfg: Config, threads: int) -> np.ndarray:
     """(test views,) PSNR in dB at the final resolution over the valid pixels: psnr_masked of metrics.json where a
     view's mask leaves pixels out, unless it leaves none, psnr elsewhere."""
-    renderer, found = Renderer(model, scene, cfg, Rasterizer(threads=threads)), []
+    renderer, found = Renderer(model, scene, cfg, engine_for(cfg.backend, threads)), []
     for view in scene.test:
         target = target_of(view, cfg.train.resolution_scale)
         image, truth = renderer.image(target.camera, target.time), target.image.numpy().transpose(1, 2, 0)

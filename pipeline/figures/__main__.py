@@ -28,7 +28,7 @@ from pipeline.figures.slices import slices_figure
 from pipeline.figures.time_distribution import growth_figure, lifetimes_figure, time_maps_figure
 from pipeline.terminal.command_line import CommandParser, command, log
 from pipeline.trained.open_run import open_run
-from rasterizer import Rasterizer
+from rasterizer import engine_for
 from rasterizer.cores import thread_count
 
 FILM = "bullet_time.mp4"
@@ -43,7 +43,7 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--data", type=Path, metavar="DIR", help="where the data set is now (default: where it was)")
     options = parser.parse_args(arguments)
     run = open_run(options.run, log, options.data)
-    renderer = Renderer(run.model, run.scene, run.cfg, Rasterizer(threads=thread_count(run.cfg.threads)))
+    renderer = Renderer(run.model, run.scene, run.cfg, engine_for(run.cfg.backend, thread_count(run.cfg.threads)))
     out = options.out or options.run / "figures"
     out.mkdir(parents=True, exist_ok=True)
     figures = []

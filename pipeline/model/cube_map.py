@@ -37,7 +37,7 @@ class CubeMap:
         if image.dtype != torch.float32 or list(image.shape) != [3, FACES, side, side] or side < 1:
             raise ValueError(f"cube map: expected float32 [3, 6, r, r], found {image.dtype} {list(image.shape)}")
         self.image = image.contiguous()
-        self._border = border_index(side)
+        self._border = tuple(index.to(image.device) for index in border_index(side))
 
     @classmethod
     def grey(cls, resolution: int) -> CubeMap:
@@ -97,7 +97,7 @@ class CubeMap:
         r = self.resolution
         column = 2 * (1 + 0.5 * (across + 1) * r) / (r + 2) - 1
         row = 2 * (face * (r + 2) + 1 + 0.5 * (along + 1) * r) / (FACES * (r + 2)) - 1
-        return torch.from_numpy(np.stack([column, row], axis=-1).astype(np.float32))
+        return torch.from_numpy(np.stack([column, row], axis=-1).astype(np.float32)).to(self.image.device)
 
     def _atlas(self) -> Tensor:
         """(3, 6 P, P): the bordered faces, one below the other."""

@@ -81,7 +81,7 @@ class EnvironmentMap:
         columns = self.image.shape[2]
         azimuth = np.arctan2(x, z) * (columns / (columns + 2) / math.pi)  # the wrapped map is 2 columns wider
         latitude = np.arctan2(y, np.sqrt(x * x + z * z)) * (2 / math.pi)
-        return torch.from_numpy(np.stack([azimuth, latitude], axis=-1))
+        return torch.from_numpy(np.stack([azimuth, latitude], axis=-1)).to(self.image.device)
 
     def _wrapped(self) -> Tensor:
         """(1, 3, h, 2h + 2): circular padding by one column on each side."""

@@ -24,6 +24,7 @@ from rasterizer.gaussians import Gaussians, Motion
 from rasterizer.trajectories import Trajectories
 
 BackgroundMap = EnvironmentMap | CubeMap
+CPU = torch.device("cpu")
 GLOBAL_TENSORS = ("environment", "trajectories", "span")  # of `Model.state()`: not one row per Gaussian
 
 
@@ -138,6 +139,17 @@ class Model:
         """The rasterizer's input; it shares the tensors."""
         fields: dict[str, Any] = {"quat_right": None, **self.parameters}
         return Gaussians(**fields, trajectories=self.trajectories)
+
+    def to(self, device: torch.device) -> Model:
+        """The same model with its tensors on the device; itself if they are."""
+        if self.device == device:
+            return self
+        state = {name: tensor if name == "span" else tensor.to(device) for name, tensor in self.state().items()}
+        return Model.restored(self.kind, state)
+
+    @property
+    def device(self) -> torch.device:
+        return self.parameters["mean"].device
 
     def copy(self) -> Model:
         return Model.restored(self.kind, {name: tensor.clone() for name, tensor in self.state().items()})

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from pipeline.model.model import Model
-from rasterizer import Gradients, Rasterizer, Request, ViewGradient
+from rasterizer import Engine, Gradients, Request, ViewGradient
 
 
 @dataclass(frozen=True)
@@ -65,12 +65,12 @@ class ImageGradient:
         return {f.name: getattr(self, f.name) for f in fields(self) if f.name != "loss"}
 
 
-def render_image(rasterizer: Rasterizer, model: Model, request: Request) -> Tensor:
+def render_image(rasterizer: Engine, model: Model, request: Request) -> Tensor:
     """(3, H, W), not clamped, without what a backward pass needs. request: as `render`."""
     return render(rasterizer, model, request, differentiable=False).image
 
 
-def render(rasterizer: Rasterizer, model: Model, request: Request, differentiable: bool = True) -> Rendered:
+def render(rasterizer: Engine, model: Model, request: Request, differentiable: bool = True) -> Rendered:
     """Render the colour of `model`, and flow, alpha and depth of its Gaussians on request.
 
     An environment map or cube map replaces the request's background.
@@ -92,7 +92,7 @@ def render(rasterizer: Rasterizer, model: Model, request: Request, differentiabl
 
 
 def backward(
-    rasterizer: Rasterizer,
+    rasterizer: Engine,
     model: Model,
     rendered: Rendered,  # by the last `render` with this rasterizer and model
     found: ImageGradient,

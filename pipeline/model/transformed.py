@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from datasets.canonical import Canonical
-from pipeline.model.model import Model
+from pipeline.model.model import CPU, Model
 from rasterizer.covariance import rotation_4d, scaled_axes
 from rasterizer.trajectories import Trajectories
 
@@ -110,7 +110,8 @@ def in_velocities(model: Model) -> Model:
 
 def in_rotations(model: Model) -> Model:
     """The Gaussians of a "velocity" model, each with its 4D rotation; any other model as it is, and one with shared
-    trajectories, which turn Gaussians in space. Up to float32."""
+    trajectories, which turn Gaussians in space. Up to float32. On the CPU."""
+    model = model.to(CPU)
     if model.kind.motion != "velocity" or model.kind.trajectories:
         return model
     p = model.parameters | rotations_of(scaled_axes(model.gaussians().to(torch.float64)))

@@ -31,7 +31,7 @@ from pipeline.stages.training_progress import TrainingProgress
 from pipeline.training import schedule
 from pipeline.training.loop import train
 from pipeline.training.reporting import Progress, temporary_run
-from rasterizer import Rasterizer
+from rasterizer import engine_for
 from rasterizer.cores import thread_count
 
 VALIDATION_EVERY = 4  # every fourth pose is a validation pose
@@ -234,7 +234,7 @@ def trained_psnr(split: Scene, cfg: Config, cloud: Reconstruction | None) -> tup
     with temporary_run() as run, TrainingProgress(cfg.train.iterations, None) as bar:
         model = train(initial, split, cfg, run, evaluate_fn, observers=[bar]).model
     fitted = replace(split, test=split.train[:: -(-len(split.train) // len(split.test))])
-    renderer = Renderer(model, split, cfg, Rasterizer(threads=threads))
+    renderer = Renderer(model, split, cfg, engine_for(cfg.backend, threads))
     fit = float(held_out_psnr(model, fitted, cfg, threads).mean())
     return held_out_psnr(model, split, cfg, threads), fit, renderer
 

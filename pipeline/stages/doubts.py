@@ -11,7 +11,7 @@ from pipeline.evaluation.renderer import Renderer
 from pipeline.evaluation.rivals import AgainstRivals, Rivals
 from pipeline.model.model import Model
 from pipeline.training.reporting import Progress, StepReport
-from rasterizer import Rasterizer
+from rasterizer import Engine
 
 FIRST_LOOK = 0.1  # of the schedule
 COLLAPSED = 0.1  # of the initial Gaussians
@@ -36,7 +36,7 @@ class EarlyDoubts:
     """Observes a training: compares it with its rivals early and when its Gaussians vanish, and says where it does not
     beat them; after that at each evaluation, until it does."""
 
-    def __init__(self, initial: int, scene: Scene, cfg: Config, rasterizer: Rasterizer, say: Say) -> None:
+    def __init__(self, initial: int, scene: Scene, cfg: Config, rasterizer: Engine, say: Say) -> None:
         """initial: number of Gaussians. say: takes a row of log.jsonl and a line for the user."""
         self._initial, self._scene, self._cfg = initial, scene, cfg
         self._rasterizer, self._say = rasterizer, say

@@ -24,6 +24,7 @@ from pipeline.stages.settle import for_scene, scaling
 from pipeline.stages.stages import NAMES, STAGES, Job, Stage
 from pipeline.training import checkpoint as checkpoints
 from pipeline.training.sampling import refuse_large_batch
+from rasterizer.engine import device_of
 
 NOTHING_KEPT = "nothing of the run was saved yet; the same command starts it anew"
 # Keys that the data and validation settle, which the first look at a run folder cannot know.
@@ -39,6 +40,7 @@ def run(command: Command, log: Callable[[str], None]) -> dict | None:
     """
     cfg = command.config()
     path, chosen = Path(cfg.out), chosen_stages(cfg)
+    device_of(cfg.backend)  # before anything else, where there is no GPU
     refuse_foreign(path)  # before anything is written: a refused run leaves no folder behind
     if cfg.resume:
         refuse_other_run(path, asdict(cfg), ignored=OPEN)

@@ -38,7 +38,7 @@ from pipeline.training.reporting import Observer, Progress
 from pipeline.view.live.feed import Feed, TrainingView
 from pipeline.view.live.server import LiveServer, address_of
 from pipeline.view.viewer import Shown, live_page, write_viewer
-from rasterizer import Rasterizer
+from rasterizer import engine_for
 from rasterizer.bench.roofline import measure_rates
 from rasterizer.cores import thread_count
 
@@ -98,7 +98,7 @@ def train_model(job: Job) -> dict:
     The seconds of the short trainings before it count as training.
     """
     cfg, scene, folder = job.cfg, job.data.scene, job.folder
-    rasterizer = Rasterizer(threads=thread_count(cfg.threads))
+    rasterizer = engine_for(cfg.backend, thread_count(cfg.threads))
     moving = MovingPixels(scene, cfg.train.resolution_scale)
 
     def evaluate_fn(model: Model, progress: Progress) -> dict:
@@ -147,7 +147,7 @@ def evaluate_model(job: Job) -> dict:
         best_metrics = {**best.metrics, "iteration": saved.best["iteration"]}
 
     against = Rivals(scene, cfg.train.resolution_scale).compare(
-        Renderer(model, scene, cfg, Rasterizer(threads=threads))
+        Renderer(model, scene, cfg, engine_for(cfg.backend, threads))
     )
     settled, own_clip = folder.values_of("settle"), job.data.poses_estimated and scene.capture == "clip"
     write_csv(folder.per_image, _per_image(final, best))

@@ -16,7 +16,7 @@ from pipeline.evaluation.image_metrics import psnr
 from pipeline.evaluation.renderer import Renderer
 from pipeline.model.model import Model
 from pipeline.model.transformed import in_canonical
-from rasterizer import Rasterizer
+from rasterizer import engine_for
 
 MIDDLE = (0.1, 0.9)  # quantiles of the Gaussians that tell where they are
 SMALLEST, LARGEST = 0.02, 50.0  # × half the side of the scene's cube: half the side of the Gaussians'
@@ -94,7 +94,7 @@ def _text(middle: np.ndarray, half: float) -> str:
 
 def _train_psnr(model: Model, cfg: Config, data: Prepared, threads: int) -> float:
     """Mean in dB over VIEWS evenly spread training views."""
-    renderer, found = Renderer(model, data.scene, cfg, Rasterizer(threads=threads)), []
+    renderer, found = Renderer(model, data.scene, cfg, engine_for(cfg.backend, threads)), []
     for index in evenly_spaced(len(data.scene.train), VIEWS):
         target = target_of(data.scene.train[index], cfg.train.resolution_scale)
         truth = target.image.numpy().transpose(1, 2, 0)

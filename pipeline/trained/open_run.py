@@ -21,6 +21,8 @@ from pipeline.model.released_checkpoint import load_released
 from pipeline.model.transformed import in_canonical
 from pipeline.runs.run_identity import read_config
 from pipeline.training.checkpoint import FILE_NAME, load_model
+from rasterizer.engine import device_of
+from rasterizer.gsplat_rasterizer import NoGpu
 
 SUFFIXES = (".safetensors", ".ply", ".pth")  # of a checkpoint, a model, a checkpoint of the released program
 
@@ -45,7 +47,7 @@ def open_run(
     for name in ("config.yaml", FILE_NAME):
         if not (folder / name).exists():
             raise ValueError(f"{folder}: expected a trained run with {name}, found none")
-    cfg = stored_config(folder)
+    cfg = _renderable(stored_config(folder), log)
     if data is not None:
         cfg = replace(cfg, scene=replace(cfg.scene, path=str(data)))
     model, place = load_model(folder / FILE_NAME), Path(cfg.scene.path or folder).expanduser()
@@ -55,6 +57,16 @@ def open_run(
         return TrainedRun(cfg, stored_scene.read_scene(stored, place), model, stored_canonical(folder), False)
     found = prepare(cfg, log)
     return TrainedRun(cfg, found.scene, model, found.canonical)
+
+
+def _renderable(cfg: Config, log: Callable[[str], None]) -> Config:
+    """With the kernel in place of a GPU that is not here: images differ by rounding (docs/gpu.md)."""
+    try:
+        device_of(cfg.backend)
+    except NoGpu as error:
+        log(f"{error}; backend=cpu renders this run")
+        return replace(cfg, backend="cpu")
+    return cfg
 
 
 def stored_canonical(folder: Path) -> Canonical:

@@ -79,6 +79,7 @@ def save(path: Path, checkpoint: Checkpoint) -> None:
     }
     with atomic_file(path) as temporary:
         try:
+            tensors = {name: tensor.cpu() for name, tensor in tensors.items()}
             # A single metadata key, because safetensors writes several keys in random order.
             save_file(tensors, temporary, metadata={"state": json.dumps(header, sort_keys=True)})
         except SafetensorError as error:

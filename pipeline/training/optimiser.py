@@ -103,7 +103,7 @@ class Adam:
             for name, new in rows.items():
                 tensors[name] = torch.cat([tensors[name], new if tensors is parameters else torch.zeros_like(new)])
         if self.model.sphere is not None:
-            others = torch.zeros(len(rows["mean"]), dtype=torch.bool)
+            others = torch.zeros(len(rows["mean"]), dtype=torch.bool, device=self.model.device)
             self.model.sphere = torch.cat([self.model.sphere, others])
 
     def zero_moments(self, name: str, rows: Tensor | slice = slice(None)) -> None:

@@ -27,6 +27,7 @@ from pipeline.training.sampling import BatchSampler
 from pipeline.training.schedule import Phase, at_all_times, clock_at, on_tracks, phase
 from rasterizer import Gradients
 from rasterizer.cores import thread_count
+from rasterizer.engine import device_of
 
 MAP_HEIGHT = 500  # rows of the environment map, as in the release; it has twice as many columns
 CUBE_MAP_RESOLUTION = 128  # texels along a side of the cube map's faces
@@ -101,7 +102,7 @@ class TrainState:
 
     def reset_statistics(self) -> None:
         """Start new densification statistics for the current Gaussians."""
-        self.statistics = Statistics(len(self.model))
+        self.statistics = Statistics(len(self.model), self.model.device)
 
 
 def start(model: Model, scene: Scene, cfg: Config, run: RunLog, start_seconds: float = 0.0) -> TrainState:
@@ -134,10 +135,11 @@ def start(model: Model, scene: Scene, cfg: Config, run: RunLog, start_seconds: f
         if found != expected:
             raise ValueError(f"{path}: expected a checkpoint of {expected}, found {found}")
         model = saved.model
+    model = model.to(device_of(cfg.backend))
     state = TrainState(
         model,
         Adam(model, threads),
-        Statistics(len(model)),
+        Statistics(len(model), model.device),
         # One random stream per purpose, so that the draws of one never shift those of another.
         BatchSampler(len(scene.train), cfg.train.batch, stream(cfg.seed, Stream.BATCHES)),
         split_stream(cfg.seed),
@@ -176,11 +178,17 @@ def save(state: TrainState, run: RunLog) -> None:
 
 def _restore(state: TrainState, saved: checkpoints.Checkpoint) -> None:
     """Restore everything except the model, which `state` already has."""
-    state.iteration, state.best, state.best_model = saved.iteration, saved.best, saved.best_model
+    device = state.model.device
+    state.iteration, state.best = saved.iteration, saved.best
+    state.best_model = None if saved.best_model is None else saved.best_model.to(device)
     state.stopwatch = Stopwatch(saved.train_seconds)
-    state.optimiser.first, state.optimiser.second = saved.moments
-    state.optimiser.shared_moments = saved.shared_moments
+    state.optimiser.first, state.optimiser.second = (
+        {name: moment.to(device) for name, moment in moments.items()} for moments in saved.moments
+    )
+    state.optimiser.shared_moments = {
+        name: (first.to(device), second.to(device)) for name, (first, second) in saved.shared_moments.items()
+    }
     state.optimiser.step_count = saved.step_count
-    state.statistics = Statistics.restored(saved.statistics)
+    state.statistics = Statistics.restored(saved.statistics, device)
     state.sampler.restore(saved.sampler)
     state.split_rng.set_state(saved.split_rng)

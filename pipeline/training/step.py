@@ -54,7 +54,7 @@ def draw_batch(state: TrainState, views: TrainingViews, phase: Phase, scene: Sce
         rng = stream(cfg.seed, Stream.DROPOUT, state.iteration)
         may_drop = torch.tensor(True)
         if phase.dropout_lifetime is not None:
-            may_drop = short_lived(state.model, phase.dropout_lifetime * scene.duration)
+            may_drop = short_lived(state.model, phase.dropout_lifetime * scene.duration).cpu()
         drawn = [replace(view, dropped=draw_dropped(len(state.model), phase.dropout, rng) & may_drop) for view in drawn]
     if (jitter := cfg.train.marginal_jitter) > 0:
         rng = stream(cfg.seed, Stream.MARGINAL, state.iteration)
@@ -71,7 +71,8 @@ def render_batch(
     Raises finite_checks.NonFiniteError, which names the view, for a loss or a gradient that is not finite.
     """
     model, count = state.model, len(state.model)
-    visible = torch.zeros(count, dtype=torch.uint8) if cfg.train.optimiser == "sparse_adam" else None
+    sparse = cfg.train.optimiser == "sparse_adam"
+    visible = torch.zeros(count, dtype=torch.uint8, device=model.device) if sparse else None
     environment_map = model.environment_map if phase.environment_map else None
     batch = Batch(count, visible, None if environment_map is None else torch.zeros_like(environment_map.image))
     state.zero_gradients()

@@ -51,7 +51,7 @@ def measure(models: dict[float, Model], scene: Scene, cfg: Config) -> list[Point
     Frames a second are measured once for all precisions: a file is read back as float32.
     """
     threads, points = thread_count(cfg.threads), []
-    fps = {fraction: frames_per_second(model, scene, cfg, threads)["fps_render"] for fraction, model in models.items()}
+    fps = {fraction: frames_per_second(model, scene, cfg, threads)[0] for fraction, model in models.items()}
     with TemporaryDirectory() as folder:
         path = Path(folder) / "model.safetensors"
         for precision in PRECISIONS:

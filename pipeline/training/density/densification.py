@@ -96,7 +96,7 @@ def choose_growth(model: Model, statistics: Statistics, cfg: DensifyConfig, exte
     sphere's Gaussians are neither selected nor counted. extent: world units.
     """
     space, time = statistics.indicators()
-    priority, by_time = space / cfg.space_gradient, torch.zeros(len(model), dtype=torch.bool)
+    priority, by_time = space / cfg.space_gradient, torch.zeros_like(space, dtype=torch.bool)
     if cfg.use_time_gradient and time_split and model.kind.dims == 4:
         by_time = time >= TIME_GRADIENT
         priority = torch.maximum(priority, time / TIME_GRADIENT)
@@ -125,7 +125,7 @@ def split_rows(model: Model, mask: Tensor, time_split: bool, rng: torch.Generato
     """
     rows = {name: p[mask].repeat(SPLIT_COUNT, *([1] * (p.dim() - 1))) for name, p in model.parameters.items()}
     dims = model.kind.dims
-    noise = torch.randn(len(rows["mean"]), dims, generator=rng)
+    noise = torch.randn(len(rows["mean"]), dims, generator=rng).to(model.device)
     axes = scaled_axes(model.gaussians().rows(mask.nonzero()[:, 0].repeat(SPLIT_COUNT)))  # M, (n, dims, dims)
     if dims == 3 or time_split:
         rows["mean"] = rows["mean"] + (axes @ noise[:, :, None])[:, :, 0]

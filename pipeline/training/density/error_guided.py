@@ -27,7 +27,7 @@ from pipeline.model.model import Model
 from pipeline.model.render import render_image
 from pipeline.training.schedule import Phase
 from pipeline.training.state import TrainState
-from rasterizer import Rasterizer, Request
+from rasterizer import Request, engine_for
 
 IMAGE_SIDE = 100  # pixels of the longer side at which errors are measured: objects, not texture
 MOST_ADDED = 2000  # each time
@@ -50,7 +50,7 @@ class ErrorGuidedDensification:
 
     def __init__(self, scene: Scene, cfg: Config) -> None:
         self._rules, self._seed = cfg.train.densify, cfg.seed
-        self._sampler = ErrorSampler(scene, cfg.scene.near * scene.unit)
+        self._sampler = ErrorSampler(scene, cfg.scene.near * scene.unit, cfg.backend)
 
     def due(self, iteration: int, clock: float) -> bool:
         rules = self._rules
@@ -87,9 +87,9 @@ class Candidates:
 class ErrorSampler:
     """Draws new Gaussians for a scene; keeps its reduced training images between calls."""
 
-    def __init__(self, scene: Scene, near: float) -> None:
+    def __init__(self, scene: Scene, near: float, backend: str = "cpu") -> None:
         """near: the near plane, world units."""
-        self._scene, self._near = scene, near
+        self._scene, self._near, self._backend = scene, near, backend
         self._targets: dict[int, Target] = {}
         self._views: dict[float, list[int]] = defaultdict(list)  # of each time
         for index, view in enumerate(scene.train):
@@ -108,7 +108,8 @@ class ErrorSampler:
         if found == 0:
             return None
         best = np.sort(rng.choice(len(weight), found, replace=False, p=weight / weight.sum()))
-        return _rows(model, candidates, best, TEMPORAL_SCALE * self._scene.frame_spacing)
+        rows = _rows(model, candidates, best, TEMPORAL_SCALE * self._scene.frame_spacing)
+        return {name: tensor.to(model.device) for name, tensor in rows.items()}
 
     def _windows(self, rng: np.random.Generator) -> dict[float, list[int]]:
         """Time -> the training views that a candidate of that time is scored in; together at most about MAX_VIEWS."""
@@ -134,11 +135,11 @@ class ErrorSampler:
 
     def _errors(self, model: Model, views: Sequence[int], threads: int) -> dict[int, np.ndarray]:
         """View -> (H, W) absolute error, mean over the channels and over 3 × 3 pixels."""
-        rasterizer, scene, found = Rasterizer(threads=threads), self._scene, {}
+        rasterizer, scene, found = engine_for(self._backend, threads), self._scene, {}
         for index in views:
             target = self._target(index)
             request = Request(target.camera, target.time, scene.duration, scene.background, near=self._near)
-            error = (render_image(rasterizer, model, request) - target.image).abs().mean(dim=0)
+            error = (render_image(rasterizer, model, request).cpu() - target.image).abs().mean(dim=0)
             if target.mask is not None:
                 error = torch.where(target.mask, error, 0.0)
             found[index] = uniform_filter(error.numpy(), 3)

@@ -29,7 +29,7 @@ from pipeline.training.density.densification import remove
 from pipeline.training.optimiser import Adam
 from pipeline.training.schedule import Phase
 from pipeline.training.state import TrainState
-from rasterizer import Gradients, Rasterizer, Request
+from rasterizer import Gradients, Request, engine_for
 
 MAX_VIEWS = 400  # scoring views, where several cameras see each time
 OPAQUE = 0.98  # a higher opacity is taken as this: at α = 0.99 blending is clamped and has no derivative
@@ -69,7 +69,7 @@ def image_sensitivity(
     """(N,) estimated squared change of the images of `views`, summed over pixels and channels, by removing each
     Gaussian alone; 0 for a Gaussian in none of the images. resolution: × the size of the views. rng: for the signs.
     """
-    rasterizer, change = Rasterizer(threads=threads), torch.zeros(len(model))
+    rasterizer, change = engine_for(cfg.backend, threads), torch.zeros(len(model), device=model.device)
     limit = float(np.log(OPAQUE / (1 - OPAQUE)))
     logit = model.parameters["opacity_logit"].clamp(max=limit)
     clamped = model.with_parameters({**model.parameters, "opacity_logit": logit})
@@ -84,7 +84,8 @@ def image_sensitivity(
             background=scene.background,
         )
         rendered = render(rasterizer, clamped, request)
-        signs = 2.0 * torch.from_numpy(rng.integers(0, 2, tuple(rendered.image.shape), dtype=np.int8)) - 1.0
+        coins = torch.from_numpy(rng.integers(0, 2, tuple(rendered.image.shape), dtype=np.int8))
+        signs = 2.0 * coins.to(model.device) - 1.0
         gradients.zero_(threads)
         rows = backward(rasterizer, clamped, rendered, ImageGradient(image=signs), gradients).visible.long()
         # ∂/∂logit = o (1 - o) ∂/∂o
@@ -126,7 +127,7 @@ def least_sensitive(sensitivity: Tensor, share: float) -> Tensor:
     """(N,) bool: the Gaussians of lowest sensitivity that together have at most `share` of the total; ties by index."""
     order = torch.sort(sensitivity.double(), stable=True)
     cumulative = torch.cumsum(order.values, dim=0)
-    lowest = torch.zeros(len(sensitivity), dtype=torch.bool)
+    lowest = torch.zeros_like(sensitivity, dtype=torch.bool)
     lowest[order.indices] = cumulative <= share * cumulative[-1]
     return lowest
 

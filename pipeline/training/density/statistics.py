@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import torch
 from torch import Tensor
 
+from pipeline.model.model import CPU
 from rasterizer import Camera, ViewGradient
 
 
@@ -19,14 +22,15 @@ class Statistics:
 
     FIELDS = ("space", "time", "iterations", "radius")
 
-    def __init__(self, count: int) -> None:
-        self.space = torch.zeros(count)  # Σ over iterations, NDC units
-        self.time = torch.zeros(count)  # Σ over iterations, per duration
-        self.iterations = torch.zeros(count)  # iterations with at least one view that shows it
-        self.radius = torch.zeros(count)  # pixels, largest so far
-        self._space = torch.zeros(count)  # the same within the current iteration
-        self._time = torch.zeros(count)
-        self._views = torch.zeros(count)
+    def __init__(self, count: int, device: torch.device = CPU) -> None:
+        zeros = partial(torch.zeros, count, device=device)
+        self.space = zeros()  # Σ over iterations, NDC units
+        self.time = zeros()  # Σ over iterations, per duration
+        self.iterations = zeros()  # iterations with at least one view that shows it
+        self.radius = zeros()  # pixels, largest so far
+        self._space = zeros()  # the same within the current iteration
+        self._time = zeros()
+        self._views = zeros()
 
     def begin(self) -> None:
         for tensor in (self._space, self._time, self._views):
@@ -58,8 +62,8 @@ class Statistics:
         return {name: getattr(self, name) for name in self.FIELDS}
 
     @classmethod
-    def restored(cls, state: dict[str, Tensor]) -> Statistics:
-        statistics = cls(len(state["space"]))
+    def restored(cls, state: dict[str, Tensor], device: torch.device = CPU) -> Statistics:
+        statistics = cls(len(state["space"]), device)
         for name in cls.FIELDS:
             getattr(statistics, name).copy_(state[name])
         return statistics

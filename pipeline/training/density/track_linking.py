@@ -15,7 +15,7 @@ import torch
 
 from datasets.scene import Scene
 from pipeline.config.schema import Config
-from pipeline.model.model import Model
+from pipeline.model.model import CPU, Model
 from pipeline.training.density.tracks import Bandwidths, Particles, Track, find_tracks
 from pipeline.training.schedule import Phase
 from pipeline.training.state import TrainState
@@ -44,15 +44,16 @@ class TrackLinking:
         return iteration == self._start
 
     def apply(self, state: TrainState, phase: Phase) -> dict[str, int]:
-        model, times = state.model, np.array(sorted({view.time for view in self._scene.train}))
+        device, model = state.model.device, state.model.to(CPU)
+        times = np.array(sorted({view.time for view in self._scene.train}))
         if model.kind.motion != "velocity" or len(times) < 2:
             return {"tracks": 0, "linked": 0}
         rows, particles, bandwidths = brief_particles(model, self._scene.duration)
         tracks = find_tracks(particles, times, bandwidths, MOST_TRACKS) if len(rows) else []
         linked, explained = link(model, rows, particles, times, tracks)
         if explained:
-            state.optimiser.adopt(linked)
-            state.model = linked
+            state.model = linked.to(device)
+            state.optimiser.adopt(state.model)
             state.reset_gradients()
         return {"tracks": explained, "linked": int(linked.parameters["weights"].any(dim=1).sum()) if explained else 0}
 

@@ -43,14 +43,15 @@ class TrajectoryStart:
             return {}
         points = opaque_points(model, rng)
         anchors = points[farthest_points(points, len(model.trajectories), rng)]
-        model.parameters["weights"] = torch.from_numpy(anchor_weights(model.parameters["mean"][:, :3].numpy(), anchors))
+        weights = anchor_weights(model.parameters["mean"][:, :3].cpu().numpy(), anchors)
+        model.parameters["weights"] = torch.from_numpy(weights).to(model.device)
         return {"anchors": len(anchors)}
 
 
 def opaque_points(model: Model, rng: np.random.Generator) -> np.ndarray:
     """(n, 3) means of opaque Gaussians that have neighbours."""
-    opacity = torch.sigmoid(model.parameters["opacity_logit"]).numpy()
-    means = model.parameters["mean"][:, :3].numpy()
+    opacity = torch.sigmoid(model.parameters["opacity_logit"]).cpu().numpy()
+    means = model.parameters["mean"][:, :3].cpu().numpy()
     least = next((least for least in OPAQUE if (opacity > least).sum() > FEWEST_OPAQUE), 0.0)
     points = means[opacity > least]
     if len(points) > MAX_OPAQUE:

@@ -35,5 +35,5 @@ def short_lived(model: Model, temporal_scale: float) -> Tensor:
 def without(model: Model, dropped: Tensor) -> Model:
     """`model` with the Gaussians `dropped` (N,) bool invisible. It shares every tensor but the opacities, so that
     gradients of the others are those of `model`."""
-    logit = model.parameters["opacity_logit"].masked_fill(dropped, DROPPED_LOGIT)
+    logit = model.parameters["opacity_logit"].masked_fill(dropped.to(model.device), DROPPED_LOGIT)
     return model.with_parameters({**model.parameters, "opacity_logit": logit})

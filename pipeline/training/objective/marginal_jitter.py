@@ -29,7 +29,7 @@ def short_lived_share(model: Model, scene: Scene) -> float:
     """The share of Gaussians with √Σtt < the mean spacing of the training times; of about SAMPLE of them, evenly
     spread over the rows."""
     every = max(1, len(model) // SAMPLE)
-    sample = model.gaussians().rows(torch.arange(0, len(model), every))
+    sample = model.gaussians().rows(torch.arange(0, len(model), every, device=model.device))
     return (temporal_deviation(sample) < scene.frame_spacing).float().mean().item()
 
 

@@ -16,7 +16,7 @@ from pipeline.training.objective.dropout import without
 from pipeline.training.objective.image_terms import image_terms
 from pipeline.training.objective.model_terms import model_terms
 from pipeline.training.objective.terms import DrawnView
-from rasterizer import Gradients, Rasterizer, Request, ViewGradient
+from rasterizer import Gradients, Request, ViewGradient, engine_for
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Objective:
 
     def __init__(self, scene: Scene, cfg: Config, threads: int) -> None:
         self._scene, self._near = scene, cfg.scene.near * scene.unit
-        self._rasterizer = Rasterizer(threads=threads)
+        self._rasterizer = engine_for(cfg.backend, threads)
         self._image_terms = image_terms(cfg.train, scene, threads)
         self._model_terms = model_terms(cfg.train.regularization, scene, threads, cfg.seed)
 
@@ -46,6 +46,7 @@ class Objective:
 
         d_environment_map: of the map's image; None: the map is not trained.
         """
+        view = replace(view, target=view.target.to(self._rasterizer.device))
         target, shown = view.target, model if view.dropped is None else without(model, view.dropped)
         terms = [term for term in self._image_terms if term.outputs(target)]
         outputs = {output for term in terms for output in term.outputs(target)}

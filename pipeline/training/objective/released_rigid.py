@@ -52,9 +52,9 @@ def released_rigid_loss(fields: dict[str, Tensor], duration: float, neighbours: 
     others = min(neighbours, len(mean)) - 1
     if others < 1:
         return mean.new_zeros(())
-    positions = mean[:, :3].detach().double().numpy()
+    positions = mean[:, :3].detach().cpu().double().numpy()
     found = cKDTree(positions).query(positions, k=others + 1, workers=threads)
-    distance, index = (torch.from_numpy(columns[:, 1:]) for columns in found)  # column 0 is the Gaussian itself
+    distance, index = (torch.from_numpy(columns[:, 1:]).to(mean.device) for columns in found)  # column 0 is the Gaussian itself
     step = _velocity(fields) * (VELOCITY_STEP * duration)
     difference = step[index] - step[:, None]
     # The gradient of a square root is infinite at 0, and unrotated Gaussians all have velocity 0.

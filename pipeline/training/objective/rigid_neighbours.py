@@ -38,12 +38,13 @@ class RigidNeighbours:
         rng = stream(self._seed, Stream.RIGID, view.number)
         first = torch.from_numpy(rng.integers(0, len(model), PAIRS))
         means = model.parameters["mean"][:, :3]
-        positions = means.numpy()
+        positions = means.cpu().numpy()
         distance, index = cKDTree(positions, balanced_tree=False).query(positions[first], k=NEIGHBOURS + 1)
         # Column 0 is the Gaussian itself.
         second = torch.from_numpy(index[np.arange(PAIRS), rng.integers(1, NEIGHBOURS + 1, PAIRS)])
+        first, second = first.to(model.device), second.to(model.device)
         softening = float(np.median(distance[:, 4])) ** 2
-        basis = trajectories.basis(self._scene.time_start + self._scene.duration * rng.random()).float()
+        basis = trajectories.basis(self._scene.time_start + self._scene.duration * rng.random()).to(means)
         points = trajectories.control_points.detach().requires_grad_()
         of_first, of_second = (weights[rows].requires_grad_() for rows in (first, second))
         with torch.enable_grad():
