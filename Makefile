@@ -1,7 +1,7 @@
 # Everything starts here: `make` lists the targets, and each of them first sets up what it needs.
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help setup build gpu lock lint format test test-data cluster-test reproduce ablations bench work-precision stability report sanitize fuzz clean
+.PHONY: help setup build gpu lock lint format test test-data gpu-test cluster-test reproduce ablations bench work-precision stability report sanitize fuzz clean
 
 PYTHON ?= $(or $(shell command -v python3.11 || command -v python3),python3)
 RUN := .venv/bin/python -m
@@ -73,6 +73,9 @@ test-data: $(BUILT) ## the tests that need real data: DATA_DIR=/path holds dnerf
 cluster-test: $(BUILT) build/cluster/.installed ## sweeps on a real Slurm (apt-get install slurm-wlm munge), Ray and HyperQueue of this machine
 	$(RUN) pytest -m cluster tests/cluster
 	@$(call took,passed)
+
+gpu-test: $(BUILT) ## check, train and time on a GPU, at most six minutes; needs make gpu
+	@PYTHONPATH=tests:tests/helpers $(RUN) gpu
 
 reproduce: $(BUILT) ## train the synthetic suite, and each ablation on the scene made for it; write tables, plots, report
 	$(RUN) pipeline experiment=reproduce

@@ -12,7 +12,7 @@ import pandas as pd
 
 from pipeline.evaluation.protocol import in_words
 from pipeline.presentation.table import NO_RUN, NOTHING, Cell, Column, Row, Table
-from pipeline.report.run_table import HEADERS, Shown
+from pipeline.report.run_table import HEADERS, Shown, gpu_notes
 from pipeline.report.runs import RENDERED
 
 _METHOD = ("recipe_label", "model", "images")
@@ -43,7 +43,7 @@ def _leaderboard(protocol: str, runs: pd.DataFrame) -> Table:
         Column("seeds", "Runs", fold=True),
     )
     ranked = tuple(Row({"rank": rank} | cells) for rank, cells in zip(ranks, rows))
-    notes = (("", in_words(protocol)),)
+    notes = tuple(("", note) for note in (in_words(protocol), *gpu_notes(runs, _NUMBERS)))
     return Table(f"leaderboard_{protocol}", protocol, columns, ranked, notes=notes, section="leaderboards")
 
 

@@ -11,7 +11,7 @@ from pipeline.evaluation.metrics import METRICS
 from pipeline.evaluation.protocol import protocols
 from pipeline.presentation.table import NO_RUN, NOT_REPORTED, Cell, Column, Row, Table, printed
 from pipeline.report import scenes
-from pipeline.report.run_table import PROTOCOL_NOTE, Shown, missing_notes, protocol_notes
+from pipeline.report.run_table import PROTOCOL_NOTE, Shown, gpu_notes, missing_notes, protocol_notes
 from pipeline.report.runs import BEST, FINAL, GIVEN, Collection
 
 PAPER_DIR = Path(__file__).resolve().parents[2] / "results" / "paper"
@@ -65,6 +65,7 @@ class PaperTable:
         keys = [column.metric for column in self.columns]
         notes = protocol_notes(row.cells["protocol"].text for row in rows)
         notes += [METRICS[key].note for key in keys if METRICS[key].note]
+        notes += gpu_notes(runs, keys)
         notes += [PROTOCOL_NOTE, *missing_notes(runs, keys), *_decided(runs), *self.notes]
         notes += [f"Not in this table: {note}" for note in scenes.other_split_notes(collection, self.scenes)]
         return Table(

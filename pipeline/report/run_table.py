@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -38,6 +38,10 @@ PROTOCOL_NOTE = (
     "final: the last iteration. best on test: the best of all test evaluations. The authors' release reports the "
     "latter, which selects on the test set."
 )
+
+
+TIMED = ("fps_render", "fps_raster", "train_seconds")  # numbers of the device, not of the method
+GPU_MARK = "†"
 
 
 @dataclass(frozen=True)
@@ -80,7 +84,9 @@ class Shown:
         return Estimate(float(values.mean(axis=1).mean()), std, max(len(common), 1))
 
     def cell(self, runs: pd.DataFrame) -> Cell:
-        return measured(self.estimate(runs), self.metric.decimals)
+        found = measured(self.estimate(runs), self.metric.decimals)
+        by_gpu = self.key in TIMED and found.value is not None and (runs["gpu"] != "").any()
+        return replace(found, text=f"{found.text} {GPU_MARK}") if by_gpu else found
 
     def difference(self, runs: pd.DataFrame, baseline: pd.DataFrame) -> Estimate | None:
         """Of one scene, over the seeds that both sides have; None where there is none or a number is missing.
@@ -268,6 +274,7 @@ def _notes(
     notes = [*protocol_notes(runs["protocol"]), *([FORMULA] if with_verdict else [])] if columns else []
     notes += [PROTOCOL_NOTE] if any(one.protocol == BEST for one in columns) else []
     notes += [one.metric.note for one in columns if one.metric.note]
+    notes += gpu_notes(runs, [one.key for one in columns])
     notes += missing_notes(runs, [one.key for one in columns])
     splits = runs[["scene", "test_split"]].drop_duplicates().to_dict("records") if columns else []
     notes += [f"{row['scene']}: held out {row['test_split']}." for row in splits if row["test_split"]]
@@ -279,6 +286,14 @@ def protocol_notes(ids: Iterable[str]) -> list[str]:
     found = sorted(set(ids))
     several = [f"Rows of {len(found)} protocols: none are averaged, compared or ranked across them."]
     return [*(several if len(found) > 1 else []), *map(in_words, found)]
+
+
+def gpu_notes(runs: pd.DataFrame, keys: Sequence[str]) -> list[str]:
+    """What the mark of times and frames a second says, where some are a GPU's."""
+    devices = sorted(set(runs["gpu"]) - {""})
+    if not devices or not set(keys) & set(TIMED):
+        return []
+    return [f"{GPU_MARK}: on a GPU ({'; '.join(devices)}), whose results are not bit-identical; others: on a CPU."]
 
 
 def missing_notes(runs: pd.DataFrame, keys: Sequence[str]) -> list[str]:

@@ -64,6 +64,7 @@ class Collection:
         run, folder: path below the folder, or below the one that holds all folders, and whole path.
         scene, recipe, model, changes (dotted key → value), seed, capture, kind, decided: as the run declares them.
         protocol: the id of what its numbers are measured by. images: rendered by the program, or given.
+        gpu: device and engine that rendered it; empty for the CPU.
         scene_label, recipe_label: name and changes of the data, or of all else, for people: `fast (train.batch=4)`.
         method: recipe and all changes. changed: whether anything but the data is. trained, validation: kind, decided.
         final.*, best_on_test.*, and costs: the numbers of metrics.METRICS as metrics.json has them; NaN: not measured.
@@ -184,6 +185,8 @@ def _declared(data: Mapping[str, Any]) -> dict[str, Any]:
     row["images"] = data.get("images", RENDERED)
     if row["images"] not in IMAGES:
         raise BrokenRun(f"metrics.json: images: expected {' or '.join(IMAGES)}, found {row['images']!r}")
+    by = _part(data, "rendered_by")
+    row["gpu"] = "" if by.get("backend", "cpu") == "cpu" else f"{_text(by.get('device'))}, {_text(by.get('engine'))}"
     row["capture"] = data.get("capture")
     if row["capture"] not in get_args(Capture):
         raise BrokenRun(f"metrics.json: capture: expected {', '.join(get_args(Capture))}, found {row['capture']!r}")

@@ -10,12 +10,16 @@ from contextlib import suppress
 from importlib import metadata
 from pathlib import Path
 
+import torch
+
 from pipeline.runs.run_folder import now
 from rasterizer.cores import usable_cores
+from rasterizer.kernel_loader import kernel
 
 PACKAGES = (
     "torch",
     "numpy",
+    "gsplat",
     "scipy",
     "scikit-image",
     "pytorch-msssim",
@@ -28,7 +32,19 @@ PACKAGES = (
 PROJECT_ROOT = Path(__file__).resolve().parents[2]
 
 
-def provenance(command: str) -> dict:
+def engine_record(backend: str) -> dict[str, str]:
+    """What renders: `backend`, its `engine`, `device` and `driver`, which the kernel has none of."""
+    if backend == "cpu":
+        return {"backend": backend, "engine": kernel.__name__.removeprefix("rasterizer._"), "device": cpu_model()}
+    return {
+        "backend": backend,
+        "engine": f"gsplat {_version('gsplat')}, CUDA {torch.version.cuda}",
+        "device": torch.cuda.get_device_name(),
+        "driver": _line_of("/proc/driver/nvidia/version", "NVRM version"),
+    }
+
+
+def provenance(command: str, backend: str = "cpu") -> dict:
     """For environment.json. command: what the user typed.
 
     `machine` is one readable line; `git_commit` ends in "-dirty" where tracked files were changed.
@@ -38,6 +54,7 @@ def provenance(command: str) -> dict:
         "command": command,
         "git_commit": git_commit(),
         "machine": machine_line(),
+        "rendered_by": engine_record(backend),
         "cpu": cpu_model(),
         "cores": usable_cores(),
         "memory_gb": round(memory_gb(), 1),

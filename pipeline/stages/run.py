@@ -125,7 +125,7 @@ def _do(stage: Stage, job: Job, inputs: dict[str, str], commit: str) -> None:
     if folder.begin(stage.name, inputs, later):
         job.log(f"{stage.name}: what other code had begun is made anew")
     if stage.name not in AFTER_TRAINING:  # provenance describes the training run; a new evaluation does not replace it
-        write_json(folder.provenance, provenance(command))
+        write_json(folder.provenance, provenance(command, job.cfg.backend))
     folder.log({"event": f"start {stage.name}", "command": command})
     folder.finish(stage.name, inputs, commit, stage.outputs, stage.run(job))
     folder.log({"event": f"finished {stage.name}"})

@@ -25,7 +25,7 @@ from pipeline.model.initialise import initialise
 from pipeline.model.model import Model
 from pipeline.model.ply import load_ply, save_ply
 from pipeline.model.transformed import in_rotations
-from pipeline.runs.provenance import peak_memory_mb, reset_peak_memory
+from pipeline.runs.provenance import engine_record, peak_memory_mb, reset_peak_memory
 from pipeline.runs.run_folder import RunFolder, now, write_csv
 from pipeline.stages.doubts import EarlyDoubts, doubt
 from pipeline.stages.settle import changes, decide
@@ -156,6 +156,7 @@ def evaluate_model(job: Job) -> dict:
         "changes": changes(job.command, scene), "seed": cfg.seed, "capture": scene.capture, "date": now(),
         **measured_by(cfg, scene, final.lpips_weights), "images": "rendered",
         "data": recorded(cfg.scene.name, scene.source),
+        "rendered_by": engine_record(cfg.backend),
         "final": final.metrics,
         "best_on_test": best_metrics,
         **({} if scene.test_split is None else {"test_split": scene.test_split}),

@@ -54,7 +54,8 @@ def released_rigid_loss(fields: dict[str, Tensor], duration: float, neighbours: 
         return mean.new_zeros(())
     positions = mean[:, :3].detach().cpu().double().numpy()
     found = cKDTree(positions).query(positions, k=others + 1, workers=threads)
-    distance, index = (torch.from_numpy(columns[:, 1:]).to(mean.device) for columns in found)  # column 0 is the Gaussian itself
+    columns = (column[:, 1:] for column in found)  # the first is the Gaussian itself
+    distance, index = (torch.from_numpy(column).to(mean.device) for column in columns)
     step = _velocity(fields) * (VELOCITY_STEP * duration)
     difference = step[index] - step[:, None]
     # The gradient of a square root is infinite at 0, and unrotated Gaussians all have velocity 0.

@@ -339,3 +339,26 @@ def test_one_table_per_family(tmp_path: Path) -> None:
         "scenes_drive": [("kitti/04",)],
     }
     assert ("", "kitti/04: held out every 4th frame.") in found["scenes_drive"].notes
+
+
+# --- runs of a GPU ---------------------------------------------------------------------------------
+
+
+def test_times_of_a_gpu_are_marked_and_averaged_with_none_of_a_cpu(tmp_path: Path) -> None:
+    by = {"backend": "gsplat", "engine": "gsplat 1.5.3, CUDA 13.0", "device": "NVIDIA H200", "driver": "580"}
+    for seed in (0, 1):
+        write_run(tmp_path, "synthetic/wheel", seed=seed, **{"final.fps_render": 10.0})
+        gpu = {"rendered_by": by, "final.fps_render": 900.0, "train_seconds": 5.0}
+        write_run(tmp_path, "synthetic/wheel", seed=seed, changes={"backend": "gsplat"}, out=f"runs/gpu/{seed}", **gpu)
+    table = scene_table(tmp_path, "synthetic")
+    cells = texts(table, "recipe_label", "final.fps_render", "train_seconds", "final.psnr")
+    (_, cpu_fps, cpu_seconds, _), (label, fps, seconds, psnr) = cells
+    assert label == "fast (backend=gsplat)" and fps == "900.0 ± 0.0 †" and seconds == "5.0 ± 0.0 †"
+    assert cpu_fps == "10.0 ± 0.0" and "†" not in cpu_seconds + psnr
+    notes = [note for _, note in table.notes if "†" in note]
+    assert len(notes) == 1 and "NVIDIA H200, gsplat 1.5.3, CUDA 13.0" in notes[0] and "not bit-identical" in notes[0]
+
+
+def test_without_a_run_of_a_gpu_nothing_is_marked(tmp_path: Path) -> None:
+    write_run(tmp_path, "synthetic/wheel")
+    assert "†" not in markdown(scene_table(tmp_path, "synthetic"))
