@@ -35,7 +35,9 @@ def main(arguments: list[str]) -> int:
             print(f"warning: {line}", file=sys.stderr)
         print(f"Site: {options.site / 'index.html'}, {len(site.files)} files", flush=True)
         return 0
-    report = build_report(options.runs_dirs, tuple(options.no_pictures), tuple(options.psnr), options.latex, out)
+    report = build_report(
+        options.runs_dirs, tuple(options.no_pictures), tuple(options.psnr), options.latex, out, options.nerfbaselines
+    )
     replace_report(out, report.files)
     for line in report.warnings:
         print(f"warning: {line}", file=sys.stderr)
@@ -55,6 +57,8 @@ def _parser() -> CommandParser:
     )
     parser.add_argument("--out", type=Path, metavar="DIR", help="output folder (default: RUNS_DIR/../report)")
     parser.add_argument("--site", type=Path, metavar="DIR", help="write a site instead: leaderboards, a page a scene")
+    shape = "write each run as a result file of NerfBaselines too, in DIR/nerfbaselines"
+    parser.add_argument("--nerfbaselines", action="store_true", help=shape)
     parser.add_argument("--latex", action="store_true", help="write each table as .tex too (needs booktabs)")
     parser.add_argument(
         "--no-pictures",

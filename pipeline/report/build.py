@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 from urllib.parse import quote
 
+import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from pipeline.presentation.table import Table
@@ -19,7 +20,8 @@ from pipeline.presentation.table_layout import laid_out
 from pipeline.presentation.theme import DARK
 from pipeline.report import tables
 from pipeline.report.content import Content, CurvePlot, report_markdown, terminal_text
-from pipeline.report.curve_figures import curve_figures
+from pipeline.report.curve_figures import curve_figures, file_name
+from pipeline.report.nerfbaselines import result_file
 from pipeline.report.plots import plot, recoloured
 from pipeline.report.runs import Collection, collect
 from pipeline.report.sfm import sfm_section
@@ -41,11 +43,13 @@ def build_report(
     levels: tuple[float, ...] = (),
     with_latex: bool = False,
     out: Path = Path(),
+    for_nerfbaselines: bool = False,
 ) -> Report:
     """The report of the runs below `roots`; FileNotFoundError if there are none.
 
     no_pictures: scenes or families of scenes without images. levels: dB, of the table of training time to a PSNR.
-    with_latex: whether to write each table as .tex too. out: the folder that the files will be in.
+    with_latex: whether to write each table as .tex too. out: the folder that the files will be in. for_nerfbaselines:
+    whether to write each run as a result file of NerfBaselines.
     """
     collection = collect(*roots)
     content = content_of(collection, no_pictures, levels, plots_of(collection))
@@ -54,6 +58,11 @@ def build_report(
     pictures: list[Strip | RunFigure] = [*content.strips, *content.figures, *content.sfm_pictures]
     files |= {f"strips/{picture.filename}": picture.webp for picture in pictures}
     files |= {"report.md": report_markdown(content).encode(), "report.html": render_page(content, out).encode()}
+    if for_nerfbaselines:
+        for run in collection.runs.to_dict("records"):
+            table = run["folder"] / "per_image.csv"
+            if table.is_file():
+                files[f"nerfbaselines/{file_name(run['run'])}.json"] = result_file(run, pd.read_csv(table)).encode()
     return Report(files, (*content.left_out, *content.warnings), terminal_text(content))
 
 
