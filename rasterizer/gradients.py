@@ -38,8 +38,6 @@ class ViewGradient:
     mean2d: Tensor  # (V, 2) ∂L/∂(projected mean), per pixel
     mean_t: Tensor  # (V,) ∂L/∂μt
     radius: Tensor  # (V,) 3 standard deviations along the longer axis of the projected ellipse, pixels
-    # (V,) sum of α' over the pixels of an unbounded image, were nothing in front; 0 for a mean outside the image
-    unoccluded: Tensor
 
     def mark_visible(self, mask: Tensor, threads: int = 1) -> None:
         """Set `mask` (N,) uint8 to 1 in place for the visible Gaussians; other entries stay."""

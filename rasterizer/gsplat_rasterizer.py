@@ -7,7 +7,6 @@ not all the kernel's, and its sums are in no fixed order (docs/gpu.md).
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from importlib.util import find_spec
 
@@ -19,7 +18,7 @@ from rasterizer.covariance import temporal_deviation
 from rasterizer.gaussians import MAX_FOURIER_ORDER, Gaussians
 from rasterizer.gradients import Gradients, ViewColors, ViewGradient
 from rasterizer.reference import render as reference
-from rasterizer.reference.blend import MIN_ALPHA, MIN_MARGINAL
+from rasterizer.reference.blend import MIN_MARGINAL
 from rasterizer.reference.sh import fourier_basis
 from rasterizer.request import RenderOutput, Request
 
@@ -201,24 +200,21 @@ def _view_gradient(view: _View, found: dict[str, Tensor]) -> tuple[ViewGradient,
     request, camera = view.request, view.request.camera
     seen = torch.nonzero((view.splats["radii"][0] > 0).all(dim=1)).squeeze(1)
     visible, rows = view.index[seen].to(torch.int32), view.rows.rows(seen)
-    (x, y), (a, b, c) = view.splats["means2d"][0, seen].unbind(1), view.splats["conics"][0, seen].unbind(1)
+    a, b, c = view.splats["conics"][0, seen].unbind(1)
     determinant = a * c - b * b  # of Σ2d⁻¹ = (a b; b c)
     variance = 0.5 * (a + c + torch.sqrt((a - c) ** 2 + 4 * b * b)) / determinant  # along the longer axis
-    inside = (x > 0) & (x < camera.width) & (y > 0) & (y < camera.height)
-    unoccluded = 2 * math.pi * (view.opacity[seen] - MIN_ALPHA) / determinant.sqrt()
     static = rows.motion == "static"
     gradient = ViewGradient(
         visible,
         found["means2d"][0, seen],
-        torch.zeros_like(x) if static else found["mean"][seen, 3],
+        torch.zeros_like(a) if static else found["mean"][seen, 3],
         3 * variance.sqrt(),
-        torch.where(inside, unoccluded, 0.0),
     )
-    d_rgb = x.new_zeros(len(seen), 3)
+    d_rgb = a.new_zeros(len(seen), 3)
     if "color" in request.outputs:  # no gradient where a channel is clamped at 0
         d_rgb = found["features"][seen, :3] * (view.features[seen, :3] > 0)
     direction = reference.viewing_direction(view.sliced, camera)[seen]
-    elapsed = torch.zeros_like(x) if static else request.time - rows.mean[:, 3]
+    elapsed = torch.zeros_like(a) if static else request.time - rows.mean[:, 3]
     cosines = fourier_basis(elapsed, request.duration, MAX_FOURIER_ORDER)[:, 1:]
     degree = rows.sh_degree if request.sh_degree is None else int(request.sh_degree)
     order = rows.fourier_order if request.fourier_order is None else int(request.fourier_order)

@@ -131,7 +131,7 @@ class Rasterizer:
                 )
         visible = self._state.visible
         out = ViewGradient(
-            torch.empty(visible, dtype=torch.int32), self._empty(visible, 2), *(self._empty(visible) for _ in range(3))
+            torch.empty(visible, dtype=torch.int32), self._empty(visible, 2), *(self._empty(visible) for _ in range(2))
         )
         colors = ViewColors(out.visible, self._empty(visible, 8), self.sh_degree, self.fourier_order)
         dense = gradients.dense()
@@ -145,7 +145,6 @@ class Rasterizer:
             mean2d=out.mean2d,
             mean_t=out.mean_t,
             radius=out.radius,
-            unoccluded=out.unoccluded,
             color_gradient=colors.gradient,
         )
         gradients.views.append(colors)

@@ -151,8 +151,7 @@ public:
                   std::optional<In> depth, std::optional<In> flow, std::optional<In> stats, Out mean,
                   Out log_scale, Out quat_left, std::optional<Out> quat_right, std::optional<Out> velocity,
                   std::optional<Out> weights, std::optional<Out> trajectories, Out opacity_logit,
-                  Array<int32_t> visible, Out mean2d, Out mean_t, Out radius, Out unoccluded,
-                  Out color_gradient) {
+                  Array<int32_t> visible, Out mean2d, Out mean_t, Out radius, Out color_gradient) {
         const splat::InputPlanes d{pointer(color), pointer(alpha), pointer(depth), pointer(flow),
                                    pointer(stats)};
         const splat::InputPlanes rendered{pointer(rendered_[0]), pointer(rendered_[1]), pointer(rendered_[2]),
@@ -160,10 +159,8 @@ public:
         const splat::ParameterGradients out{mean.data(),         log_scale.data(),     quat_left.data(),
                                             pointer(quat_right), pointer(velocity),    opacity_logit.data(),
                                             pointer(weights),    pointer(trajectories)};
-        const splat::ViewGradient view{
-            visible.data(),    mean2d.data(),
-            mean_t.data(),     radius.data(),
-            unoccluded.data(), reinterpret_cast<splat::ColorGradient*>(color_gradient.data())};
+        const splat::ViewGradient view{visible.data(), mean2d.data(), mean_t.data(), radius.data(),
+                                       reinterpret_cast<splat::ColorGradient*>(color_gradient.data())};
         nb::gil_scoped_release release;
         splat::render_backward(state_, gaussians.motion(), gaussians.parameters(), rendered, d, out, view);
     }
@@ -280,7 +277,7 @@ NB_MODULE(KERNEL_MODULE_NAME, m) {
              nb::arg("d_stats").none(), written("mean"), written("log_scale"), written("quat_left"),
              written("quat_right").none(), written("velocity").none(), written("weights").none(),
              written("trajectories").none(), written("opacity_logit"), written("visible"), written("mean2d"),
-             written("mean_t"), written("radius"), written("unoccluded"), written("color_gradient"))
+             written("mean_t"), written("radius"), written("color_gradient"))
         .def_prop_ro("visible", &Rasterizer::visible)
         .def_prop_ro("alive", &Rasterizer::alive)
         .def_prop_ro("intersections", &Rasterizer::intersections)

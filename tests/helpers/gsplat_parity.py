@@ -27,7 +27,7 @@ from rasterizer.reference.discontinuities import away_from_discontinuities, smoo
 from rasterizer.request import RenderOutput
 
 Scene = tuple[Gaussians, Request]  # float64, without Gaussians near a discontinuity
-STATISTICS = ("mean2d", "mean_t", "radius", "unoccluded")
+STATISTICS = ("mean2d", "mean_t", "radius")
 
 
 @dataclass(frozen=True)

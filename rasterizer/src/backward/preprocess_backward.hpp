@@ -15,10 +15,9 @@ namespace splat {
 // What a view reports of its visible Gaussians, in order of id: arrays of `visible` rows.
 struct ViewGradient {
     int32_t* visible;
-    scalar* mean2d;      // [V, 2] ∂L/∂mean2d, pixels
-    scalar* mean_t;      // [V] ∂L/∂μt of this view alone
-    scalar* radius;      // [V] of the splat, pixels
-    scalar* unoccluded;  // [V] sum over the pixels of its alpha, were nothing in front of it
+    scalar* mean2d;  // [V, 2] ∂L/∂mean2d, pixels
+    scalar* mean_t;  // [V] ∂L/∂μt of this view alone
+    scalar* radius;  // [V] of the splat, pixels
     ColorGradient* color;
 };
 
@@ -27,15 +26,6 @@ SPLAT_INLINE void add_to_rows3(scalar* rows, const uint32_t* ids, int count, con
     for (int k = 0; k < 3; ++k) column[k].store(lane[k]);
     for (int l = 0; l < count; ++l)
         for (int k = 0; k < 3; ++k) rows[3 * static_cast<size_t>(ids[l]) + k] += lane[k][l];
-}
-
-// ∫ alpha over the ellipse alpha >= 1/255 of an unbounded image: with alpha = o exp(-½ d²) and 2D covariance
-// Σ it is 2π √det Σ (o - 1/255). Zero for a mean outside the image, where most of the ellipse may be.
-inline scalar unoccluded_alpha(const Splat& s, const Camera& camera) {
-    const bool inside = s.x > -0.5f && s.x < camera.width - 0.5f && s.y > -0.5f && s.y < camera.height - 0.5f;
-    constexpr scalar pi_log2_e = 3.14159265358979324f * kLog2E;  // conic_u conic_v = (½ log2 e)² / det Σ
-    const scalar area = pi_log2_e / (std::sqrt(-s.conic_u) * std::sqrt(-s.conic_v));
-    return inside ? area * (std::exp2(s.log2_opacity) - static_cast<scalar>(kMinAlpha)) : scalar(0);
 }
 
 // Sums the intersection gradients of sixteen Gaussians: GradientField k of all is total[k].
@@ -171,7 +161,6 @@ inline void preprocess_backward_lanes(const ViewState& view, const Parameters& p
         view_out.mean2d[2 * v + 1] = value[9];
         view_out.mean_t[v] = value[10];
         view_out.radius[v] = splats[l].radius;
-        view_out.unoccluded[v] = unoccluded_alpha(splats[l], view.camera);
     }
 }
 
