@@ -94,6 +94,10 @@ class SceneConfig:
             "init_box": Range("[low, high] with low < high", lambda b: b is None or len(b) == 2 and b[0] < b[1]),
             "near": above(0),
         })  # fmt: skip
+        outermost = "true only with scene.validation_every, which says how many"
+        require(
+            bool(self.validation_every) or not self.validation_outermost, "scene.validation_outermost", outermost, True
+        )
         for key in ("moving_cameras", "color_correction"):  # None is no value of these
             value = getattr(self, key)
             require(value == "auto" or isinstance(value, bool), f"scene.{key}", "auto, true or false", value)

@@ -50,6 +50,12 @@ def test_too_few_views_are_refused():
         hold_out_every(tiny_scene(views=3), 8)
 
 
+def test_the_outermost_views_need_a_number():
+    with pytest.raises(ValueError, match="scene.validation_outermost: expected true only with scene.validation_every"):
+        SceneConfig(validation_outermost=True)
+    SceneConfig(validation_outermost=True, validation_every=8)
+
+
 def test_validation_every_is_refused_for_videos(tmp_path):
     film = SceneConfig(name="synthetic/counter", reader="synthetic", validation_every=8, cache=str(tmp_path / "cache"))
     with pytest.raises(SceneError, match="scene.validation_every: expected 0 for .* synthetic/counter .*found 8"):
