@@ -56,7 +56,7 @@ def draw_batch(state: TrainState, views: TrainingViews, phase: Phase, scene: Sce
         if phase.dropout_lifetime is not None:
             may_drop = short_lived(state.model, phase.dropout_lifetime * scene.duration).cpu()
         drawn = [replace(view, dropped=draw_dropped(len(state.model), phase.dropout, rng) & may_drop) for view in drawn]
-    if (jitter := cfg.train.marginal_jitter) > 0:
+    if (jitter := cfg.train.marginal_jitter) > 0 and state.model.kind.moves:
         rng = stream(cfg.seed, Stream.MARGINAL, state.iteration)
         offsets = draw_offsets(len(drawn), jitter, state.model, scene, rng)
         drawn = [replace(view, marginal_offset=offset) for view, offset in zip(drawn, offsets, strict=True)]
