@@ -32,11 +32,11 @@ _NOTES = (
 
 @dataclass(frozen=True)
 class TimeToTarget:
-    """A row per target, protocol, recipe, model and machine."""
+    """A row per target, protocol, recipe, model and machine, of runs on CPUs."""
 
     def build(self, collection: Collection) -> Table | None:
         runs, curves = collection.runs, collection.curves
-        runs = runs[runs["run"].isin(curves["run"]) & runs["threads"].notna()]
+        runs = runs[runs["run"].isin(curves["run"]) & runs["threads"].notna() & (runs["gpu"] == "")]
         rows = [row for line in read("targets") for row in _rows(line, runs, curves)]
         columns = (
             Column("target", "Target", False),
