@@ -7,6 +7,8 @@ import json
 from pathlib import Path
 from typing import Any
 
+from datasets.manifest import OWN
+
 FILE = "croissant.json"
 VERSION = "1.0.0"
 _KINDS = {
@@ -34,7 +36,7 @@ def write_croissant(folder: Path, scene: str) -> None:
 
 
 def croissant(folder: Path, scene: str) -> dict[str, Any]:
-    files = sorted(path for path in folder.rglob("*") if path.is_file() and path.name != FILE)
+    files = sorted(path for path in folder.rglob("*") if path.is_file() and path.name not in (FILE, OWN))
     return {
         "@context": _CONTEXT,
         "@type": "sc:Dataset",

@@ -36,7 +36,7 @@ def test_views_accumulate_densification_statistics():
     for _ in range(3):
         visible = torch.randperm(count, generator=g)[:700].sort().values.to(torch.int32)
         drawn = [torch.randn(700, *shape, generator=g) for shape in ((2,), (), ())]
-        views.append(ViewGradient(visible, drawn[0], drawn[1], drawn[2].abs(), torch.zeros(700)))
+        views.append(ViewGradient(visible, drawn[0], drawn[1], drawn[2].abs()))
     expected = [torch.zeros(count, dtype=torch.float64) for _ in range(4)]
     for view in views:
         index = view.visible.long()

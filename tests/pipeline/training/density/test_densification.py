@@ -64,7 +64,7 @@ def test_indicators_against_a_naive_sum() -> None:
         ]
         statistics.begin()
         for ids, g2, gt, r in by_view:
-            view = ViewGradient(torch.tensor(ids, dtype=torch.int32), g2, gt, r, torch.zeros(4))
+            view = ViewGradient(torch.tensor(ids, dtype=torch.int32), g2, gt, r)
             statistics.add_view(view, Camera(width, height, 1, 1, 0, 0, np.eye(4)), duration)
         statistics.end(batch)
         for i in range(count):
