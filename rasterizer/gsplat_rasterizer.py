@@ -63,7 +63,6 @@ class _View:
     index: Tensor  # (V,) rows of the rendered Gaussians
     sliced: reference.Slice
     features: Tensor  # (V, C) of reference.features
-    opacity: Tensor  # (V,) α p(t)
     splats: dict[str, Tensor]  # by gsplat: radii, means2d, conics, (1, V, …); undefined where radii are 0
     images: dict[str, Tensor]
 
@@ -145,9 +144,7 @@ def _render(rows: Gaussians, index: Tensor, request: Request) -> _View:
     opacity = reference.opacity(rows.opacity_logit) * sliced.marginal
     features = reference.features(rows, sliced, request)
     sums, alpha, splats = _rasterized(sliced, opacity, features, request.camera, request.near)
-    return _View(
-        request, rows, index, sliced, features, opacity, splats, reference.named_images(sums, 1 - alpha, request)
-    )
+    return _View(request, rows, index, sliced, features, splats, reference.named_images(sums, 1 - alpha, request))
 
 
 def _rasterized(
