@@ -57,7 +57,8 @@ def main() -> None:
     sys.argv[1:] = quote_text(sys.argv[1:], sweep=bool({"-m", "--multirun"} & set(sys.argv)))
     interruption.watch()
     try:
-        hydra.main(config_path=str(CONFIG_DIR), config_name="config", version_base="1.3")(run_one)()
+        with interruption.not_replaced():
+            hydra.main(config_path=str(CONFIG_DIR), config_name="config", version_base="1.3")(run_one)()
     except KeyboardInterrupt as interrupt:
         _complain(
             f"interrupted; {str(interrupt) or 'finished runs are kept, and the same command goes on with the others'}"
@@ -79,32 +80,33 @@ def run_one(composed: DictConfig) -> bool | None:
     keep_printing()  # in the workers of a sweep, too
     interruption.watch()
     try:
-        _work_in(job.runtime.cwd)
-        sweep = SweepRun.joined(composed.out)
-        order = Command(tuple(job.overrides.task))
-        cfg = order.config()
-        _hint_at_settings(cfg, job.runtime.choices.get("scene"))
-        import torch  # these late: a typo on the command line need not wait for them
+        with interruption.not_replaced():
+            _work_in(job.runtime.cwd)
+            sweep = SweepRun.joined(composed.out)
+            order = Command(tuple(job.overrides.task))
+            cfg = order.config()
+            _hint_at_settings(cfg, job.runtime.choices.get("scene"))
+            import torch  # these late: a typo on the command line need not wait for them
 
-        from pipeline.stages.run import run
-        from rasterizer.cores import keep_freed_memory
+            from pipeline.stages.run import run
+            from rasterizer.cores import keep_freed_memory
 
-        keep_freed_memory()
-        torch.set_num_threads(1)  # the heavy work is the kernel's, which has threads of its own (cfg.threads)
-        if cfg.estimate:
-            from pipeline.stages.estimate import estimate
+            keep_freed_memory()
+            torch.set_num_threads(1)  # the heavy work is the kernel's, which has threads of its own (cfg.threads)
+            if cfg.estimate:
+                from pipeline.stages.estimate import estimate
 
-            print("\n  ".join([f"{_title(cfg)} would take", *estimate(cfg).lines(cfg)]), flush=True)
+                print("\n  ".join([f"{_title(cfg)} would take", *estimate(cfg).lines(cfg)]), flush=True)
+                return True
+            metrics = run(order, log=_say if sweep is None else _say_nothing)
+            line = _result_line(cfg, metrics) if metrics else f"{_title(cfg)}: {cfg.out} is ready for what comes after"
+            if sweep is not None:
+                sweep.finished(line)
+            elif metrics is None or job.mode == RunMode.MULTIRUN:
+                _say(line)
+            else:
+                _report(cfg, metrics)
             return True
-        metrics = run(order, log=_say if sweep is None else _say_nothing)
-        line = _result_line(cfg, metrics) if metrics else f"{_title(cfg)}: {cfg.out} is ready for what comes after"
-        if sweep is not None:
-            sweep.finished(line)
-        elif metrics is None or job.mode == RunMode.MULTIRUN:
-            _say(line)
-        else:
-            _report(cfg, metrics)
-        return True
     except KeyboardInterrupt as interrupt:
         if isinstance(interrupt, interruption.Stopped):
             interruption.requeue()

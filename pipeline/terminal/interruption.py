@@ -1,7 +1,7 @@
 """Ctrl-C that is not lost, and the signals by which a batch system ends a job.
 
 Python raises KeyboardInterrupt wherever the main thread happens to be. Where nanobind converts a tensor for the kernel,
-it discards any exception and converts another way: the run would go on.
+it discards any exception and converts another way: the run would go on. OmegaConf tidies up half a node, and fails.
 
 SIGTERM and SIGUSR2 end a run too: a machine is wanted back, or its time is over. Training only notes them, to save a
 checkpoint first.
@@ -50,6 +50,16 @@ def raise_if_lost() -> None:
         raise KeyboardInterrupt
     if _stopped_by and not _noting:
         raise Stopped
+
+
+@contextmanager
+def not_replaced() -> Iterator[None]:
+    """Within, an error that a library met on its way out of an interruption does not take the interruption's place."""
+    try:
+        yield
+    except Exception:
+        raise_if_lost()
+        raise
 
 
 @contextmanager
