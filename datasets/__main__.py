@@ -37,9 +37,9 @@ def _verify(name: str, folder: Path) -> int:
     for scene, known in manifest.scenes.items():
         if of_scene and scene != of_scene:
             continue
-        found = compared(known, folder if of_scene else folder / scene)
+        found = compared(known, folder if of_scene else folder / (known.folder or scene))
         wrong += bool(str(found))
-        more = f"; {found.strange} other files, which are no part of it" if found.strange else ""
+        more = f"; {found.strange} other files, which the manifest lacks" if found.strange else ""
         as_published = f"as published, {len(known.files)} files, {known.bytes} bytes, SHA-256 {found.sha256}"
         print(f"{scene}: {str(found) or as_published}{more}")
     return 1 if wrong else 0

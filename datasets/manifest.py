@@ -4,12 +4,16 @@ A scene's SHA-256 is that of the lines `sha256sum` prints of its files, sorted b
 
     cd SCENE && LC_ALL=C sha256sum FILE… | sha256sum
 
-The first 8 digits of each file's own say which one is altered. A synthetic scene has a manifest in its folder.
+The first 8 digits of each file's own say which one is altered. Files that differ in a number are written together, as a
+shell names them: `train/r_{000..149}.png`. A synthetic scene has a manifest in its folder.
 """
 
 from __future__ import annotations
 
 import hashlib
+import json
+import re
+import textwrap
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +22,7 @@ import yaml
 
 from datasets.files.atomic_write import write_text
 from datasets.files.errors import DataError, SceneError
+from datasets.files.numbered_names import expanded, ranges
 
 FOLDER = Path(__file__).with_name("manifests")
 OWN = "manifest.yaml"  # in the folder of a synthetic scene
@@ -26,19 +31,11 @@ DIGITS = 8  # of a file's SHA-256
 
 
 @dataclass(frozen=True)
-class File:
-    bytes: int
-    digits: str  # the first of its SHA-256
-
-
-@dataclass(frozen=True)
 class SceneFiles:
     sha256: str
-    files: dict[str, File]  # by path below the scene's folder
-
-    @property
-    def bytes(self) -> int:
-        return sum(file.bytes for file in self.files.values())
+    bytes: int
+    files: dict[str, str]  # path from the scene's folder -> the first digits of its SHA-256
+    folder: str = ""  # in that of the data set, where it is not called as the scene
 
 
 @dataclass(frozen=True)
@@ -59,8 +56,8 @@ class Found:
 
     sha256: str  # of the files that are there
     missing: tuple[str, ...]
-    altered: tuple[str, ...]  # `train/r_0.png (expected 12 bytes, found 10)`
-    strange: int  # files that are not in the manifest, which matter to no reader
+    altered: tuple[str, ...]
+    strange: int  # files in the folder that are not in the manifest
 
     def __str__(self) -> str:
         """Empty where all is as published."""
@@ -82,22 +79,21 @@ def published(name: str) -> Manifest:
 def read_manifest(path: Path) -> Manifest:
     """DataError, one line, for another content."""
     try:
-        tree: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
+        tree: Any = yaml.load(path.read_text(encoding="utf-8"), yaml.BaseLoader)  # digits stay text
         scenes = {
-            name: SceneFiles(str(scene["sha256"]), dict(map(_file_of, scene["files"].splitlines())))
+            name: SceneFiles(scene["sha256"], int(scene["bytes"]), _files_of(scene["files"]), scene.get("folder", ""))
             for name, scene in tree.pop("scenes").items()
         }
-        return Manifest(**{"name": path.stem, **tree, "scenes": scenes, "faults": tuple(tree.get("faults", ()))})
+        return Manifest(**{**tree, "scenes": scenes, "faults": tuple(tree.get("faults", ()))})
     except (yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError, OSError) as error:
         raise DataError(path, "a manifest", str(error)) from None
 
 
 def described(folder: Path, files: list[str]) -> SceneFiles:
-    """Of these files below `folder`."""
+    """Of these files, by their paths from `folder`."""
     digests = {name: _sha256(folder / name) for name in sorted(files)}
-    return SceneFiles(
-        _of_lines(digests), {n: File((folder / n).stat().st_size, d[:DIGITS]) for n, d in digests.items()}
-    )
+    total = sum((folder / name).stat().st_size for name in files)
+    return SceneFiles(_of_lines(digests), total, {name: digest[:DIGITS] for name, digest in digests.items()})
 
 
 def write_manifest(path: Path, manifest: Manifest) -> None:
@@ -110,21 +106,22 @@ def write_manifest(path: Path, manifest: Manifest) -> None:
     head |= {"faults": list(manifest.faults)} if manifest.faults else {}
     lines = [yaml.safe_dump(head, sort_keys=False, allow_unicode=True, width=10_000) + "scenes:"]
     for name, scene in manifest.scenes.items():
-        total = f"{len(scene.files)} files, {scene.bytes} bytes"
-        lines += [f"  {name}:  # {total}", f"    sha256: {scene.sha256}", "    files: |"]
-        lines += [f"      {file.digits} {file.bytes} {path}" for path, file in scene.files.items()]
+        lines += [f"  {_key(name)}:  # {len(scene.files)} files"]
+        lines += [f"    folder: {_key(scene.folder)}"] if scene.folder else []
+        lines += [f"    bytes: {scene.bytes}", f"    sha256: {scene.sha256}", "    files:"]
+        for pattern, members in ranges(scene.files).items():
+            digits = textwrap.wrap(" ".join(scene.files[member] for member in members), 108)
+            alone = f" {digits.pop()}" if len(members) == 1 else ""
+            lines += [f"      {_key(pattern)}:{alone}", *(f"        {line}" for line in digits)]
     write_text(path, "\n".join(lines) + "\n")
 
 
 def compared(scene: SceneFiles, folder: Path) -> Found:
     """The files below `folder` with those of the manifest."""
     digests = {name: _sha256(folder / name) for name in sorted(scene.files) if (folder / name).is_file()}
-    altered = tuple(
-        f"{name} ({scene.files[name].bytes} bytes expected, {(folder / name).stat().st_size} found)"
-        for name, digest in digests.items()
-        if digest[:DIGITS] != scene.files[name].digits
-    )
-    strange = sum(1 for path in folder.rglob("*") if path.is_file() and path.name != OWN) - len(digests)
+    altered = tuple(name for name, digest in digests.items() if digest[:DIGITS] != scene.files[name])
+    below = (path for path in folder.rglob("*") if path.is_file() and path.name != OWN)
+    strange = sum(1 for path in below if path.relative_to(folder).as_posix() not in scene.files)
     found = Found(_of_lines(digests), tuple(n for n in scene.files if n not in digests), altered, strange)
     if not str(found) and found.sha256 != scene.sha256:
         raise DataError(folder, f"SHA-256 {scene.sha256[:12]}… of its files", f"{found.sha256[:12]}…")
@@ -132,14 +129,24 @@ def compared(scene: SceneFiles, folder: Path) -> Found:
 
 
 def manifest_of(name: str, folder: Path) -> tuple[str, SceneFiles] | None:
-    """The name and the files of a scene `dnerf/hook` that is read from `folder`; None where none are published."""
+    """The name and the files of a scene `dnerf/hook` that is read from `folder`; None where none are published.
+
+    A scene that is not named after its data set, as `auto/hook`, is found by its folder's name and its files'.
+    """
     if (folder / OWN).is_file():
         own = read_manifest(folder / OWN)
         return own.name, next(iter(own.scenes.values()))
     data_set, _, scene = name.partition("/")
-    if data_set not in names() or scene not in (known := published(data_set).scenes) or not folder.is_dir():
+    if not folder.is_dir():
         return None
-    return name, known[scene]
+    if data_set in names():
+        known = published(data_set).scenes.get(scene)
+        return (name, known) if known else None
+    for other in map(published, names()):
+        known = other.scenes.get(scene)
+        if known and all((folder / file).is_file() for file in known.files):
+            return f"{other.name}/{scene}", known
+    return None
 
 
 def recorded(name: str, folder: Path) -> dict[str, str] | None:
@@ -147,16 +154,24 @@ def recorded(name: str, folder: Path) -> dict[str, str] | None:
     if (known := manifest_of(name, folder)) is None:
         return None
     found = compared(known[1], folder)
-    return {"manifest": known[0], "sha256": found.sha256, "found": str(found) or AS_PUBLISHED}
+    others = f", and {found.strange} other files" if found.strange else ""
+    return {"manifest": known[0], "sha256": found.sha256, "found": f"{str(found) or AS_PUBLISHED}{others}"}
 
 
 def _of_lines(digests: dict[str, str]) -> str:
     return hashlib.sha256("".join(f"{digest}  {name}\n" for name, digest in digests.items()).encode()).hexdigest()
 
 
-def _file_of(line: str) -> tuple[str, File]:
-    digits, size, name = line.split(" ", 2)
-    return name, File(int(size), digits)
+def _files_of(written: dict[str, str]) -> dict[str, str]:
+    files: dict[str, str] = {}
+    for pattern, digits in written.items():
+        files |= zip(expanded(pattern), digits.split(), strict=True)
+    return files
+
+
+def _key(text: str) -> str:
+    """Of YAML."""
+    return text if re.fullmatch(r"\w[\w./{}, -]*[\w}]|\w", text) else json.dumps(text, ensure_ascii=False)
 
 
 def _sha256(path: Path) -> str:

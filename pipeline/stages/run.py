@@ -55,7 +55,7 @@ def run(command: Command, log: Callable[[str], None]) -> dict | None:
     refuse_small_images(data.scene, cfg.train.resolution_scale)  # before hours of training
     refuse_large_batch(len(data.scene.train), cfg.train.batch)
     published = recorded(cfg.scene.name, data.scene.source)
-    if published and published["found"] != AS_PUBLISHED:
+    if published and not published["found"].startswith(AS_PUBLISHED):
         log(f"{data.scene.source}: not the data of the manifest {published['manifest']}: {published['found']}")
     if data.poses_estimated and not trained:
         log(training_minutes(cfg, data.scene))

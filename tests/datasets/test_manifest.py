@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,12 @@ from datasets.__main__ import main
 from datasets.manifest import Manifest, described, names, published, read_manifest, recorded, write_manifest
 from datasets.synthetic import build_scene
 
-CONTENT = {"train/r_0.png": b"first", "train/r 1.png": b"second", "transforms_train.json": b"{}"}
+CONTENT = {
+    "../poses: all.txt": b"poses",
+    "train/r_0.png": b"first",
+    "train/r_1.png": b"second",
+    "transforms_train.json": b"{}",
+}
 
 
 @pytest.fixture
@@ -29,6 +35,7 @@ def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     )
     write_manifest(tmp_path / "manifests/toy.yaml", toy)
     assert published("toy") == toy
+    assert "train/r_{0..1}.png:" in (tmp_path / "manifests/toy.yaml").read_text()
     return folder
 
 
@@ -41,8 +48,8 @@ def test_whole_data_are_verified(data: Path, capsys: pytest.CaptureFixture) -> N
     (data / "notes.txt").write_text("mine")
     assert main(["verify", "toy", str(data.parent)]) == main(["verify", "toy/disc", str(data)]) == 0
     said = capsys.readouterr().out
-    assert "it is: flat" in said and "disc: as published, 3 files, 13 bytes, SHA-256 " in said
-    assert "1 other files, which are no part of it" in said
+    assert "it is: flat" in said and "disc: as published, 4 files, 18 bytes, SHA-256 " in said
+    assert "1 other files, which the manifest lacks" in said
 
 
 def test_what_is_missing_or_altered_is_named(data: Path, capsys: pytest.CaptureFixture) -> None:
@@ -50,9 +57,27 @@ def test_what_is_missing_or_altered_is_named(data: Path, capsys: pytest.CaptureF
     (data / "transforms_train.json").unlink()
     assert main(["verify", "toy/disc", str(data)]) == 1
     said = capsys.readouterr().out
-    assert "1 missing: transforms_train.json; 1 altered: train/r_0.png (5 bytes expected, 5 found)" in said
+    assert "1 missing: transforms_train.json; 1 altered: train/r_0.png" in said
     found = recorded("toy/disc", data)
     assert found and "altered" in found["found"] and recorded("toy/other", data) is None
+
+
+def test_a_scene_is_known_by_its_folder_and_files_where_its_name_says_nothing(data: Path) -> None:
+    assert recorded("auto/disc", data) == recorded("toy/disc", data)
+    assert recorded("auto/cube", data) is None
+    (data / "train/r_2.png").write_bytes(b"more")
+    found = recorded("auto/disc", data)
+    assert found and found["found"] == "as published, and 1 other files"
+    (data / "train/r_1.png").unlink()
+    assert recorded("auto/disc", data) is None, "another folder of this name"
+
+
+def test_a_scene_may_lie_deeper_in_the_data_set(data: Path, capsys: pytest.CaptureFixture) -> None:
+    toy = published("toy")
+    deeper = replace(toy, scenes={"disc": replace(toy.scenes["disc"], folder="toy/disc")})
+    write_manifest(manifest.FOLDER / "toy.yaml", deeper)
+    assert published("toy") == deeper
+    assert main(["verify", "toy", str(data.parents[1])]) == main(["verify", "toy/disc", str(data)]) == 0
 
 
 @pytest.mark.parametrize(
