@@ -20,6 +20,7 @@ from pipeline.runs.folder_content import folder_content, schema
 from pipeline.runs.run_identity import FILES
 from pipeline.score import main as score
 from pipeline.stages.stages import NAMES
+from pipeline.validate import main, violations
 
 
 @pytest.fixture(scope="module")
@@ -30,18 +31,9 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return shell.folder / "run"
 
 
-def validator(name: str) -> Draft202012Validator:
-    Draft202012Validator.check_schema(schema(name))
-    return Draft202012Validator(schema(name), format_checker=Draft202012Validator.FORMAT_CHECKER)
-
-
-def errors(name: str, content: Any) -> list[str]:
-    return [f"{error.json_path}: {error.message}" for error in validator(name).iter_errors(content)]
-
-
 def test_a_run_folder_follows_its_schema(run: Path) -> None:
     content = folder_content(run)
-    assert errors("run_folder", content) == [] == errors("metrics", content["metrics.json"])
+    assert violations("run_folder", content) == [] == violations("metrics", content["metrics.json"])
     assert set(METRICS) & set(content["metrics.json"]["final"]) >= {"psnr", "ssim", "fps_render"}
 
 
@@ -49,14 +41,14 @@ def test_a_pack_that_was_scored_follows_it_too(run: Path, tmp_path: Path) -> Non
     cache, out = f"scene.cache={run.parent}/cache", tmp_path / "scored"
     assert pack([str(run), "--out", str(tmp_path / "pack.zip")]) == 0
     assert score([str(tmp_path / "pack.zip"), "scene=synthetic/wheel", cache, "--out", str(out)]) == 0
-    assert errors("run_folder", folder_content(out)) == []
+    assert violations("run_folder", folder_content(out)) == []
     images = tmp_path / "images"
     images.mkdir()
     for path in (run / "renders").glob("*_render.png"):
         shutil.copy(path, images / path.name)
     keys = [key for key in TINY if not key.startswith("train")]
     assert score([str(images), *keys, cache, "--out", str(tmp_path / "images_scored")]) == 0
-    assert errors("run_folder", folder_content(tmp_path / "images_scored")) == []
+    assert violations("run_folder", folder_content(tmp_path / "images_scored")) == []
 
 
 def _set(*path: str, value: Any) -> Callable[[dict], None]:
@@ -89,12 +81,23 @@ def _set(*path: str, value: Any) -> Callable[[dict], None]:
 def test_what_is_damaged_does_not(run: Path, change: Callable[[dict], None], where: str) -> None:
     content = copy.deepcopy(folder_content(run))
     change(content)
-    found = errors("run_folder", content)
+    found = violations("run_folder", content)
     assert found and all(where in error for error in found), found
 
 
-def test_the_schemas_list_what_the_program_has() -> None:
+def test_the_command_names_what_does_not_follow(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    damaged = shutil.copytree(run, tmp_path / "damaged")
+    (damaged / "strange.bin").touch()
+    assert main([str(run)]) == 0 and main([str(run), str(damaged)]) == 1
+    said = capsys.readouterr().out.splitlines()
+    assert said[:2] == [f"{run}: follows the schema"] * 2
+    assert len(said) == 3 and said[2].startswith(f"{damaged}: $: ") and "strange.bin" in said[2]
+
+
+def test_the_schemas_are_schemas_and_list_what_the_program_has() -> None:
     metrics, folder = schema("metrics"), schema("run_folder")
+    for one in (metrics, folder):
+        Draft202012Validator.check_schema(one)
     assert tuple(metrics["properties"]["capture"]["enum"]) == get_args(Capture)
     assert tuple(metrics["properties"]["images"]["enum"]) == IMAGES
     assert tuple(folder["properties"]["stages.json"]["propertyNames"]["enum"]) == NAMES
