@@ -48,6 +48,11 @@ def one_of(*choices: str) -> Range:
     return Range(text, lambda value: value in choices)
 
 
+def some_of(*choices: str) -> Range:
+    """Lists of any of these."""
+    return Range(f"some of {', '.join(choices)}", lambda values: set(values) <= set(choices))
+
+
 def check(group: str, config: Any, ranges: dict[str, Range]) -> None:
     """ValueError, one line, for the first field of `config` outside its range. None, of an optional field, passes.
 

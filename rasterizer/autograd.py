@@ -75,6 +75,7 @@ def rasterize(
     threads: int = 0,
     marginal_offset: float = 0.0,
     flow_camera: Camera | None = None,
+    released_gradients: Sequence[str] = (),
 ) -> RenderOutput:
     """Render 4D Gaussians (contiguous float32) from `camera` at `time`; differentiable in all parameters.
 
@@ -83,12 +84,13 @@ def rasterize(
     fourier_order: use the coefficients up to these; None: all. threads: 0 for all cores; never changes the bits.
     marginal_offset: temporal marginals are those of time + this, all else is that of time (docs/method.md 5.2).
     flow_camera: the camera at time + δ, whose motion is part of the flow then; None: it stands still.
+    released_gradients: names of rasterizer.request.RELEASED_GRADIENTS, deviations of the authors' programs.
 
     `rasterizer.reference.rasterize` is the same function in plain PyTorch. Raises ValueError for wrong shapes or types,
     for values that are not finite or out of range, and where float32 overflows.
     """
     view = (camera, time, duration, background, outputs, flow_dt, near, sh_degree, fourier_order, marginal_offset)
-    request = Request(*view, flow_camera)
+    request = Request(*view, flow_camera, released_gradients)
     check_layout(gaussians)
     check_finite(gaussians)
     tensors = gaussians.tensors()

@@ -14,6 +14,7 @@ from rasterizer.camera import Camera
 from rasterizer.cores import thread_count
 from rasterizer.gaussians import SH_LAYOUTS, Gaussians
 from rasterizer.kernel_loader import kernel
+from rasterizer.request import Request
 from rasterizer.validation import check_array
 
 
@@ -25,9 +26,16 @@ class ViewColors:
     gradient: Tensor  # (V, 8): ∂L/∂rgb, unit viewing direction, cos(2πn (t-μt)/T) for n = 1, 2
     sh_degree: int
     fourier_order: int
+    wrong_line: bool = False  # of Request.released_gradients
 
-    def as_tuple(self) -> tuple[Tensor, Tensor, int, int]:
-        return self.visible, self.gradient, self.sh_degree, self.fourier_order
+    @classmethod
+    def of(cls, request: Request, visible: Tensor, gradient: Tensor, sh_degree: int, fourier_order: int) -> ViewColors:
+        """As the request wants them."""
+        order = 0 if "untrained" in request.released_gradients else fourier_order
+        return cls(visible, gradient, sh_degree, order, "wrong_line" in request.released_gradients)
+
+    def as_tuple(self) -> tuple[Tensor, Tensor, int, int, bool]:
+        return self.visible, self.gradient, self.sh_degree, self.fourier_order, self.wrong_line
 
 
 @dataclass(frozen=True)

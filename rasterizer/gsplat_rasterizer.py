@@ -215,4 +215,4 @@ def _view_gradient(view: _View, found: dict[str, Tensor]) -> tuple[ViewGradient,
     cosines = fourier_basis(elapsed, request.duration, MAX_FOURIER_ORDER)[:, 1:]
     degree = rows.sh_degree if request.sh_degree is None else int(request.sh_degree)
     order = rows.fourier_order if request.fourier_order is None else int(request.fourier_order)
-    return gradient, ViewColors(visible, torch.cat([d_rgb, direction, cosines], dim=1), degree, order)
+    return gradient, ViewColors.of(request, visible, torch.cat([d_rgb, direction, cosines], dim=1), degree, order)

@@ -43,12 +43,14 @@ def accumulate(
     largest.scatter_reduce_(0, rows, radius, "amax")
 
 
-def sh_gradient(views: Sequence[tuple[Tensor, Tensor, int, int]], out: Tensor) -> Tensor:
+def sh_gradient(views: Sequence[tuple[Tensor, Tensor, int, int, bool]], out: Tensor) -> Tensor:
     """The dense gradient of the SH coefficients, (N, (n+1)(l+1)², 3), written into `out`. views: ViewColors' fields."""
     coefficients, orders = SH_LAYOUTS[out.shape[1]]
     by_order = out.zero_().unflatten(1, (orders, coefficients))
-    for visible, gradient, sh_degree, fourier_order in views:
+    for visible, gradient, sh_degree, fourier_order, wrong_line in views:
         basis = sh_basis(gradient[:, 3:6], sh_degree)
+        if wrong_line and sh_degree > 0:
+            basis[:, 1] = basis[:, 0]
         cosines = torch.cat([torch.ones_like(basis[:, :1]), gradient[:, 6 : 6 + fourier_order]], dim=1)
         product = torch.einsum("vf,vb,vc->vfbc", cosines, basis, gradient[:, :3])
         by_order[:, : product.shape[1], : product.shape[2]].index_add_(0, visible.long(), product)

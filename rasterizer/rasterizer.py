@@ -92,6 +92,7 @@ class Rasterizer:
             fourier_order=self.fourier_order,
             extras=tuple(name in request.outputs for name in _EXTRAS),
             differentiable=self._differentiable,
+            detached="detached" in request.released_gradients,
             threads=self.threads,
         )
 
@@ -133,7 +134,8 @@ class Rasterizer:
         out = ViewGradient(
             torch.empty(visible, dtype=torch.int32), self._empty(visible, 2), *(self._empty(visible) for _ in range(2))
         )
-        colors = ViewColors(out.visible, self._empty(visible, 8), self.sh_degree, self.fourier_order)
+        compact = self._empty(visible, 8)
+        colors = ViewColors.of(self._request, out.visible, compact, self.sh_degree, self.fourier_order)
         dense = gradients.dense()
         if self._trajectories is not None:
             dense["trajectories"] = torch.zeros(len(self._trajectories), COLUMNS, dtype=self.dtype)
@@ -145,7 +147,7 @@ class Rasterizer:
             mean2d=out.mean2d,
             mean_t=out.mean_t,
             radius=out.radius,
-            color_gradient=colors.gradient,
+            color_gradient=compact,
         )
         gradients.views.append(colors)
         if self._trajectories is not None and gradients.trajectories is not None:

@@ -19,6 +19,12 @@ OUTPUT_NAMES = tuple(OUTPUT_CHANNELS)
 MIN_DURATION = 1e-30  # colours change by up to 2π/T per unit of time, which float32 must represent
 MAX_FLOW_DT = 1e30  # float32 must represent the displacement over δ, at any velocity that its scales allow
 MAX_FLOAT32 = torch.finfo(torch.float32).max
+# What the authors' programs did to the gradients of colour; images are the same (docs/baseline.md)
+RELEASED_GRADIENTS = {
+    "detached": "colour gives none to positions and times",
+    "untrained": "coefficients that vary with time have none",
+    "wrong_line": "the coefficient of Y_1,-1 has that of a constant, Y_00",
+}
 
 
 @dataclass(frozen=True)
@@ -37,6 +43,7 @@ class Request:
     # p is evaluated at time + this; means, covariances and colours at time. Training alone uses it (docs/method.md 5.2)
     marginal_offset: float = 0.0
     flow_camera: Camera | None = None  # the camera at time + flow_dt, for the flow; None: it stands still
+    released_gradients: Sequence[str] = ()  # names from RELEASED_GRADIENTS; none: the gradients are exact
 
     def __post_init__(self) -> None:
         for name in ("camera", "flow_camera"):
@@ -61,6 +68,12 @@ class Request:
         if len(background) != 3 or not all(abs(value) <= MAX_FLOAT32 for value in background):
             raise ValueError(f"background must be 3 numbers that float32 holds, got {short_repr(self.background)}")
         outputs = self._checked_outputs()
+        released = tuple(_as_list(self.released_gradients))
+        for name in released:
+            if not (isinstance(name, str) and name in RELEASED_GRADIENTS):
+                raise ValueError(
+                    f"released_gradients must be among {', '.join(RELEASED_GRADIENTS)}, got {short_repr(name)}"
+                )
         # Scalars of any type are accepted and stored as floats; duplicate outputs are dropped.
         for name, value in (
             ("time", time),
@@ -69,6 +82,7 @@ class Request:
             ("near", near),
             ("background", background),
             ("outputs", outputs),
+            ("released_gradients", released),
         ):
             object.__setattr__(self, name, value)
 

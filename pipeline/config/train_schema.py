@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields
 from typing import Optional
 
-from datasets.ranges import Range, above, at_least, between, check, one_of, positive_count, require
+from datasets.ranges import Range, above, at_least, between, check, one_of, positive_count, require, some_of
 
 
 @dataclass
@@ -143,6 +143,9 @@ class TrainConfig:
     init_points: int = 100_000  # random initial points
     lr: LearningRates = field(default_factory=LearningRates)
     densify: DensifyConfig = field(default_factory=DensifyConfig)
+    # What the authors' programs did to the gradients of colour: detached, untrained, wrong_line (docs/baseline.md);
+    # empty: they are exact
+    released_gradients: list[str] = field(default_factory=list)
     eval_every: int = 500  # iterations between evaluations on held-out views
     checkpoint_every: int = 1000  # iterations between checkpoints; more where these take minutes
 
@@ -163,6 +166,7 @@ class TrainConfig:
             "dropout": between("[0, 1)", 0, 1).but("0: none"),
             "dropout_until": between("[0, 1]", 0, 1),
             "marginal_jitter": at_least(0).but("0: none"),
+            "released_gradients": some_of("detached", "untrained", "wrong_line"),
             "orders_at": Range("five iterations, the first three and the last two in ascending order",
                                lambda at: len(at) == 5 and at == sorted(at[:3]) + sorted(at[3:])),
         })  # fmt: skip

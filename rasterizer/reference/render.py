@@ -184,7 +184,13 @@ def colors(gaussians: Gaussians, sliced: Slice, request: Request) -> Tensor:
     stored = gaussians.sh.unflatten(1, (gaussians.fourier_order + 1, (gaussians.sh_degree + 1) ** 2))
     direction = viewing_direction(sliced, request.camera)
     elapsed = None if gaussians.motion == "static" else request.time - gaussians.mean[:, 3]
-    return sh_color(stored[:, : order + 1, : (degree + 1) ** 2], direction, elapsed, request.duration)
+    used = stored[:, : order + 1, : (degree + 1) ** 2]
+    released = request.released_gradients
+    if "detached" in released:
+        direction, elapsed = direction.detach(), None if elapsed is None else elapsed.detach()
+    if "untrained" in released:
+        used = torch.cat([used[:, :1], used[:, 1:].detach()], dim=1)
+    return sh_color(used, direction, elapsed, request.duration, wrong_line="wrong_line" in released)
 
 
 def displacement(sliced: Slice, request: Request) -> Tensor:

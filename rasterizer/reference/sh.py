@@ -58,9 +58,17 @@ def sh_color(
     direction: Tensor,  # (N, 3) unit, from the camera to μ(t)
     elapsed: Tensor | None,  # (N,) t - μt; None for a static model
     duration: float,
+    wrong_line: bool = False,
 ) -> Tensor:
-    """RGB (N, 3) = max(0, ½ + Σ_n Σ_lm k_nlm cos(2πn (t-μt)/T) Y_lm(d)); no gradient where the sum is negative."""
+    """RGB (N, 3) = max(0, ½ + Σ_n Σ_lm k_nlm cos(2πn (t-μt)/T) Y_lm(d)); no gradient where the sum is negative.
+
+    wrong_line: ∂RGB/∂k_0,1,-1 is Y_00 in place of Y_1,-1; RGB is the same (docs/baseline.md).
+    """
     order, degree = coefficients.shape[1] - 1, math.isqrt(coefficients.shape[2]) - 1
     space = sh_basis(direction, degree)
     time = torch.ones_like(space[:, :1]) if elapsed is None else fourier_basis(elapsed, duration, order)
-    return torch.relu(0.5 + torch.einsum("nf,nb,nfbc->nc", time, space, coefficients))
+    total = 0.5 + torch.einsum("nf,nb,nfbc->nc", time, space, coefficients)
+    if wrong_line and degree > 0:
+        wrong = coefficients[:, 0, 1]
+        total = total + (space[:, :1] - space[:, 1:2]).detach() * (wrong - wrong.detach())
+    return torch.relu(total)

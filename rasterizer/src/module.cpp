@@ -120,7 +120,7 @@ public:
     void set_view(const CameraDouble& camera, double time, double marginal_offset, double duration,
                   scalar near_plane, const std::vector<scalar>& background, scalar flow_dt,
                   std::optional<CameraDouble> flow_camera, int sh_degree, int fourier_order,
-                  std::tuple<bool, bool, bool> extras, bool differentiable, int threads) {
+                  std::tuple<bool, bool, bool> extras, bool differentiable, bool detached, int threads) {
         state_.camera_double = camera;
         state_.camera_double.time = time;
         state_.camera_double.marginal_offset = marginal_offset;
@@ -137,6 +137,7 @@ public:
                            std::get<1>(extras),
                            std::get<2>(extras),
                            differentiable,
+                           detached,
                            threads};
     }
     void render(const Gaussians& gaussians, std::optional<Out> color, std::optional<Out> alpha,
@@ -178,14 +179,15 @@ private:
     std::array<std::optional<Out>, 5> rendered_;
 };
 
-// visible [V], color gradient [V, 8], sh_degree, fourier_order
-using View = std::tuple<Array<const int32_t>, In, int, int>;
+// visible [V], color gradient [V, 8], sh_degree, fourier_order, wrong_line
+using View = std::tuple<Array<const int32_t>, In, int, int, bool>;
 
 std::vector<splat::ViewColors> view_colors(const std::vector<View>& views) {
     std::vector<splat::ViewColors> out;
-    for (const auto& [visible, gradient, degree, order] : views)
+    for (const auto& [visible, gradient, degree, order, wrong_line] : views)
         out.push_back({static_cast<uint32_t>(visible.shape(0)), visible.data(),
-                       reinterpret_cast<const splat::ColorGradient*>(gradient.data()), degree, order});
+                       reinterpret_cast<const splat::ColorGradient*>(gradient.data()), degree, order,
+                       wrong_line});
     return out;
 }
 
@@ -268,7 +270,8 @@ NB_MODULE(KERNEL_MODULE_NAME, m) {
         .def("set_view", &Rasterizer::set_view, nb::arg("camera"), nb::arg("time"),
              nb::arg("marginal_offset"), nb::arg("duration"), nb::arg("near"), nb::arg("background"),
              nb::arg("flow_dt"), nb::arg("flow_camera").none(), nb::arg("sh_degree"),
-             nb::arg("fourier_order"), nb::arg("extras"), nb::arg("differentiable"), nb::arg("threads"))
+             nb::arg("fourier_order"), nb::arg("extras"), nb::arg("differentiable"), nb::arg("detached"),
+             nb::arg("threads"))
         .def("render", &Rasterizer::render, nb::arg("gaussians"), written("color").none(),
              written("alpha").none(), written("depth").none(), written("flow").none(),
              written("stats").none())

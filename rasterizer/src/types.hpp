@@ -115,6 +115,7 @@ struct Settings {
     int fourier_order;  // highest Fourier order used
     bool depth, flow, stats;
     bool differentiable;  // a backward pass will follow
+    bool detached;        // colour gives no gradient to positions and times (docs/baseline.md)
     int threads;
 
     int extra_channels() const { return depth + 2 * flow + 2 * stats; }

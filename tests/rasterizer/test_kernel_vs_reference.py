@@ -33,7 +33,7 @@ from rasterizer import Gaussians, RenderOutput, Request, rasterize
 from rasterizer.kernel_loader import available_isas, kernel
 from rasterizer.reference import render as reference
 from rasterizer.reference.discontinuities import away_from_discontinuities, smooth_pixels
-from rasterizer.request import OUTPUT_NAMES
+from rasterizer.request import OUTPUT_NAMES, RELEASED_GRADIENTS
 
 IMAGE_TOLERANCE = 3e-5
 GRADIENT_TOLERANCE = 1e-4
@@ -110,6 +110,15 @@ def test_each_output_alone(motion: str, output: str):
 def test_all_outputs_together(motion: str, program: Program):
     request = make_request(outputs=outputs_of(motion), flow_dt=0.2)
     check_against_reference(random_gaussians(70, motion, generator(2)), request, program)
+
+
+@EVERY_INSTRUCTION_SET
+@pytest.mark.parametrize("released", [*((name,) for name in RELEASED_GRADIENTS), ("untrained", "wrong_line")])
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_released_gradients(motion: str, released: tuple[str, ...], program: Program):
+    """A wrong term is of the size of the gradient itself, four orders above the tolerance."""
+    request = make_request(released_gradients=released)
+    check_against_reference(random_gaussians(70, motion, generator(11)), request, program)
 
 
 @pytest.mark.parametrize("forward", [-0.15, 2.5], ids=["back", "past_some"])

@@ -36,6 +36,7 @@ class Objective:
     def __init__(self, scene: Scene, cfg: Config, threads: int) -> None:
         self._scene, self._near = scene, cfg.scene.near * scene.unit
         self._rasterizer = engine_for(cfg.backend, threads)
+        self._released_gradients = tuple(cfg.train.released_gradients)
         self._image_terms = image_terms(cfg.train, scene, threads)
         self._model_terms = model_terms(cfg.train.regularization, scene, threads, cfg.seed)
 
@@ -85,4 +86,5 @@ class Objective:
             sh_degree=view.phase.sh_degree,
             fourier_order=view.phase.fourier_order,
             marginal_offset=view.marginal_offset,
+            released_gradients=self._released_gradients,
         )

@@ -72,6 +72,8 @@ inline void preprocess_backward_lanes(const ViewState& view, const Parameters& p
     in.d_dt = 0.f;
     if constexpr (order > 0)
         in.d_dt = d_rgb[0] * jacobian[9] + d_rgb[1] * jacobian[10] + d_rgb[2] * jacobian[11];
+    if (s.detached) [[unlikely]]
+        in.d_offset[0] = in.d_offset[1] = in.d_offset[2] = in.d_dt = Float(0.f);
 
     // Projection, slice in time, activations.
     GaussianGradient<Float> d_gaussian = project_backward(g, projection, in, view.camera, s);

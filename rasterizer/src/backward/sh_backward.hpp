@@ -19,6 +19,7 @@ struct ViewColors {
     const int32_t* id;  // ascending
     const ColorGradient* gradient;
     int sh_degree, fourier_order;
+    bool wrong_line;  // k_0,1,-1 gets the gradient of the constant k_0,0,0 (docs/baseline.md)
 };
 
 inline constexpr uint32_t kShChunk = 128;  // × 576 bytes: the expanded rows stay in the second-level cache
@@ -30,6 +31,14 @@ struct ShGradientChunk {
     std::vector<ShRow> rows;
     bool touched[kShChunk];
 };
+
+// Coefficient 1 gets what coefficient 0 has.
+inline void repeat_constant(ShRow& row) {
+    alignas(64) scalar lane[kLanes];
+    row.v[0].store(lane);
+    for (int c = 0; c < 3; ++c) lane[3 + c] = lane[c];
+    row.v[0] = Float::load(lane);
+}
 
 inline void expand_sh_gradient(const std::vector<ViewColors>& views, uint32_t first, uint32_t last,
                                ShGradientChunk& out) {
@@ -54,10 +63,13 @@ inline void expand_sh_gradient(const std::vector<ViewColors>& views, uint32_t fi
                 ShRow g;
                 for (int v = 0; v < kRowVectors; ++v)
                     g.v[v] = permute(basis[l], kRowLanes.coefficient[v]) * permute(rgb, kRowLanes.channel[v]);
+                ShRow order0 = g;
+                if (view.wrong_line && view.sh_degree > 0) [[unlikely]]
+                    repeat_constant(order0);
                 if (out.touched[i])
-                    row[0] += g;
+                    row[0] += order0;
                 else
-                    row[0] = g;
+                    row[0] = order0;
                 for (int k = 1; k < out.orders; ++k) {
                     const Float cosine(k <= view.fourier_order ? gradient[l].cosine[k - 1] : 0.f);
                     if (out.touched[i])
