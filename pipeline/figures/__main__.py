@@ -1,7 +1,7 @@
 """The paper's figures of a run, with a sentence on each: RUN/figures/.
 
 flow.png        rendered optical flow, beside the true one or OpenCV's, and its end-point error
-time_maps.png   where in time the Gaussians at each pixel live: mean and deviation
+time_maps.png   where in time the Gaussians at each pixel live: distance from t, and deviation
 lifetimes.png   histogram of the Gaussians' deviations in time
 slices.png      a row of pixels over time
 growth.png      number of Gaussians against the length of the video
@@ -27,7 +27,7 @@ from pipeline.figures.motion import flow_figure, most_moving, paths_figure
 from pipeline.figures.slices import slices_figure
 from pipeline.figures.time_distribution import growth_figure, lifetimes_figure, time_maps_figure
 from pipeline.terminal.command_line import CommandParser, command, log
-from pipeline.trained.open_run import open_run
+from pipeline.trained.open_run import TrainedRun, open_run
 from rasterizer import engine_for
 from rasterizer.cores import thread_count
 
@@ -41,13 +41,19 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("run", type=Path, metavar="RUN", help="folder of a finished run")
     parser.add_argument("--out", type=Path, metavar="DIR", help="default: RUN/figures")
     parser.add_argument("--data", type=Path, metavar="DIR", help="where the data set is now (default: where it was)")
+    other = "another run of the scene, as of no_4drot: its slices through time are drawn too"
+    parser.add_argument("--beside", type=Path, metavar="RUN", help=other)
     options = parser.parse_args(arguments)
     run = open_run(options.run, log, options.data)
-    renderer = Renderer(run.model, run.scene, run.cfg, engine_for(run.cfg.backend, thread_count(run.cfg.threads)))
+    renderer = renderer_of(run)
+    beside = None
+    if options.beside:
+        found = open_run(options.beside, log, options.data)
+        beside = (found.cfg.ablation.name, renderer_of(found))
     out = options.out or options.run / "figures"
     out.mkdir(parents=True, exist_ok=True)
     figures = []
-    for figure in figures_of(renderer, out):
+    for figure in figures_of(renderer, out, beside):
         log(f"{figure.file}: {figure.seen}")
         with atomic_file(out / figure.file) as temporary:
             temporary.write_bytes(figure.png)
@@ -59,14 +65,18 @@ def main(arguments: list[str]) -> int:
     return 0
 
 
-def figures_of(renderer: Renderer, folder: Path) -> Iterator[Figure]:
-    """A static model, which has no time, has new views only."""
+def renderer_of(run: TrainedRun) -> Renderer:
+    return Renderer(run.model, run.scene, run.cfg, engine_for(run.cfg.backend, thread_count(run.cfg.threads)))
+
+
+def figures_of(renderer: Renderer, folder: Path, beside: tuple[str, Renderer] | None = None) -> Iterator[Figure]:
+    """A static model, which has no time, has new views only. beside: another model of the scene, for the slices."""
     if renderer.model.kind.motion != "static":
         view = most_moving(renderer)
         fade = renderer.model.trajectories is None
         yield flow_figure(renderer, view)
         yield from (time_maps_figure(renderer, view), lifetimes_figure(renderer)) if fade else ()
-        yield slices_figure(renderer, view)
+        yield slices_figure(renderer, view, beside)
         yield growth_figure(renderer) if fade else paths_figure(renderer, view)
     yield film_figure(renderer, folder)
 

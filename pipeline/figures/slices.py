@@ -12,14 +12,18 @@ from pipeline.figures.motion import MovingView
 STEPS = 200  # times of a rendered slice, at most 4 for each of the scene's
 
 
-def slices_figure(renderer: Renderer, view: MovingView) -> Figure:
-    """The row with most motion of the view's camera; the truth beside it where that camera stands still in the data."""
+def slices_figure(renderer: Renderer, view: MovingView, other: tuple[str, Renderer] | None = None) -> Figure:
+    """The row with most motion of the view's camera; the truth beside it where that camera stands still in the data.
+
+    other: name and model of another run of the scene, drawn between the two.
+    """
     scene, camera = renderer.scene, view.target.camera
     count = min(STEPS, 4 * scene.frame_count)
     times = np.linspace(scene.time_start, scene.time_end, count)
     row = _row(view, renderer, times)
-    rendered = np.stack([renderer.image(camera, float(time))[row] for time in times])  # (T, W, 3)
-    parts = [("render", rendered)]
+    models = [("render", renderer), *([] if other is None else [other])]
+    parts = [(name, np.stack([one.image(camera, float(time))[row] for time in times])) for name, one in models]
+    changes = [f"{np.abs(np.diff(image, axis=0)).sum(axis=0).mean():.2f}" for _, image in parts]  # of (T, W, 3)
     pose = scene.test[view.index].camera.world_to_cam
     same = sorted((v for v in scene.test if np.array_equal(v.camera.world_to_cam, pose)), key=lambda v: v.time)
     scale = renderer.cfg.train.resolution_scale
@@ -36,11 +40,11 @@ def slices_figure(renderer: Renderer, view: MovingView) -> Figure:
         axis.imshow(np.clip(image, 0, 1), aspect="auto", extent=extent, interpolation="nearest")
         axis.set(xlabel="x, pixels", ylabel="t")
         axis.set_title(f"{title}, row {row}", fontsize=9, loc="left")
-    change = float(np.abs(np.diff(rendered, axis=0)).sum(axis=0).mean())
-    beside = f"; its true frames are beside it ({len(same)} of them)" if len(parts) > 1 else ""
+    compared = "" if other is None else f", of {other[0]} by {changes[1]}"
+    beside = f"; its true frames are beside it ({len(same)} of them)" if parts[-1][0] == "truth" else ""
     seen = (
         f"Row {row} over time, {count} rendered moments: what rests draws vertical lines, what moves slanted ones; a "
-        f"pixel changes by {change:.2f} of full scale in all{beside}."
+        f"pixel changes by {changes[0]} of full scale in all{compared}{beside}."
     )
     return Figure("slices", "Slices through time", seen, png_of(figure))
 

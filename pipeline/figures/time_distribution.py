@@ -25,19 +25,19 @@ def time_maps_figure(renderer: Renderer, view: MovingView) -> Figure:
     target, scene = view.target, renderer.scene
     mean, variance, alpha = renderer.time_maps(target.camera, target.time)
     deviation = np.sqrt(np.maximum(variance, 0.0)) / scene.frame_spacing
+    distance = np.abs(mean - target.time) / scene.frame_spacing
     opaque = alpha >= OPAQUE
-    longest = float(np.quantile(deviation[opaque], 0.98)) if opaque.any() else 1.0
+    longest, farthest = (
+        float(np.quantile(values[opaque], 0.98)) if opaque.any() else 1.0 for values in (deviation, distance)
+    )
     height, width = alpha.shape
     figure = canvas(10.5, 10.5 / 3 * height / width + 0.4)
     axes = figure.subplots(1, 3)
     show(axes[0], f"{target.name}, render", renderer.image(target.camera, target.time))
-    maps = (
-        ("mean of μt", mean, scene.time_start, scene.time_end),
-        ("√ of the mean of Σtt, frames", deviation, 0.0, longest),
-    )
-    for axis, (title, values, low, high) in zip(axes[1:], maps):
-        show(axis, title, value_picture(values, low, high, opaque))
-        figure.colorbar(ScalarMappable(Normalize(low, high), "viridis"), ax=axis, shrink=0.8)
+    maps = (("|mean of μt - t|, frames", distance, farthest), ("√ of the mean of Σtt, frames", deviation, longest))
+    for axis, (title, values, high) in zip(axes[1:], maps):
+        show(axis, title, value_picture(values, 0.0, high, opaque))
+        figure.colorbar(ScalarMappable(Normalize(0.0, high), "viridis"), ax=axis, shrink=0.8)
     return Figure("time_maps", "Where Gaussians live in time", _seen(deviation, opaque, view), png_of(figure))
 
 

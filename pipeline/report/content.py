@@ -158,6 +158,6 @@ def report_markdown(content: Content) -> str:
 
 
 def terminal_text(content: Content) -> str:
-    """The summary and the tables that compare models, scenes and settings."""
-    shown = ("ablations", "paper", "scenes", "comparisons", "sfm")
+    """The summary and the tables that compare models, scenes and settings; the ablations last."""
+    shown = ("paper", "scenes", "comparisons", "sfm", "ablations")
     return "\n".join([summary_markdown(content), *(markdown(table) for key in shown for table in content.of(key))])

@@ -9,6 +9,7 @@ from typing import Protocol
 import pandas as pd
 
 from pipeline.presentation.table import Table
+from pipeline.report.ablation_grid import AblationGrid
 from pipeline.report.paper_table import Averaged, PaperTable
 from pipeline.report.run_table import RunTable, Shown, fewest_changes, full_model, shown
 from pipeline.report.runs import BEST, RENDERED, Collection
@@ -165,4 +166,5 @@ RAW = (
         "provenance", "Provenance of all runs", ("run", "machine", "date", "git_commit", "command"), section="raw"
     ),
 )
-TABLES: tuple[Built, ...] = (ABLATIONS, *PAPER, *SCENES, COMPARE, *RAW)
+GRIDS = (AblationGrid("ablation_grid", "Ablations on the synthetic scenes, as in Table 3", "synthetic"),)
+TABLES: tuple[Built, ...] = (ABLATIONS, *GRIDS, *PAPER, *SCENES, COMPARE, *RAW)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -86,6 +87,19 @@ def test_slices_of_a_still_camera_have_the_truth_beside_them() -> None:
     assert view.moving[row].sum() == view.moving.sum(axis=1).max()
     moving_camera = renderer_of(moving_gaussian(VELOCITY), tiny_scene())
     assert "beside" not in slices_figure(moving_camera, most_moving(moving_camera)).seen
+
+
+def test_a_slice_of_another_run_is_beside() -> None:
+    """Of a model at rest no pixel changes."""
+    scene = tiny_scene()
+    moving, still = renderer_of(moving_gaussian(VELOCITY), scene), renderer_of(moving_gaussian(0.0), scene)
+    alone = slices_figure(moving, most_moving(moving))
+    both = slices_figure(moving, most_moving(moving), ("no_4drot", still))
+    assert ", of no_4drot by " in both.seen and "no_4drot" not in alone.seen
+    widths = [Image.open(io.BytesIO(figure.png)).width for figure in (alone, both)]
+    assert widths[1] > 1.2 * widths[0]
+    of_moving, of_still = (float(word.rstrip(",.")) for word in re.findall(r"by (\S+)", both.seen))
+    assert of_still < of_moving
 
 
 def test_all_figures_are_drawn_and_described(tmp_path: Path) -> None:
