@@ -1,7 +1,7 @@
 # Everything starts here: `make` lists the targets, and each of them first sets up what it needs.
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help setup build gpu lock lint format test test-data gpu-test cluster-test reproduce ablations bench work-precision stability report sanitize fuzz clean
+.PHONY: help setup build gpu lock lint format test test-data gpu-test cluster-test reproduce ablations bench work-precision stability numerics report sanitize fuzz clean
 
 PYTHON ?= $(or $(shell command -v python3.11 || command -v python3),python3)
 RUN := .venv/bin/python -m
@@ -90,13 +90,21 @@ ablations: $(BUILT) ## all ablations on all dynamic synthetic scenes, beside the
 	@$(call took,done)
 
 bench: $(ALL_KERNELS) ## time kernel, loss, optimiser and reference implementation in one run; a roofline plot in results/bench
-	$(RUN) rasterizer.bench W1 W2h W2 --all
+	@mkdir -p results/bench
+	$(RUN) rasterizer.bench W1 W2h W2 --all > results/bench/bench.txt; status=$$?; cat results/bench/bench.txt; exit $$status
 
 work-precision: $(BUILT) ## error against time of the kernel's numerical choices: results/kernel_precision
 	$(RUN) pipeline.studies.kernel_precision
 
 stability: $(ALL_KERNELS) ## float32 kernel against float64 in ill-conditioned scenes: results/kernel_stability; fails above a bound
 	$(RUN) pipeline.studies.kernel_stability
+
+numerics: $(ALL_KERNELS) ## stability, work-precision and bench one after another; stores their results beside the studies
+	@$(MAKE) --no-print-directory stability
+	@$(MAKE) --no-print-directory work-precision
+	@$(MAKE) --no-print-directory bench
+	$(RUN) pipeline.studies.stored
+	.venv/bin/mdformat pipeline/studies/kernel_stability/results.md pipeline/studies/kernel_precision/results.md
 
 report: $(BUILT) ## tables, plots and the HTML page from the run folders under RUNS=results/runs
 	$(RUN) pipeline.report "$(RUNS)"

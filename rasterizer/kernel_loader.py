@@ -5,9 +5,11 @@ RASTERIZER_KERNELS names a folder of other builds, which is searched first (tool
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 import importlib.util
 import os
+from functools import cache
 from pathlib import Path
 from types import ModuleType
 
@@ -37,6 +39,21 @@ def load_kernel(isa: str | None = None) -> ModuleType:
             f"{ISA_VARIABLE}: expected one of {', '.join(isas)} (built, and what this processor has), found {isa!r}"
         )
     return importlib.import_module(f"rasterizer._kernel_{isa}")
+
+
+@cache
+def source_hash() -> str:
+    """Of the C++ source that kernels are compiled from and its compiler flags, 12 digits: figures of one kernel are not
+    those of another. "unknown" where the source is not installed."""
+    folder = Path(__file__).resolve().parent
+    files = [folder.parent / "CMakeLists.txt", *sorted((folder / "src").rglob("*.?pp"))]
+    if not all(file.is_file() for file in files) or len(files) == 1:
+        return "unknown"
+    digest = hashlib.blake2b(digest_size=6)
+    for file in files:
+        digest.update(file.relative_to(folder.parent).as_posix().encode())
+        digest.update(file.read_bytes())
+    return digest.hexdigest()
 
 
 def load_kernel_at(path: Path) -> ModuleType:

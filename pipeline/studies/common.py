@@ -9,6 +9,7 @@ from pathlib import Path
 from datasets.files.atomic_write import atomic_file
 from pipeline.runs.provenance import provenance
 from pipeline.terminal.command_line import CommandParser
+from rasterizer.kernel_loader import source_hash
 
 
 class StudyParser(CommandParser):
@@ -25,7 +26,8 @@ class StudyParser(CommandParser):
 def made_by(name: str, arguments: list[str]) -> str:
     command = shlex.join(["python", "-m", f"pipeline.studies.{name}", *arguments])
     found = provenance(command)
-    return f"{found['machine']}; {found['date'][:16]}; commit {found['git_commit'][:10]}; `{command}`"
+    made = f"{found['machine']}; {found['date'][:16]}; commit {found['git_commit'][:10]}; kernel {source_hash()}"
+    return f"{made}; `{command}`"
 
 
 def write_results(folder: Path, name: str, table: str, files: Mapping[str, str | Callable[[Path], object]]) -> None:

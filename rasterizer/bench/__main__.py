@@ -24,7 +24,7 @@ from rasterizer.bench.frame_time import FrameTime, Time, WorkCounts, clock_for, 
 from rasterizer.bench.roofline import Rates, Work, bound_ms, measure_rates, work_of, write_roofline
 from rasterizer.bench.workloads import WORKLOADS, Workload, make_workload
 from rasterizer.cores import keep_freed_memory, usable_cores
-from rasterizer.kernel_loader import ISA_VARIABLE, kernel
+from rasterizer.kernel_loader import ISA_VARIABLE, kernel, source_hash
 
 REFERENCE_PIXELS = 24
 LOSS_PIXELS = 400
@@ -71,8 +71,8 @@ def main() -> None:
     threads = options.threads or list(range(1, min(2, usable_cores()) + 1))
     log = (lambda line: None) if options.json else print
     isa = kernel.__name__.rsplit("_", 1)[1]
-    result: dict = {"isa": isa, "repeats": options.repeats, "workloads": {}}
-    log(f"instruction set {isa}, fastest of {options.repeats} (median)")
+    result: dict = {"isa": isa, "kernel": source_hash(), "repeats": options.repeats, "workloads": {}}
+    log(f"instruction set {isa}, fastest of {options.repeats} (median); kernel {source_hash()}")
     if options.parts:
         for name in options.workloads:
             result["workloads"][name] = measure_parts(name, threads[0], options.repeats, log)

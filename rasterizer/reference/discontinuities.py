@@ -19,7 +19,7 @@ from torch import Tensor
 
 from rasterizer.gaussians import Gaussians
 from rasterizer.reference import render as reference
-from rasterizer.reference.blend import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, pixel_centers, squared_distance
+from rasterizer.reference.blend import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, Splats, pixel_centers, squared_distance
 from rasterizer.request import Request
 
 FAR_NEAR_PLANES = 32_768  # as in the kernel (rasterizer/src/forward/depth_in_double.hpp)
@@ -70,9 +70,15 @@ def smooth_pixels(gaussians: Gaussians, request: Request, margin: float = 2e-3) 
     is 10 times as large.
     """
     splats = reference.make_splats(gaussians, request)
-    pixels = pixel_centers(request.camera, splats.center.dtype).reshape(-1, 2)
+    pixels = pixel_centers(request.camera, splats.center.dtype)
+    return smooth_at(splats, pixels.reshape(-1, 2), margin).reshape(pixels.shape[:2])
+
+
+@torch.no_grad()
+def smooth_at(splats: Splats, pixels: Tensor, margin: float = 2e-3) -> Tensor:
+    """The same, (P,), at the centres of pixels (P, 2)."""
     alpha = splats.opacity[:, None] * torch.exp(-0.5 * squared_distance(splats, pixels))
     near = ((alpha / MIN_ALPHA - 1).abs() < margin) | ((alpha - MAX_ALPHA).abs() < margin * 0.1)
     kept = torch.where(alpha < MIN_ALPHA, 0, alpha.clamp(max=MAX_ALPHA))
     near |= (torch.cumprod(1 - kept, dim=0) / MIN_TRANSMITTANCE - 1).abs() < 10 * margin
-    return ~near.any(dim=0).reshape(request.camera.height, request.camera.width)
+    return ~near.any(dim=0)

@@ -108,7 +108,7 @@ class HalfPrecisionSH:
     def __getattr__(self, name: str) -> Any:
         return getattr(self._module, name)
 
-    def Model(self, sh: Tensor, **others: Any) -> Any:  # noqa: N802  # the module's class
+    def Gaussians(self, sh: Tensor, **others: Any) -> Any:  # noqa: N802  # the module's class
         if self._given is None or self._given.data_ptr() != sh.data_ptr():
             self._given, self._rounded = sh, sh.to(self._type)
-        return self._module.Model(sh=self._rounded, **others)
+        return self._module.Gaussians(sh=self._rounded, **others)

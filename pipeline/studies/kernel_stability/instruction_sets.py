@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations
+from types import ModuleType
 
 import torch
 from torch import Tensor
@@ -54,8 +55,14 @@ def measure_spread(gaussians: Gaussians, request: Request) -> Spread:
 def images_and_gradients(
     isa: str, threads: int, gaussians: Gaussians, request: Request, weights: Tensors
 ) -> tuple[Tensors, Tensors]:
-    """The request's images, and ∂L/∂parameter for L = Σ weights · images, by the kernel for `isa`."""
-    kernel = load_kernel(isa)
+    """`by_kernel` of the kernel for `isa`."""
+    return by_kernel(load_kernel(isa), threads, gaussians, request, weights)
+
+
+def by_kernel(
+    kernel: ModuleType, threads: int, gaussians: Gaussians, request: Request, weights: Tensors
+) -> tuple[Tensors, Tensors]:
+    """The request's images, and ∂L/∂parameter for L = Σ weights · images."""
     frame, gradients = Rasterizer(threads, kernel), Gradients.zeros_like(gaussians)
     out = frame.render(gaussians, request)
     frame.backward(gradients, **{f"d_{name}": weight.to(torch.float32) for name, weight in weights.items()})

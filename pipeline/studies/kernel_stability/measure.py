@@ -147,6 +147,13 @@ def kernel_indefinite(gaussians: Gaussians, request: Request) -> int:
     return int((~(torch.isfinite(statistics.radius) & (statistics.radius > 0))).sum())
 
 
+def shown(gaussians: Gaussians, request: Request) -> int:
+    """Number of Gaussians that the kernel shows."""
+    frame = Rasterizer(threads=1)
+    frame.render(gaussians.to(torch.float32), request, differentiable=False)
+    return frame.visible
+
+
 def measure(
     rasterize: Callable[..., RenderOutput],
     indefinite: Callable[[Gaussians, Request], int],

@@ -205,6 +205,17 @@ def velocity(speed: float, seed: int) -> Scene:
     return with_mean(gaussians, time=0.5 + lifetime * uniform((COUNT,), -1.5, 1.5, rng)), base_request()
 
 
+@family(1e-3, 1e6, "speed that is a parameter, world units a duration; no rotation into time")
+def trained_velocity(speed: float, seed: int) -> Scene:
+    """Lifetimes are short enough that a Gaussian moves by its own size in one."""
+    gaussians, rng = base_gaussians(COUNT, seed), generator(seed + 1)
+    lifetime = 0.4 / max(speed, 1.0)
+    direction = torch.randn((COUNT, 3), generator=rng, dtype=torch.float64)
+    velocity = speed * direction / direction.norm(dim=1, keepdim=True)
+    gaussians = replace(with_log_scale(gaussians, None, None, None, lifetime), quat_right=None, velocity=velocity)
+    return with_mean(gaussians, time=0.5 + lifetime * uniform((COUNT,), -1.5, 1.5, rng)), base_request()
+
+
 @family(1e-8, 1e6, "standard deviation in time, durations")
 def time_scale(st: float, seed: int) -> Scene:
     """At the time of the view the Gaussians are where those of the base scene are at theirs."""
@@ -378,6 +389,26 @@ def coincident(count: float, seed: int) -> Scene:
     gaussians = with_mean(gaussians, time=torch.full((len(gaussians),), 0.5, dtype=torch.float64))
     camera = camera_at(DISTANCE, *((9, 7, 9.0) if count > 100 else (32, 24, 30.0)))
     return gaussians, base_request(camera=camera)
+
+
+@family(10, 1e5, "number of Gaussians on one pixel, of different depths")
+def one_pixel(count: float, seed: int) -> Scene:
+    """On the optical axis, each as large in the image, rows in no order of depth."""
+    number = round(count)
+    gaussians, camera = base_gaussians(number, seed, sh_degree=0, fourier_order=0), camera_at(DISTANCE, 5, 3, 4.0)
+    pose = torch.from_numpy(camera.world_to_cam.copy())
+    depth = 2.0 + 5.0 * (torch.randperm(number, generator=generator(seed + 1)) + 0.5) / number
+    space = depth[:, None] * pose[2, :3] + torch.from_numpy(camera.position)
+    size = torch.log(depth[:, None] * torch.tensor([0.2, 0.15, 0.1], dtype=torch.float64))
+    gaussians = replace(
+        gaussians,
+        quat_left=gaussians.quat_left[:1].repeat(number, 1),
+        log_scale=torch.cat([size, gaussians.log_scale[:, 3:]], dim=1),
+        opacity_logit=torch.full((number,), -1.0, dtype=torch.float64),
+        quat_right=None,
+    )
+    now = torch.full((number,), 0.5, dtype=torch.float64)
+    return with_mean(gaussians, space=space, time=now), base_request(camera=camera)
 
 
 @family(0, 40, "number of Gaussians")
