@@ -45,7 +45,7 @@ SPLAT_INLINE void sum_intersection_gradients(const ViewState& view, uint32_t spl
 template <Motion motion, int order>
 inline void preprocess_backward_lanes(const ViewState& view, const Parameters& p, uint32_t splat_index,
                                       int count, uint32_t first_row, const ParameterGradients& out,
-                                      const ViewGradient& view_out, const scalar* trajectory_columns,
+                                      const ViewGradient& view_out, const scalar* trajectories,
                                       scalar* d_trajectories) {
     const Settings& s = view.settings;
     const Splat* splats = &view.splats[splat_index];
@@ -54,7 +54,8 @@ inline void preprocess_backward_lanes(const ViewState& view, const Parameters& p
     Float gradient[16];
     sum_intersection_gradients(view, splat_index, count, gradient);
 
-    const Stored<motion, Float> stored = Stored<motion, Float>::load(p, ids);
+    SharedMotion moved;
+    const Stored<motion, Float> stored = Stored<motion, Float>::load(p, ids, &moved);
     const Slice<motion, Float> g = slice_in_time(stored, view.camera);
     const EwaProjection<motion, Float> projection = project_ewa(g, view.camera);
 
@@ -123,9 +124,11 @@ inline void preprocess_backward_lanes(const ViewState& view, const Parameters& p
         if (out.weights) {
             Float before[4], d_turn[3];
             load_rows4(p.quat_left, ids, before);
-            turn_quaternion_backward(shared_motion(p, ids), before, d_stored.quat_left, d_turn);
-            shared_motion_backward(p, ids, count, trajectory_columns, d_stored.mean, d_turn, d_stored.drift,
-                                   out.weights, d_trajectories);
+            turn_quaternion_backward(moved, before, d_stored.quat_left, d_turn);
+            const Float d[kTrajectoryValues] = {d_stored.mean[0],  d_stored.mean[1],  d_stored.mean[2],
+                                                d_turn[0],         d_turn[1],         d_turn[2],
+                                                d_stored.drift[0], d_stored.drift[1], d_stored.drift[2]};
+            shared_motion_backward(p, ids, count, s.flow, trajectories, d, out.weights, d_trajectories);
         }
     add_to_rows4(out.quat_left, ids, count, d_stored.quat_left);
     if constexpr (motion == Motion::kFull) add_to_rows4(out.quat_right, ids, count, d_stored.quat_right);
@@ -173,21 +176,25 @@ inline void preprocess_backward(ViewState& view, const Parameters& p, const Para
     const int chunks = static_cast<int>(view.chunk_count.size());
     // Every chunk sums the gradient of the trajectories on its own, so that the order is that of the
     // Gaussians.
-    const int values = out.weights ? kTrajectoryColumns * p.trajectory_count : 0;
-    std::vector<scalar> d_trajectories(static_cast<size_t>(chunks) * values), columns;
+    const int stride = trajectory_stride(p), values = out.weights ? kTrajectoryValues * stride : 0;
+    std::vector<scalar> d_trajectories(static_cast<size_t>(chunks) * values), trajectories(values);
     for (int c = 0; c < kTrajectoryValues && values; ++c)
         for (int k = 0; k < p.trajectory_count; ++k)
-            columns.push_back(p.trajectories[kTrajectoryColumns * k + c]);
+            trajectories[c * stride + k] = p.trajectories[kTrajectoryColumns * k + c];
 #pragma omp parallel for schedule(dynamic, 1) num_threads(view.settings.threads)
     for (int c = 0; c < chunks; ++c) {
         const uint32_t splat_index = static_cast<uint32_t>(c) * kChunk, count = view.chunk_count[c];
         for (uint32_t i = 0; i < count; i += kLanes)
-            preprocess_backward_lanes<motion, order>(view, p, splat_index + i,
-                                                     static_cast<int>(std::min<uint32_t>(kLanes, count - i)),
-                                                     view.chunk_first[c] + i, out, view_out, columns.data(),
-                                                     d_trajectories.data() + static_cast<size_t>(c) * values);
+            preprocess_backward_lanes<motion, order>(
+                view, p, splat_index + i, static_cast<int>(std::min<uint32_t>(kLanes, count - i)),
+                view.chunk_first[c] + i, out, view_out, trajectories.data(),
+                d_trajectories.data() + static_cast<size_t>(c) * values);
     }
-    for (size_t i = 0; i < d_trajectories.size(); ++i) out.trajectories[i % values] += d_trajectories[i];
+    for (int chunk = 0; chunk < chunks && values; ++chunk)
+        for (int c = 0; c < kTrajectoryValues; ++c)
+            for (int k = 0; k < p.trajectory_count; ++k)
+                out.trajectories[kTrajectoryColumns * k + c] +=
+                    d_trajectories[static_cast<size_t>(chunk) * values + c * stride + k];
 }
 
 }  // namespace splat

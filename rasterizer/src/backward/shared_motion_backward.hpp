@@ -21,30 +21,38 @@ SPLAT_INLINE void turn_quaternion_backward(const SharedMotion& m, const Float (&
     for (int i = 0; i < 3; ++i) d_turn[i] = m.sine * d_q[1 + i] + common * m.turn[i];
 }
 
-// Adds the gradients of the first `count` Gaussians: to their rows of `weights` [N, K], and to `trajectories`
-// [K, 16]. columns: [9][K], the trajectories transposed.
-SPLAT_INLINE void shared_motion_backward(const Parameters& p, const uint32_t* ids, int count,
-                                         const scalar* columns, const Float* d_displacement,
-                                         const Float* d_turn, const Float* d_drift, scalar* weights,
-                                         scalar* trajectories) {
-    Float row[kLanes];
-    for (Float& r : row) r = 0.f;
-    for (int i = 0; i < 3; ++i) row[i] = d_displacement[i], row[3 + i] = d_turn[i], row[6 + i] = d_drift[i];
-    transpose(row);
-    const int trajectory_count = p.trajectory_count;
-    for (int l = 0; l < count; ++l) {
-        const size_t first = static_cast<size_t>(trajectory_count) * ids[l];
-        const scalar* weight = p.weights + first;
-        for (int k = 0; k < trajectory_count; ++k) {
-            scalar* to = trajectories + kTrajectoryColumns * k;
-            (Float::load(to) + Float(weight[k]) * row[l]).store(to);
+// The trajectories of a view transposed, and the sums of a chunk's gradients by them:
+// [kTrajectoryValues][stride].
+inline int trajectory_stride(const Parameters& p) {
+    return (p.trajectory_count + kLanes - 1) / kLanes * kLanes;
+}
+
+// Adds the gradients of the first `count` Gaussians: to their rows of `weights` [N, K], and to
+// `d_trajectories`. d: by displacement, rotation vector and, in a view with optical flow, drift.
+SPLAT_INLINE void shared_motion_backward(const Parameters& p, const uint32_t* ids, int count, bool flow,
+                                         const scalar* trajectories, const Float (&d)[kTrajectoryValues],
+                                         scalar* weights, scalar* d_trajectories) {
+    const int stride = trajectory_stride(p), values = flow ? kTrajectoryValues : 6;
+    alignas(64) scalar lane[kTrajectoryValues][kLanes];
+    for (int c = 0; c < values; ++c) d[c].store(lane[c]);
+    for (int first = 0; first < p.trajectory_count; first += kLanes) {
+        const int n = std::min(kLanes, p.trajectory_count - first);
+        auto row = [&](int l) { return static_cast<size_t>(p.trajectory_count) * ids[l] + first; };
+        for (int c = 0; c < values; c += 3) {
+            scalar* to = d_trajectories + c * stride + first;
+            Float sum[3] = {Float::load(to), Float::load(to + stride), Float::load(to + 2 * stride)};
+            for (int l = 0; l < count; ++l) {
+                const Float weight = Float::load_first(p.weights + row(l), n);
+                for (int i = 0; i < 3; ++i) sum[i] += weight * Float(lane[c + i][l]);
+            }
+            for (int i = 0; i < 3; ++i) sum[i].store(to + i * stride);
         }
-        alignas(64) scalar d[kLanes];
-        row[l].store(d);
-        scalar* d_weight = weights + first;
-        for (int c = 0; c < kTrajectoryValues; ++c)
-            for (int k = 0; k < trajectory_count; ++k)
-                d_weight[k] += d[c] * columns[c * trajectory_count + k];
+        for (int l = 0; l < count; ++l) {
+            Float sum = Float::load_first(weights + row(l), n);
+            for (int c = 0; c < values; ++c)
+                sum += Float(lane[c][l]) * Float::load(trajectories + c * stride + first);
+            sum.store_first(weights + row(l), n);
+        }
     }
 }
 

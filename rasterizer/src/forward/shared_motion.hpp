@@ -7,6 +7,8 @@
 // is.
 #pragma once
 
+#include <algorithm>
+
 #include "simd/real.hpp"
 #include "simd/vec_math.hpp"
 #include "simd/vec_move.hpp"
@@ -40,18 +42,29 @@ SPLAT_INLINE void half_angle(SharedMotion& m) {
                          (Float(0.5f) * cosine - sine) / large2);
 }
 
+// Weights `first` .. `first` + 15 of sixteen Gaussians, a Gaussian in each lane; those beyond the last are
+// zero.
+SPLAT_INLINE void load_weights(const Parameters& p, const uint32_t* ids, int first, Float (&weight)[kLanes]) {
+    const int count = std::min(kLanes, p.trajectory_count - first);
+    for (int l = 0; l < kLanes; ++l)
+        weight[l] =
+            Float::load_first(p.weights + static_cast<size_t>(p.trajectory_count) * ids[l] + first, count);
+    transpose(weight);
+}
+
 SPLAT_INLINE SharedMotion shared_motion(const Parameters& p, const uint32_t* ids) {
-    static_assert(kTrajectoryColumns == kLanes);
-    Float row[kLanes];
-    for (int l = 0; l < kLanes; ++l) {
-        const scalar* weight = p.weights + static_cast<size_t>(p.trajectory_count) * ids[l];
-        row[l] = 0.f;
-        for (int k = 0; k < p.trajectory_count; ++k)
-            row[l] += Float(weight[k]) * Float::load(p.trajectories + kTrajectoryColumns * k);
+    Float sum[kTrajectoryValues];
+    for (Float& v : sum) v = 0.f;
+    for (int first = 0; first < p.trajectory_count; first += kLanes) {
+        Float weight[kLanes];
+        load_weights(p, ids, first, weight);
+        for (int k = first; k < std::min(first + kLanes, p.trajectory_count); ++k) {
+            const scalar* trajectory = p.trajectories + kTrajectoryColumns * k;
+            for (int c = 0; c < kTrajectoryValues; ++c) sum[c] += weight[k - first] * Float(trajectory[c]);
+        }
     }
-    transpose(row);
     SharedMotion m;
-    for (int i = 0; i < 3; ++i) m.displacement[i] = row[i], m.turn[i] = row[3 + i], m.drift[i] = row[6 + i];
+    for (int i = 0; i < 3; ++i) m.displacement[i] = sum[i], m.turn[i] = sum[3 + i], m.drift[i] = sum[6 + i];
     half_angle(m);
     return m;
 }

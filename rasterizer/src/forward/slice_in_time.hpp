@@ -27,7 +27,8 @@ struct Stored {
     Real mean[4], log_scale[4], quat_left[4], quat_right[4], velocity[3], opacity_logit;
     Real drift[3];  // of separable motion: what the shared trajectories add to the velocity of the flow
 
-    SPLAT_INLINE static Stored load(const Parameters& p, const uint32_t* ids) {
+    // moved: how the shared trajectories move them, on request.
+    SPLAT_INLINE static Stored load(const Parameters& p, const uint32_t* ids, SharedMotion* moved = nullptr) {
         Stored s;
         auto gather = [&](const scalar* base, int stride, int column) {
             alignas(64) scalar lane[kLanes];
@@ -50,6 +51,7 @@ struct Stored {
                 const SharedMotion shared = shared_motion(p, ids);
                 for (int i = 0; i < 3; ++i) s.mean[i] += shared.displacement[i], s.drift[i] = shared.drift[i];
                 turn_quaternion(shared, s.quat_left);
+                if (moved) *moved = shared;
             }
         }
         s.opacity_logit = gather(p.opacity_logit, 1, 0);
