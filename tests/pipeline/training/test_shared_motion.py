@@ -157,17 +157,40 @@ def test_rigid_motion_of_pairs_has_no_loss() -> None:
         for x in (first, second)
     ]
     apart = torch.from_numpy(second - first)
-    assert rigid_losses(apart, *motion, softening).max() < 1e-24
+    assert rigid_losses(apart, *motion, softening)[0].max() < 1e-24
     motion[1][:, 0] += 0.3
     expected = 0.09 / (((second - first) ** 2).sum(axis=1) + softening)
-    np.testing.assert_allclose(rigid_losses(apart, *motion, softening), expected, rtol=1e-9)
+    np.testing.assert_allclose(rigid_losses(apart, *motion, softening)[0], expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("size", [1.0, 0.0], ids=["turned", "not turned"])
+def test_the_gradient_of_rigid_losses_is_that_of_their_formula(size: float) -> None:
+    """Autograd of the formula with PyTorch's matrix exponential as the rotation, in float64."""
+    rng = np.random.default_rng(5)
+    apart, first, second = (torch.from_numpy(rng.standard_normal((20, n))) for n in (3, 6, 6))
+    first[:, 3:] *= size
+
+    def formula(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
+        x, y, z = first[:, 3:].unbind(1)
+        none = torch.zeros_like(x)
+        generator = torch.stack([none, -z, y, z, none, -x, -y, x, none], dim=1).view(-1, 3, 3)
+        rotated = (torch.linalg.matrix_exp(generator) @ apart[:, :, None])[:, :, 0]
+        error = apart + second[:, :3] - first[:, :3] - rotated
+        return error.square().sum(dim=1) / (apart.square().sum(dim=1) + 0.1)
+
+    leaves = first.clone().requires_grad_(), second.clone().requires_grad_()
+    expected = torch.autograd.grad(formula(*leaves).sum(), leaves)
+    losses, *gradients = rigid_losses(apart, first, second, 0.1)
+    torch.testing.assert_close(losses, formula(first, second))
+    for gradient, by_autograd in zip(gradients, expected, strict=True):
+        torch.testing.assert_close(gradient, by_autograd, rtol=1e-9, atol=1e-9)
 
 
 def test_the_rigid_gradient_is_that_of_finite_differences() -> None:
     """Central differences of the term's own loss, in float32: steps of 1e-2 of a smooth loss of about 1, so that
     rounding (1e-5) and truncation (1e-4) stay below the tolerance of 2 % of the largest gradient."""
     model, scene = shared_model(), SCENE
-    term = RigidNeighbours(1.0, scene, seed=4)
+    term = RigidNeighbours(1.0, scene, threads=1, seed=4)
     view = DrawnView(target_of(scene.train[0], 1.0), phase(1.0, CFG.train, scene.extent, 3, 2))
     gradients = Gradients.zeros_like(model.gaussians())
     term.add(gradients, model, view)
