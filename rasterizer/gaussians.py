@@ -128,7 +128,7 @@ class Gaussians:
         """The same Gaussians in another floating-point type."""
         return Gaussians.from_tensors({name: tensor.to(dtype) for name, tensor in self.tensors().items()}, self.span)
 
-    def rows(self, index: Tensor) -> Gaussians:
-        """The Gaussians of these rows: `index` (M,) integers, or (N,) bool."""
+    def rows(self, index: Tensor | slice) -> Gaussians:
+        """The Gaussians of these rows: `index` (M,) integers, or (N,) bool; a slice copies nothing."""
         rows: dict[str, Any] = {name: tensor[index] for name, tensor in self.row_tensors().items()}
         return Gaussians(**{"quat_right": None, **rows}, trajectories=self.trajectories)

@@ -13,7 +13,6 @@ what they show is too fast to be followed from one image to the next, and nothin
 from __future__ import annotations
 
 import numpy as np
-import torch
 
 from datasets.scene import Scene
 from pipeline.model.model import Model
@@ -29,7 +28,7 @@ def short_lived_share(model: Model, scene: Scene) -> float:
     """The share of Gaussians with √Σtt < the mean spacing of the training times; of about SAMPLE of them, evenly
     spread over the rows."""
     every = max(1, len(model) // SAMPLE)
-    sample = model.gaussians().rows(torch.arange(0, len(model), every, device=model.device))
+    sample = model.gaussians().rows(slice(None, None, every))
     return (temporal_deviation(sample) < scene.frame_spacing).float().mean().item()
 
 
