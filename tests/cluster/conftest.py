@@ -8,25 +8,19 @@ import shutil
 import socket
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from engines import Place, free_ports, place, sweep, until
+from engines import SWEEP, Place, free_ports, place, until
 
 
 @pytest.fixture(scope="session")
-def alone(tmp_path_factory: pytest.TempPathFactory) -> Callable[[int], Place]:
-    """The sweep of so many iterations, by one process."""
-    made: dict[int, Place] = {}
-
-    def get(iterations: int) -> Place:
-        if iterations not in made:
-            made[iterations] = place(tmp_path_factory.mktemp("alone"))
-            made[iterations](sys.executable, "-m", "pipeline", "-m", *sweep(iterations))
-        return made[iterations]
-
-    return get
+def alone(tmp_path_factory: pytest.TempPathFactory) -> Place:
+    """The sweep by one process."""
+    place_of_one = place(tmp_path_factory.mktemp("alone"))
+    place_of_one(sys.executable, "-m", "pipeline", "-m", *SWEEP)
+    return place_of_one
 
 
 @pytest.fixture(scope="session")
@@ -43,7 +37,7 @@ def slurm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     for name in ("state", "spool"):
         (folder / name).mkdir()
     controller, node = free_ports(2)
-    # Slurm starts a requeued job when the credentials of the last one have expired.
+    # Slurm starts a requeued job when the credentials of the last one have expired, and looks for such every minute.
     (folder / "slurm.conf").write_text(f"""
 ClusterName=test
 SlurmctldHost={host}(127.0.0.1)
@@ -67,6 +61,7 @@ AccountingStorageType=accounting_storage/none
 MpiDefault=none
 SelectType=select/cons_tres
 SelectTypeParameters=CR_Core
+SchedulerParameters=sched_interval=2
 SlurmdParameters=config_overrides
 ReturnToService=2
 KillWait=5

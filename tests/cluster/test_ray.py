@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from engines import ENGINES, Place, free_ports, place, small_disk, sweep, until
+from engines import ENGINES, SWEEP, Place, free_ports, place, small_disk, until
 
 pytestmark = pytest.mark.cluster
-LONG = 400
 PYTHON = str(ENGINES / "python")
 
 
@@ -38,32 +37,30 @@ def ray(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
 def launched(address: str) -> list[str]:
     return [PYTHON, "-m", "pipeline", "-m", "launcher=ray", f"+hydra.launcher.ray.init.address='{address}'",
-            *sweep(LONG)]  # fmt: skip
+            *SWEEP]  # fmt: skip
 
 
-@pytest.mark.parametrize("signum", [signal.SIGKILL, signal.SIGTERM, signal.SIGUSR2])
-def test_a_worker_that_ends_is_replaced(
-    ray: str, tmp_path: Path, alone: Callable[[int], Place], signum: signal.Signals
-) -> None:
+def test_workers_that_end_are_replaced(ray: str, tmp_path: Path, alone: Place) -> None:
     here = place(tmp_path / "work")
     driver = here.start(*launched(ray))
-    os.kill(here.worker(1, driver), signum)
+    for worker, signum in zip(here.workers(driver), (signal.SIGKILL, signal.SIGTERM, signal.SIGUSR2)):
+        os.kill(worker, signum)
     here.wait(driver)
-    here.assert_as_alone(alone(LONG))
+    here.assert_as_alone(alone)
 
 
-def test_a_full_disk(ray: str, tmp_path: Path, alone: Callable[[int], Place]) -> None:
+def test_a_full_disk(ray: str, tmp_path: Path, alone: Place) -> None:
     here = place(tmp_path / "work")
-    with small_disk(here.folder / "results", megabytes=30):
-        (ballast := here.folder / "results/ballast").write_bytes(bytes(29 * 2**20))
+    with small_disk(here.folder / "results", megabytes=100):
+        (ballast := here.folder / "results/ballast").write_bytes(bytes(99 * 2**20))
         said = here(*launched(ray), status=1)
         assert "found no space left" in said and "Traceback" not in said
         ballast.unlink()
         here(*launched(ray))
-        here.assert_as_alone(alone(LONG))
+        here.assert_as_alone(alone)
 
 
-def test_a_ray_of_this_sweep_alone(ray: str, tmp_path: Path, alone: Callable[[int], Place]) -> None:
+def test_a_ray_of_this_sweep_alone(ray: str, tmp_path: Path, alone: Place) -> None:
     work = place(tmp_path / "work")
-    work(PYTHON, "-m", "pipeline", "-m", "launcher=ray", *sweep(LONG))
-    work.assert_as_alone(alone(LONG))
+    work(PYTHON, "-m", "pipeline", "-m", "launcher=ray", *SWEEP)
+    work.assert_as_alone(alone)

@@ -6,15 +6,14 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from engines import SEEDS, Place, place, recipe, small_disk, sweep, until
+from engines import ALL_BUT_SEED, SEEDS, SWEEP, Place, place, recipe, small_disk, until
 
 pytestmark = pytest.mark.cluster
-LONG = 400  # iterations, some seconds, in which something can happen
-LONGER = 1500  # more than the 15 s of a job in the test of a time-out
+RESOURCES = ("hydra.launcher.cpus_per_task=1", "hydra.launcher.mem_gb=1")
 
 
 @pytest.fixture()
@@ -22,15 +21,17 @@ def here(slurm: Path, tmp_path: Path) -> Place:
     return place(tmp_path / "work", SLURM_CONF=str(slurm))
 
 
-def launched(iterations: int, *more: str) -> list[str]:
-    resources = ["hydra.launcher.cpus_per_task=1", "hydra.launcher.mem_gb=1", "hydra.launcher.timeout_min=10"]
-    return [sys.executable, "-m", "pipeline", "-m", "launcher=slurm", *resources, *more, *sweep(iterations)]
+def launched(*more: str) -> list[str]:
+    return [sys.executable, "-m", "pipeline", "-m", "launcher=slurm", *RESOURCES, *(more or SWEEP)]
 
 
 def job_of(worker: int) -> str:
-    """The Slurm job that a process belongs to."""
-    words = Path(f"/proc/{worker}/environ").read_bytes().split(b"\0")
-    return next(word.split(b"=")[1].decode() for word in words if word.startswith(b"SLURM_JOB_ID="))
+    """The job, or the task of an array, that a process belongs to. SLURM_JOB_ID of one task is that of the array."""
+    words = Path(f"/proc/{worker}/environ").read_text().split("\0")
+    known = dict(word.split("=", 1) for word in words if word.startswith("SLURM_"))
+    if "SLURM_ARRAY_JOB_ID" in known:
+        return f"{known['SLURM_ARRAY_JOB_ID']}_{known['SLURM_ARRAY_TASK_ID']}"
+    return known["SLURM_JOB_ID"]
 
 
 def told(here: Place, *command: str) -> str:
@@ -44,48 +45,65 @@ def restarts(here: Place, job: str) -> int:
     return int(next(word for word in words if word.startswith("Restarts=")).split("=")[1])
 
 
-@pytest.mark.parametrize("command", ["scancel --signal=TERM", "scancel --signal=USR2", "scontrol requeue", "kill -9"])
-def test_a_job_that_is_stopped_goes_on(here: Place, alone: Callable[[int], Place], command: str) -> None:
-    """By a signal, by the administrator, and by the kernel, which kills what takes too much memory."""
-    driver = here.start(*launched(LONG))
-    worker = here.worker(1, driver)
+def stands_still(worker: int) -> bool:
+    """False from when it is told that its time is over."""
+    try:
+        lines = Path(f"/proc/{worker}/status").read_text().splitlines()
+    except FileNotFoundError:
+        return False
+    status = dict(line.split(":\t", 1) for line in lines if ":\t" in line)
+    return status["State"].startswith("T") and not int(status["ShdPnd"], 16) >> (signal.SIGUSR2 - 1) & 1
+
+
+def test_jobs_that_are_stopped_go_on(here: Place, alone: Place) -> None:
+    """By signals, by the administrator, and by the kernel, which kills what takes too much memory."""
+    driver, jobs = here.start(*launched()), []
+    for worker, by in zip(here.workers(driver), ("--signal=TERM", "--signal=USR2", "requeue", "SIGKILL")):
+        jobs.append(job_of(worker))
+        if by == "SIGKILL":
+            os.kill(worker, signal.SIGKILL)
+        else:
+            told(here, *(["scontrol", by] if by == "requeue" else ["scancel", by]), jobs[-1])
+    here.wait(driver)
+    assert [restarts(here, job) for job in jobs] == [1, 1, 1, 1]
+    here.assert_as_alone(alone)
+
+
+def test_a_run_that_needs_longer_than_a_job_may(here: Place, alone: Place) -> None:
+    """On any machine: it stands still until Slurm says that its time, a minute, is nearly over."""
+    limits = ["hydra.launcher.timeout_min=1", "hydra.launcher.signal_delay_s=5"]
+    driver = here.start(*launched(*limits, *ALL_BUT_SEED, "seed=0"))
+    worker = next(here.workers(driver))
     job = job_of(worker)
-    if command == "kill -9":
-        os.kill(worker, signal.SIGKILL)
-    else:
-        told(here, *command.split(), job)
+    os.kill(worker, signal.SIGSTOP)
+    until(lambda: stands_still(worker), here.said, driver)
+    until(lambda: not stands_still(worker), here.said, driver)
+    with suppress(ProcessLookupError):  # Slurm lets it go on, too
+        os.kill(worker, signal.SIGCONT)
     here.wait(driver)
     assert restarts(here, job) == 1
-    here.assert_as_alone(alone(LONG))
+    here.assert_as_alone(alone, seeds=[0])
 
 
-def test_a_run_that_needs_longer_than_a_job_may(here: Place, alone: Callable[[int], Place]) -> None:
-    """Slurm counts in minutes; here it signals 15 s after the start."""
-    driver = here.start(*launched(LONGER, "hydra.launcher.timeout_min=1", "hydra.launcher.signal_delay_s=45"))
-    job = job_of(here.worker(0, driver))
-    here.wait(driver)
-    assert restarts(here, job) >= 1
-    here.assert_as_alone(alone(LONGER))
-
-
-def test_a_full_disk(here: Place, alone: Callable[[int], Place]) -> None:
-    with small_disk(here.folder / "results", megabytes=30):
-        (ballast := here.folder / "results/ballast").write_bytes(bytes(29 * 2**20))
-        said = here(*launched(LONG, "hydra.launcher.submitit_folder=jobs"), status=1)
+def test_a_full_disk(here: Place, alone: Place) -> None:
+    command = launched("hydra.launcher.submitit_folder=jobs", *SWEEP)
+    with small_disk(here.folder / "results", megabytes=100):
+        (ballast := here.folder / "results/ballast").write_bytes(bytes(99 * 2**20))
+        said = here(*command, status=1)
         logs = "".join(path.read_text() for path in (here.folder / "jobs").glob("*.err"))
         assert "found no space left" in logs + said and "Traceback" not in logs + said
         ballast.unlink()
-        here(*launched(LONG, "hydra.launcher.submitit_folder=jobs"))
-        here.assert_as_alone(alone(LONG))
+        here(*command)
+        here.assert_as_alone(alone)
 
 
-def test_an_array_of_listed_commands(here: Place, alone: Callable[[int], Place]) -> None:
+def test_an_array_of_listed_commands(here: Place, alone: Place) -> None:
     """The recipe of docs/machines.md; one job is told that its time is over, another one's worker is killed."""
-    lines = told(here, sys.executable, "-m", "pipeline", "--list", *sweep(LONG))
-    (here.folder / "runs.txt").write_text(lines)
+    (here.folder / "runs.txt").write_text(told(here, sys.executable, "-m", "pipeline", "--list", *SWEEP))
     (here.folder / "array.sh").write_text(recipe("array.sh"))
     told(here, "sbatch", f"--array=1-{len(SEEDS)}", "--mem=1G", "array.sh")
-    told(here, "scancel", "--signal=USR2", job_of(here.worker(0)))
-    os.kill(here.worker(1), signal.SIGKILL)
+    workers = here.workers()
+    told(here, "scancel", "--signal=USR2", job_of(next(workers)))
+    os.kill(next(workers), signal.SIGKILL)
     until(lambda: not told(here, "squeue", "--noheader"), lambda: told(here, "squeue"))
-    here.assert_as_alone(alone(LONG))
+    here.assert_as_alone(alone)

@@ -6,10 +6,11 @@ import hashlib
 import json
 import os
 import re
+import secrets
 import socket
 import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,14 +21,14 @@ from shell import TINY
 
 ROOT = Path(__file__).resolve().parents[2]
 ENGINES = ROOT / "build" / "cluster" / "bin"  # of `make cluster-test`: Ray and HyperQueue
+RAY = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": secrets.token_hex(32),
+       "RAY_raylet_start_wait_time_s": "120"}  # fmt: skip
 LONGEST_S = 600  # of a sweep, on a machine that is busy with other things
-SEEDS = range(3)
+SEEDS = range(4)
+# Runs of some seconds, in which something can happen.
+ALL_BUT_SEED = (*TINY, "train.iterations=400", "train.checkpoint_every=50")
+SWEEP = (*ALL_BUT_SEED, f"seed={','.join(map(str, SEEDS))}")
 STAGES = ["prepare", "settle", "init", "train", "evaluate", "page"]
-
-
-def sweep(iterations: int) -> tuple[str, ...]:
-    return (*TINY, f"train.iterations={iterations}", "train.checkpoint_every=50",
-            f"seed={','.join(map(str, SEEDS))}")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -62,15 +63,22 @@ class Place:
     def run(self, seed: int) -> Path:
         return self.folder / f"results/runs/synthetic/wheel/full/smoke/seed{seed}"
 
-    def worker(self, seed: int, driver: subprocess.Popen | None = None) -> int:
-        """The process that trains a run, once it has saved a checkpoint. driver: that must not end before."""
-        until((self.run(seed) / "checkpoint.safetensors").exists, self.said, driver)
-        (claim,) = self.run(seed).glob(".claim-*")
-        return int(re.search(r"process (\d+)", claim.read_text())[1])
+    def workers(self, driver: subprocess.Popen | None = None) -> Iterator[int]:
+        """The processes that train the runs, each when it has saved a checkpoint. driver: that must not end before."""
+        waiting = list(SEEDS)
+        while waiting:
+            until(lambda seeds=tuple(waiting): any(map(self._has_checkpoint, seeds)), self.said, driver)
+            seed = next(filter(self._has_checkpoint, waiting))
+            waiting.remove(seed)
+            (claim,) = self.run(seed).glob(".claim-*")
+            yield int(re.search(r"process (\d+)", claim.read_text())[1])
 
-    def assert_as_alone(self, alone: Place) -> None:
+    def _has_checkpoint(self, seed: int) -> bool:
+        return (self.run(seed) / "checkpoint.safetensors").exists()
+
+    def assert_as_alone(self, alone: Place, seeds: Iterable[int] = SEEDS) -> None:
         """Every run is there, each stage of it was finished once, and it has the same bits as by one process."""
-        for seed in SEEDS:
+        for seed in seeds:
             rows = map(json.loads, (self.run(seed) / "log.jsonl").read_text().splitlines())
             finished = [row["event"].split()[1] for row in rows if row.get("event", "").startswith("finished ")]
             assert finished == STAGES, f"seed {seed}"
@@ -100,8 +108,7 @@ def until(
 
 def place(folder: Path, **environment: str) -> Place:
     folder.mkdir(parents=True, exist_ok=True)
-    ray = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_AUTH_MODE": "token", "RAY_raylet_start_wait_time_s": "120"}
-    return Place(folder, {**os.environ, "PYTHONPATH": str(ROOT), **ray, **environment})
+    return Place(folder, {**os.environ, "PYTHONPATH": str(ROOT), **RAY, **environment})
 
 
 @contextmanager
