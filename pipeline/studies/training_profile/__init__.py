@@ -1,0 +1,1 @@
+"""Where the CPU seconds of a training go."""
