@@ -17,6 +17,7 @@ class StudyParser(CommandParser):
 
     def __init__(self, name: str, doc: str) -> None:
         super().__init__(f"studies.{name}", doc.splitlines()[0])
+        source_hash()  # now, of the kernel that is loaded: the source may change while a study runs
         out = Path("results") / name
         self.add_argument(
             "--out", type=Path, default=out, metavar="DIR", help=f"folder of the results (default: {out})"
