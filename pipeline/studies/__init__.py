@@ -6,6 +6,7 @@
 | video_length     | How many Gaussians does a longer video need?         | RUNS, a folder | table, CSV               |
 | kernel_precision | What error and time does each numerical choice cost? | RUN, or –      | table, CSV, plot         |
 | kernel_stability | Is the kernel accurate in ill-conditioned scenes?    | –              | table, CSV               |
+| reference_points | What PSNR does a short training reach anywhere?      | –              | table, CSV               |
 
 A study's README.md has its question, its answer and its command. Nothing outside imports a study. Output goes to
 results/<name>/, files are called <name>.md, .csv and .svg, and the table is printed too. A wrong option is one line and
