@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from datasets.files.errors import SceneError
-from datasets.manifest import OWN, Manifest, described, write_manifest
+from datasets.files.errors import DataError, SceneError
+from datasets.manifest import OWN, Manifest, described, read_manifest, write_manifest
 from datasets.synthetic.camera_path import TimedPose, arc_poses, held_out_poses, poses_beside_camera, training_poses
 from datasets.synthetic.croissant import write_croissant
 
@@ -43,9 +43,18 @@ def make_scene(name: str, cache: str | Path, *, progress: Progress | None = None
     folder = Path(cache) / f"{name}-{_fingerprint({'scene': name, **parameters})}"
     if not (folder / "meta.json").is_file():
         build_scene(folder, scene=name, progress=progress, **parameters)
-    elif not (folder / OWN).is_file():  # it was killed in between
+    elif not _is_published(folder):
         _publish(folder, name)
     return folder
+
+
+def _is_published(folder: Path) -> bool:
+    """Not where making it was killed in between, or where an earlier version wrote a manifest of another form."""
+    try:
+        read_manifest(folder / OWN)
+    except DataError:
+        return False
+    return True
 
 
 def parameters_of(

@@ -148,6 +148,17 @@ def test_make_scene_uses_the_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert [path.name for path in tmp_path.iterdir()] == [folder.name]
 
 
+@pytest.mark.parametrize("left", [None, "scenes: {still: {files: [meta.json]}}"], ids=["killed", "an earlier form"])
+def test_a_manifest_that_cannot_be_read_is_written_again(tmp_path: Path, left: str | None) -> None:
+    manifest = make_scene("still", tmp_path, **SMALL) / "manifest.yaml"
+    whole = manifest.read_bytes()
+    manifest.unlink()
+    if left is not None:
+        manifest.write_text(left)
+    make_scene("still", tmp_path, **SMALL)
+    assert manifest.read_bytes() == whole
+
+
 def test_cache_folder_depends_on_arguments(tmp_path: Path) -> None:
     folders = {
         make_scene("still", tmp_path, **{**SMALL, **change})
