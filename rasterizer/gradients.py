@@ -56,37 +56,28 @@ class ViewGradient:
         kernel.mark_visible(visible=self.visible, mask=mask, threads=thread_count(threads))
 
     def accumulate(
-        self,
-        space: Tensor,
-        time: Tensor,
-        views: Tensor,
-        radius: Tensor,
-        camera: Camera,
-        duration: float,
-        threads: int = 1,
+        self, space: Tensor, time: Tensor, views: Tensor, camera: Camera, duration: float, threads: int = 1
     ) -> None:
         """Add this view to running densification statistics, (N,) float32 each, in place.
 
         space: Σ |∂L/∂(projected mean)| in normalized device coordinates. time: Σ |∂L/∂μt| times the duration.
-        views: number of views. radius: largest radius, pixels.
+        views: number of views.
         """
         if on_device.is_on_device(space):
-            seen = self.visible, self.mean2d, self.mean_t, self.radius
-            on_device.accumulate(seen, (space, time, views, radius), camera, duration)
+            seen = self.visible, self.mean2d, self.mean_t
+            on_device.accumulate(seen, (space, time, views), camera, duration)
             return
-        self._check(len(space), torch.float32, space=space, time=time, views=views, radius=radius)
+        self._check(len(space), torch.float32, space=space, time=time, views=views)
         kernel.accumulate(
             visible=self.visible,
             mean2d=self.mean2d,
             mean_t=self.mean_t,
-            radius=self.radius,
             half_width=0.5 * camera.width,
             half_height=0.5 * camera.height,
             duration=duration,
             space=space,
             time=time,
             views=views,
-            largest_radius=radius,
             threads=thread_count(threads),
         )
 

@@ -27,20 +27,19 @@ def all_finite(tensors: Sequence[Tensor]) -> bool:
 
 
 def accumulate(
-    seen: tuple[Tensor, Tensor, Tensor, Tensor],  # visible, mean2d, mean_t, radius of a ViewGradient
-    sums: tuple[Tensor, Tensor, Tensor, Tensor],  # space, time, views, radius
+    seen: tuple[Tensor, Tensor, Tensor],  # visible, mean2d, mean_t of a ViewGradient
+    sums: tuple[Tensor, Tensor, Tensor],  # space, time, views
     camera: Camera,
     duration: float,
 ) -> None:
     """As ViewGradient.accumulate."""
-    visible, mean2d, mean_t, radius = seen
-    space, time, views, largest = sums
+    visible, mean2d, mean_t = seen
+    space, time, views = sums
     rows = visible.long()
     to_ndc = mean2d.new_tensor([0.5 * camera.width, 0.5 * camera.height])
     space.index_add_(0, rows, (mean2d * to_ndc).norm(dim=1))
     time.index_add_(0, rows, mean_t.abs() * duration)
-    views.index_add_(0, rows, torch.ones_like(radius))
-    largest.scatter_reduce_(0, rows, radius, "amax")
+    views.index_add_(0, rows, torch.ones_like(mean_t))
 
 
 def sh_gradient(views: Sequence[tuple[Tensor, Tensor, int, int, bool]], out: Tensor) -> Tensor:

@@ -197,6 +197,7 @@ METRICS: dict[str, Metric] = {
         Metric("fps_raster", "FPS, blending", "", 1, "higher", "speed", note=_FPS),
         Metric("iterations", "Iterations", "", 0, "", "cost"),
         Metric("train_seconds", "Training", "s", 1, "lower", "cost", note="Training: without evaluation."),
+        Metric("train_cpu_seconds", "Training, all threads", "CPU s", 1, "lower", "cost"),
         Metric("n_gaussians", "Gaussians", "", 0, "", "cost"),
         Metric("n_alive_mean", "Gaussians alive in a frame", "", 0, "", "cost"),
         Metric("model_mb", "Model", "MB", 1, "lower", "cost"),

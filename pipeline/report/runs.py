@@ -29,7 +29,7 @@ FINAL, BEST = "final", "best_on_test"  # the last iteration; the best test evalu
 QUALITY = ("final.psnr", "final.ssim")
 REQUIRED = (*QUALITY, "iterations", "train_seconds", "n_gaussians")
 CURVE_COLUMNS = ("train_seconds", "iteration", "psnr", "n_gaussians")
-CURVE_OPTIONAL = ("ssim", "test_loss", "psnr_moving")
+CURVE_OPTIONAL = ("cpu_seconds", "ssim", "test_loss", "psnr_moving")
 PROVENANCE = ("machine", "date", "git_commit", "command")
 NOTES = ("lpips_note", "ms_ssim_note")  # why a number is missing
 RENDERED, GIVEN = IMAGES = ("rendered", "given")  # by this program, or by anyone (pipeline.score)

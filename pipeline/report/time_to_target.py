@@ -1,4 +1,4 @@
-"""Core seconds until a target PSNR of a scene is reached, by at least 3 of 5 seeds, as AlgoPerf counts.
+"""CPU seconds until a target PSNR of a scene is reached, by at least 3 of 5 seeds, as AlgoPerf counts.
 
 A seed that never reaches it takes forever; the time is the median over the seeds. Of D-NeRF the paper prints the mean
 of eight scenes alone: a seed's curve is the mean PSNR where each scene was trained for as long. The target of a single
@@ -24,11 +24,12 @@ from pipeline.report.time_to_psnr import seconds_to
 SEEDS, REACHED = 5, 3
 _HEADS = ("protocol", "recipe_label", "model", "machine")
 _NOTES = (
-    f"Core seconds: training × threads, median over the seeds. A target counts if {REACHED} of {SEEDS} seeds reach it.",
+    f"CPU seconds of training, median over the seeds. A target counts if {REACHED} of {SEEDS} seeds reach it.",
+    "Of runs that did not record CPU seconds: seconds of the clock × threads.",
     "Targets are the paper's: mean of the channels' PSNRs, best on test. Ours is of the image, which is never higher.",
     "Of a D-NeRF scene: what the authors' program reached on our images, PSNR of the image, best on test.",
-    "D-NeRF: the mean of eight scenes, each trained for as long; core seconds are those of one scene.",
-    "Roof: what one thread of the machine achieved right after training. Work: core seconds × multiply-adds a second.",
+    "D-NeRF: the mean of eight scenes, each trained for as long; CPU seconds are those of one scene.",
+    "Roof: what one thread of the machine achieved right after training. Work: CPU seconds × multiply-adds a second.",
 )
 
 
@@ -44,7 +45,7 @@ class TimeToTarget:
             Column("target", "Target", False),
             Column("psnr", "PSNR, dB"),
             *(Column(name, HEADERS[name], False, fold=name in FOLDED) for name in _HEADS),
-            Column("seconds", "Core seconds"),
+            Column("seconds", "CPU seconds"),
             Column("reached", "Seeds that reached it"),
             Column("operations", "Roof, G multiply-adds/s"),
             Column("bytes", "Roof, GB/s"),
@@ -87,12 +88,13 @@ def time_of(times: list[float | None]) -> float | str:
 
 
 def mean_curve(runs: pd.DataFrame, curves: pd.DataFrame) -> pd.DataFrame:
-    """PSNR over core seconds of a seed's runs, one a scene: the mean where each was trained for as long. A run that has
+    """PSNR over CPU seconds of a seed's runs, one a scene: the mean where each was trained for as long. A run that has
     ended keeps its last PSNR."""
     own = []
     for run, threads in zip(runs["run"], runs["threads"]):
         curve = curves[curves["run"] == run].sort_values("train_seconds")
-        own.append((curve["train_seconds"].to_numpy() * threads, curve["psnr"].to_numpy()))
+        spent = curve["cpu_seconds"].fillna(curve["train_seconds"] * threads)
+        own.append((spent.to_numpy(), curve["psnr"].to_numpy()))
     times = np.unique(np.concatenate([seconds for seconds, _ in own]))
     times = times[times >= max(seconds[0] for seconds, _ in own)]
     psnr = np.mean([np.interp(times, seconds, values) for seconds, values in own], axis=0)

@@ -27,7 +27,10 @@ from datasets.files.atomic_write import disk_errors_named, write_json, write_tex
 from datasets.files.claim import Claim
 from pipeline.runs.run_identity import FILES, UNFINISHED, read_stages, refuse_foreign, refuse_other_run
 
-CURVE_COLUMNS = ("train_seconds", "iteration", "psnr", "ssim", "test_loss", "n_gaussians", "psnr_moving")
+CURVE_COLUMNS = (
+    *("train_seconds", "cpu_seconds", "iteration", "psnr", "ssim"),
+    *("test_loss", "n_gaussians", "psnr_moving"),
+)
 
 
 State = Literal["open", "done", "other code"]  # of a stage
@@ -113,7 +116,8 @@ class RunFolder:
         if self.curve.exists():
             _, *lines = self.curve.read_text(errors="replace").splitlines() or [""]
             complete = [line for line in lines if line.count(",") == len(CURVE_COLUMNS) - 1]
-            kept = [line for line in complete if _iteration_of(line.split(",")[1]) <= iteration]
+            column = CURVE_COLUMNS.index("iteration")
+            kept = [line for line in complete if _iteration_of(line.split(",")[column]) <= iteration]
             write_text(self.curve, "\n".join([",".join(CURVE_COLUMNS), *kept]) + "\n")
 
     def log_rows(self) -> list[dict]:

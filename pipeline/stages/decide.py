@@ -8,7 +8,6 @@ resolution, on three quarters of the training poses, and compared on the other q
 
 from __future__ import annotations
 
-import time
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
@@ -30,7 +29,7 @@ from pipeline.model.model import Model, kind_of
 from pipeline.stages.training_progress import TrainingProgress
 from pipeline.training import schedule
 from pipeline.training.loop import train
-from pipeline.training.reporting import Progress, temporary_run
+from pipeline.training.reporting import Progress, Spent, temporary_run
 from rasterizer import engine_for
 from rasterizer.cores import thread_count
 
@@ -62,7 +61,8 @@ class Comparison:
     fit_gain: float  # dB, of the mean PSNR of training views
     against: AgainstRivals  # of the better one
     views: int
-    seconds: float  # of both trainings
+    seconds: float  # of both trainings, of the clock
+    cpu_seconds: float
 
     def __str__(self) -> str:
         return (
@@ -168,7 +168,7 @@ def _compared(
     log: Callable[[str], None],
 ) -> Comparison:
     """Train both on `scene.train`. Deterministic in scene, configuration and seed, except for the seconds."""
-    started, split = time.perf_counter(), hold_out_poses(scene, VALIDATION_EVERY)
+    started, split = Spent.by_now(), hold_out_poses(scene, VALIDATION_EVERY)
     psnr, fit, standings, rivals = [], [], [], Rivals(split, with_part.train.resolution_scale)
     for cfg, label in ((with_part, "with"), (without, "without")):
         log(
@@ -180,10 +180,10 @@ def _compared(
         psnr.append(held_out)
         fit.append(fitted)
     gain, error = mean_and_error(psnr[0] - psnr[1], [view.camera.world_to_cam.tobytes() for view in split.test])
-    seconds = time.perf_counter() - started
+    spent = Spent.by_now() - started
     means = float(psnr[0].mean()), float(psnr[1].mean())
     against = max(standings, key=lambda standing: standing.model)
-    return Comparison(*means, gain, error, fit[0] - fit[1], against, len(split.test), seconds)
+    return Comparison(*means, gain, error, fit[0] - fit[1], against, len(split.test), spent.seconds, spent.cpu_seconds)
 
 
 def _has_validation(scene: Scene, views: int) -> bool:

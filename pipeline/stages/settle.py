@@ -86,7 +86,8 @@ def decide(command: Command, data: Prepared, log: Callable[[str], None]) -> dict
             decided["fourier_order"] = 0
         compared["time_colour"] = asdict(found)
         log(f"settle: time-varying colour {'kept' if kept else 'left out'}{_default(found)}: {found}")
-    return {"decided": decided, "compared": compared, "seconds": sum(c["seconds"] for c in compared.values())}
+    spent = {name: sum(c[name] for c in compared.values()) for name in ("seconds", "cpu_seconds")}
+    return {"decided": decided, "compared": compared, **spent}
 
 
 def _default(found: Comparison) -> str:

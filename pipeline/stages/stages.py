@@ -34,7 +34,7 @@ from pipeline.terminal import interruption
 from pipeline.training import checkpoint as checkpoints
 from pipeline.training.density.densification import Densification
 from pipeline.training.loop import TrainResult, train
-from pipeline.training.reporting import Observer, Progress
+from pipeline.training.reporting import Observer, Progress, Spent
 from pipeline.view.live.feed import Feed, TrainingView
 from pipeline.view.live.server import LiveServer, address_of
 from pipeline.view.viewer import Shown, live_page, write_viewer
@@ -109,7 +109,8 @@ def train_model(job: Job) -> dict:
 
     reset_peak_memory()
     initial = load_ply(folder.init_ply)
-    before = folder.values_of("settle")["seconds"]
+    settled = folder.values_of("settle")
+    before = Spent(settled["seconds"], settled["cpu_seconds"])
     progress = TrainingProgress(cfg.train.iterations, cfg.train.time_budget_s, cfg.out)
 
     def say(row: dict, line: str) -> None:
@@ -124,10 +125,11 @@ def train_model(job: Job) -> dict:
             live.see_last(result.model, result.iteration)
     return {
         "iterations": result.iteration,
-        "train_seconds": result.train_seconds,
+        "train_seconds": result.spent.seconds,
+        "train_cpu_seconds": result.spent.cpu_seconds,
         "n_gaussians": len(result.model),
         **_sizes(result),
-        "cpu": _speed(thread_count(cfg.threads), result.train_seconds),
+        "cpu": _speed(thread_count(cfg.threads), result.spent.seconds),
         # The highest of this process and of the interrupted ones it continues, which log.jsonl holds.
         "peak_rss_mb": max([peak_memory_mb(), *(r["peak_rss_mb"] for r in folder.log_rows() if "peak_rss_mb" in r)]),
     }

@@ -29,10 +29,11 @@ from pipeline.model.model import Model, ModelKind
 from pipeline.model.transformed import in_rotations
 from pipeline.training.density.statistics import Statistics
 from pipeline.training.optimiser import shared_tensors
+from pipeline.training.reporting import Spent
 from rasterizer.gaussians import MAX_FOURIER_ORDER, SH_DEGREES, Motion
 
 FILE_NAME = "checkpoint.safetensors"
-VERSION = 1
+VERSION = 2
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class Checkpoint:
     """Everything that the rest of a run depends on, besides its configuration and data."""
 
     iteration: int  # the last completed one
-    train_seconds: float  # evaluation excluded
+    spent: Spent
     seed: int
     model: Model
     step_count: int  # of Adam
@@ -70,7 +71,8 @@ def save(path: Path, checkpoint: Checkpoint) -> None:
     header = {
         "version": VERSION,
         "iteration": c.iteration,
-        "train_seconds": c.train_seconds,
+        "train_seconds": c.spent.seconds,
+        "cpu_seconds": c.spent.cpu_seconds,
         "seed": c.seed,
         "step_count": c.step_count,
         "best": c.best,
@@ -132,7 +134,7 @@ def _assemble(header: dict, tensors: dict[str, Tensor]) -> Checkpoint:
         _integer("best.iteration", best["iteration"])
     return Checkpoint(
         iteration=_integer("iteration", header["iteration"]),
-        train_seconds=_number("train_seconds", header["train_seconds"]),
+        spent=Spent(*(_number(name, header[name]) for name in ("train_seconds", "cpu_seconds"))),
         seed=_integer("seed", header["seed"], MAX_SEED),
         model=model,
         step_count=_integer("step_count", header["step_count"]),

@@ -23,7 +23,7 @@ from pipeline.model.transformed import in_rotations
 from pipeline.terminal import interruption
 from pipeline.training.density.refinement import refine, refiners
 from pipeline.training.objective.objective import Objective
-from pipeline.training.reporting import Observer, Progress, RunLog, StepReport
+from pipeline.training.reporting import NOTHING_SPENT, Observer, Progress, RunLog, Spent, StepReport
 from pipeline.training.schedule import Phase
 from pipeline.training.state import TrainState, save, start
 from pipeline.training.step import Batch, draw_batch, optimiser_step, render_batch
@@ -41,7 +41,7 @@ class TrainResult:
 
     model: Model
     iteration: int
-    train_seconds: float
+    spent: Spent
     best: dict | None  # the evaluation with the highest PSNR: what the callback returned, and `iteration`
     best_model: Model | None
     optimiser_bytes: int  # of Adam's moments
@@ -56,7 +56,7 @@ def train(
     cfg: Config,
     run: RunLog,
     evaluate_fn: EvaluateFn,
-    start_seconds: float = 0.0,
+    before: Spent = NOTHING_SPENT,
     observers: Sequence[Observer] = (),
 ) -> TrainResult:
     """Train `model` on `scene.train`, or continue from the run folder's checkpoint if `cfg.resume`.
@@ -64,10 +64,10 @@ def train(
     `model` is changed in place, unless a checkpoint replaces it or velocities are trained.
 
     evaluate_fn: called every `train.eval_every` iterations and at the end; its time is not training time.
-    start_seconds: of training, before a new run.
+    before: time of training before a new run.
     Raises finite_checks.NonFiniteError, with the last checkpoint kept, and ValueError for a checkpoint of another run.
     """
-    state = start(model, scene, cfg, run, start_seconds)
+    state = start(model, scene, cfg, run, before)
     flows = FlowTargets(scene) if cfg.train.regularization.flow > 0 and state.model.kind.moves else None
     views = TrainingViews(scene.train, flows, _depths(scene, cfg))
     objective, density = Objective(scene, cfg, state.threads), refiners(scene, cfg)
@@ -100,7 +100,7 @@ def train(
             raise interruption.Stopped
     best = None if state.best_model is None else in_rotations(state.best_model)
     return TrainResult(
-        in_rotations(state.model), state.iteration, state.stopwatch.seconds, state.best, best, state.optimiser.bytes
+        in_rotations(state.model), state.iteration, state.stopwatch.spent, state.best, best, state.optimiser.bytes
     )
 
 
@@ -135,12 +135,13 @@ def _report(state: TrainState, batch: Batch, phase: Phase, run: RunLog, observer
 def _evaluate(state: TrainState, evaluate_fn: EvaluateFn, run: RunLog, observers: Sequence[Observer]) -> None:
     """Append a row to error_vs_time.csv, and keep the best model so far."""
     with state.stopwatch.paused():
-        reached = Progress(state.iteration, state.stopwatch.seconds)
+        spent = state.stopwatch.spent
+        reached = Progress(state.iteration, spent.seconds)
         metrics = evaluate_fn(state.model, reached)
         run.append_error_vs_time({
-            "train_seconds": reached.train_seconds, "iteration": reached.iteration, "psnr": metrics["psnr"],
-            "ssim": metrics.get("ssim"), "test_loss": metrics.get("test_loss"), "n_gaussians": len(state.model),
-            "psnr_moving": metrics.get("psnr_moving"),
+            "train_seconds": spent.seconds, "cpu_seconds": spent.cpu_seconds, "iteration": reached.iteration,
+            "psnr": metrics["psnr"], "ssim": metrics.get("ssim"), "test_loss": metrics.get("test_loss"),
+            "n_gaussians": len(state.model), "psnr_moving": metrics.get("psnr_moving"),
         })  # fmt: skip
         if state.best is None or metrics["psnr"] > state.best["psnr"]:
             state.best, state.best_model = dict(metrics, iteration=reached.iteration), state.model.copy()

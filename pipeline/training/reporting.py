@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -10,6 +11,28 @@ from tempfile import TemporaryDirectory
 from typing import Protocol
 
 from pipeline.model.model import Model
+
+
+@dataclass(frozen=True)
+class Spent:
+    """Time of training; evaluation excluded."""
+
+    seconds: float = 0.0  # of the clock
+    cpu_seconds: float = 0.0  # of all threads of this process
+
+    @classmethod
+    def by_now(cls) -> Spent:
+        """Since some moment before; only differences have a meaning."""
+        return cls(time.perf_counter(), time.process_time())
+
+    def __add__(self, other: Spent) -> Spent:
+        return Spent(self.seconds + other.seconds, self.cpu_seconds + other.cpu_seconds)
+
+    def __sub__(self, other: Spent) -> Spent:
+        return Spent(self.seconds - other.seconds, self.cpu_seconds - other.cpu_seconds)
+
+
+NOTHING_SPENT = Spent()
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -22,7 +21,7 @@ from pipeline.training import checkpoint as checkpoints
 from pipeline.training import finite_checks
 from pipeline.training.density.statistics import Statistics
 from pipeline.training.optimiser import Adam
-from pipeline.training.reporting import RunLog
+from pipeline.training.reporting import NOTHING_SPENT, RunLog, Spent
 from pipeline.training.sampling import BatchSampler
 from pipeline.training.schedule import Phase, at_all_times, clock_at, on_tracks, phase
 from rasterizer import Gradients
@@ -34,24 +33,27 @@ CUBE_MAP_RESOLUTION = 128  # texels along a side of the cube map's faces
 
 
 class Stopwatch:
-    """Training time in seconds: starts on creation, continued from a checkpoint, paused during evaluation."""
+    """Training time: starts on creation, continued from a checkpoint, paused during evaluation."""
 
-    def __init__(self, seconds: float) -> None:
-        """seconds: the time before."""
-        self._before = seconds
-        self._since: float | None = time.perf_counter()
+    def __init__(self, before: Spent) -> None:
+        self._before = before
+        self._since: Spent | None = Spent.by_now()
+
+    @property
+    def spent(self) -> Spent:
+        return self._before if self._since is None else self._before + (Spent.by_now() - self._since)
 
     @property
     def seconds(self) -> float:
-        return self._before if self._since is None else self._before + time.perf_counter() - self._since
+        return self.spent.seconds
 
     @contextmanager
     def paused(self) -> Iterator[None]:
-        self._before, self._since = self.seconds, None
+        self._before, self._since = self.spent, None
         try:
             yield
         finally:
-            self._since = time.perf_counter()
+            self._since = Spent.by_now()
 
 
 @dataclass
@@ -105,8 +107,8 @@ class TrainState:
         self.statistics = Statistics(len(self.model), self.model.device)
 
 
-def start(model: Model, scene: Scene, cfg: Config, run: RunLog, start_seconds: float = 0.0) -> TrainState:
-    """A new state with `model`, or the one saved in the run folder. start_seconds: as `loop.train`.
+def start(model: Model, scene: Scene, cfg: Config, run: RunLog, before: Spent = NOTHING_SPENT) -> TrainState:
+    """A new state with `model`, or the one saved in the run folder. before: as `loop.train`.
 
     Raises ValueError for a checkpoint of another seed or kind of model.
     """
@@ -145,7 +147,7 @@ def start(model: Model, scene: Scene, cfg: Config, run: RunLog, start_seconds: f
         split_stream(cfg.seed),
         cfg.seed,
         Gradients.zeros_like(model.gaussians()),
-        Stopwatch(start_seconds),
+        Stopwatch(before),
     )
     if saved is not None:
         _restore(state, saved)
@@ -161,7 +163,7 @@ def save(state: TrainState, run: RunLog) -> None:
         run.path / checkpoints.FILE_NAME,
         checkpoints.Checkpoint(
             iteration=state.iteration,
-            train_seconds=state.stopwatch.seconds,
+            spent=state.stopwatch.spent,
             seed=state.seed,
             model=state.model,
             step_count=optimiser.step_count,
@@ -181,7 +183,7 @@ def _restore(state: TrainState, saved: checkpoints.Checkpoint) -> None:
     device = state.model.device
     state.iteration, state.best = saved.iteration, saved.best
     state.best_model = None if saved.best_model is None else saved.best_model.to(device)
-    state.stopwatch = Stopwatch(saved.train_seconds)
+    state.stopwatch = Stopwatch(saved.spent)
     state.optimiser.first, state.optimiser.second = (
         {name: moment.to(device) for name, moment in moments.items()} for moments in saved.moments
     )

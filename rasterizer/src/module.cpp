@@ -230,13 +230,12 @@ bool all_finite(In array, int threads) {
     return splat::all_finite(array.data(), static_cast<int64_t>(array.size()), threads);
 }
 
-void accumulate(Array<const int32_t> visible, In mean2d, In mean_t, In radius, scalar half_width,
-                scalar half_height, scalar duration, Out space, Out time, Out views, Out largest_radius,
-                int threads) {
-    const splat::DensificationStatistics to{space.data(), time.data(), views.data(), largest_radius.data()};
+void accumulate(Array<const int32_t> visible, In mean2d, In mean_t, scalar half_width, scalar half_height,
+                scalar duration, Out space, Out time, Out views, int threads) {
+    const splat::DensificationStatistics to{space.data(), time.data(), views.data()};
     nb::gil_scoped_release release;
-    splat::accumulate(visible.data(), mean2d.data(), mean_t.data(), radius.data(),
-                      static_cast<int64_t>(visible.size()), half_width, half_height, duration, to, threads);
+    splat::accumulate(visible.data(), mean2d.data(), mean_t.data(), static_cast<int64_t>(visible.size()),
+                      half_width, half_height, duration, to, threads);
 }
 
 void mark_visible(Array<const int32_t> visible, Array<uint8_t> mask, int threads) {
@@ -304,8 +303,8 @@ NB_MODULE(KERNEL_MODULE_NAME, m) {
           nb::arg("sparse_rows").none(), nb::arg("views"), nb::arg("beta1"), nb::arg("beta2"),
           nb::arg("epsilon"), nb::arg("step"), nb::arg("threads"));
     m.def("accumulate", &accumulate, nb::arg("visible"), nb::arg("mean2d"), nb::arg("mean_t"),
-          nb::arg("radius"), nb::arg("half_width"), nb::arg("half_height"), nb::arg("duration"),
-          written("space"), written("time"), written("views"), written("largest_radius"), nb::arg("threads"));
+          nb::arg("half_width"), nb::arg("half_height"), nb::arg("duration"), written("space"),
+          written("time"), written("views"), nb::arg("threads"));
     m.def("mark_visible", &mark_visible, nb::arg("visible"), written("mask"), nb::arg("threads"));
     m.def("set_to_zero", &set_to_zero, written("arrays"), nb::arg("threads"));
     m.def("all_finite", &all_finite, nb::arg("array"), nb::arg("threads"));

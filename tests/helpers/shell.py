@@ -126,7 +126,7 @@ class Shell:
 def result(folder: Path) -> dict:
     """metrics.json without what depends on the machine's speed and the clock."""
     metrics = json.loads((folder / "metrics.json").read_text())
-    for name in ("date", "train_seconds", "peak_rss_mb", "cpu"):
+    for name in ("date", "train_seconds", "train_cpu_seconds", "peak_rss_mb", "cpu"):
         del metrics[name]
     for model in ("final", "best_on_test"):
         for name in ("fps_raster", "fps_render"):

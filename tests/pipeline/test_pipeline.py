@@ -121,6 +121,7 @@ def test_time_varying_colour_without_a_gain_is_left_out_of_the_model(tmp_path: P
     first = float(read_csv(folder / "error_vs_time.csv")[0]["train_seconds"])
     seconds = metrics["compared"]["time_colour"]["seconds"]
     assert metrics["train_seconds"] > first > seconds > 0, "its seconds are training's"
+    assert metrics["train_cpu_seconds"] > metrics["compared"]["time_colour"]["cpu_seconds"] > 0
     again, _ = shell(*arguments)
     assert all(f"{name}: already done" in again for name in ("settle", "init", "train", "evaluate"))
 

@@ -37,21 +37,20 @@ def test_views_accumulate_densification_statistics():
         visible = torch.randperm(count, generator=g)[:700].sort().values.to(torch.int32)
         drawn = [torch.randn(700, *shape, generator=g) for shape in ((2,), (), ())]
         views.append(ViewGradient(visible, drawn[0], drawn[1], drawn[2].abs()))
-    expected = [torch.zeros(count, dtype=torch.float64) for _ in range(4)]
+    expected = [torch.zeros(count, dtype=torch.float64) for _ in range(3)]
     for view in views:
         index = view.visible.long()
         ndc = view.mean2d.double() * torch.tensor([0.5 * camera.width, 0.5 * camera.height])
         expected[0].index_add_(0, index, ndc.norm(dim=1))
         expected[1].index_add_(0, index, view.mean_t.double().abs() * duration)
         expected[2].index_add_(0, index, torch.ones(700, dtype=torch.float64))
-        expected[3].scatter_reduce_(0, index, view.radius.double(), "amax")
     visible_once = expected[2] > 0
     for threads in (1, 3):
-        found, marked = [torch.zeros(count) for _ in range(4)], torch.zeros(count, dtype=torch.uint8)
+        found, marked = [torch.zeros(count) for _ in range(3)], torch.zeros(count, dtype=torch.uint8)
         for view in views:
             view.accumulate(*found, camera, duration, threads)
             view.mark_visible(marked, threads)
-        for name, a, b in zip(("space", "time", "views", "radius"), found, expected, strict=True):
+        for name, a, b in zip(("space", "time", "views"), found, expected, strict=True):
             # a few float32 roundings each
             torch.testing.assert_close(
                 a.double(), b, rtol=1e-6, atol=1e-6, msg=lambda text, name=name: f"{name}: {text}"

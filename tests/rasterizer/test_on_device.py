@@ -95,7 +95,7 @@ def test_adam_of_4dsh(sparse: bool):
 
 def test_densification_statistics():
     _, view = a_batch(3, 2)
-    here = [torch.rand(83, generator=generator(3)) for _ in range(4)]
+    here = [torch.rand(83, generator=generator(3)) for _ in range(3)]
     mark = torch.zeros(83, dtype=torch.uint8)
     with pretended_device() as device:
         there, there_mark = [tensor.to(device) for tensor in here], mark.to(device)

@@ -97,10 +97,10 @@ def test_what_the_kernel_writes_has_room_for_the_gaussians():
         view.mark_visible(mask[:last])
     with pytest.raises(ValueError, match="mask must be contiguous uint8"):
         view.mark_visible(mask.int())
-    four = [torch.zeros(80) for _ in range(4)]
+    space, time = torch.zeros(80), torch.zeros(80)
     for wrong in (torch.zeros(79), torch.zeros(80, dtype=torch.float64), torch.zeros(160)[::2]):
         with pytest.raises(ValueError, match=r"views must be contiguous float32 \[80\]"):
-            view.accumulate(four[0], four[1], wrong, four[3], request.camera, 1.0)
+            view.accumulate(space, time, wrong, request.camera, 1.0)
     gradients = Gradients.zeros_like(gaussians)
     with pytest.raises(ValueError, match="out must be contiguous float32"):
         gradients.sh(out=torch.zeros(80, 1, 3))

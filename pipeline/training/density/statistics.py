@@ -12,7 +12,7 @@ from rasterizer import Camera, ViewGradient
 
 
 class Statistics:
-    """Running means of the two indicators, and the largest radius, of each Gaussian since the last densification.
+    """Running means of the two indicators of each Gaussian since the last densification.
 
     Within an iteration an indicator is the mean over the views in which the Gaussian is visible, of the gradient of one
     view's loss (docs/method.md 2: Σ over the batch × B / visible views, because the batch loss is a mean over B). Over
@@ -20,14 +20,13 @@ class Statistics:
     each view, then `end`.
     """
 
-    FIELDS = ("space", "time", "iterations", "radius")
+    FIELDS = ("space", "time", "iterations")
 
     def __init__(self, count: int, device: torch.device = CPU) -> None:
         zeros = partial(torch.zeros, count, device=device)
         self.space = zeros()  # Σ over iterations, NDC units
         self.time = zeros()  # Σ over iterations, per duration
         self.iterations = zeros()  # iterations with at least one view that shows it
-        self.radius = zeros()  # pixels, largest so far
         self._space = zeros()  # the same within the current iteration
         self._time = zeros()
         self._views = zeros()
@@ -44,7 +43,7 @@ class Statistics:
         threads: int = 1,
     ) -> None:
         """Accumulate the backward pass of one view. duration: of the scene."""
-        view.accumulate(self._space, self._time, self._views, self.radius, camera, duration, threads)
+        view.accumulate(self._space, self._time, self._views, camera, duration, threads)
 
     def end(self, batch: int) -> None:
         """Add the iteration's `batch` views to the running sums."""

@@ -1,7 +1,6 @@
 // Running statistics of view-space gradients, by which densification decides (docs/method.md 2).
 #pragma once
 
-#include <algorithm>
 #include <cmath>
 #include <cstdint>
 
@@ -11,16 +10,15 @@ namespace splat {
 
 // Per Gaussian, over the views since the arrays were cleared.
 struct DensificationStatistics {
-    scalar* space;   // Σ |∂L/∂mean2d|, normalised device coordinates
-    scalar* time;    // Σ |∂L/∂μt|, per duration
-    scalar* views;   // how many show it
-    scalar* radius;  // largest, pixels
+    scalar* space;  // Σ |∂L/∂mean2d|, normalised device coordinates
+    scalar* time;   // Σ |∂L/∂μt|, per duration
+    scalar* views;  // how many show it
 };
 
 // Adds one view of `count` Gaussians, each at most once, with mean2d [count, 2] in pixels.
-inline void accumulate(const int32_t* visible, const scalar* mean2d, const scalar* mean_t,
-                       const scalar* radius, int64_t count, scalar half_width, scalar half_height,
-                       scalar duration, const DensificationStatistics& to, int threads) {
+inline void accumulate(const int32_t* visible, const scalar* mean2d, const scalar* mean_t, int64_t count,
+                       scalar half_width, scalar half_height, scalar duration,
+                       const DensificationStatistics& to, int threads) {
 #pragma omp parallel for schedule(static) num_threads(threads)
     for (int64_t i = 0; i < count; ++i) {
         const int32_t g = visible[i];
@@ -28,7 +26,6 @@ inline void accumulate(const int32_t* visible, const scalar* mean2d, const scala
         to.space[g] += std::sqrt(x * x + y * y);
         to.time[g] += std::abs(mean_t[i]) * duration;
         to.views[g] += 1.f;
-        to.radius[g] = std::max(to.radius[g], radius[i]);
     }
 }
 

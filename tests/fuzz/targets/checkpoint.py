@@ -19,9 +19,10 @@ from fuzz.target import Changes, Files, Target, require, valid_or_refused
 from pipeline.model.environment_map import EnvironmentMap
 from pipeline.training import checkpoint
 from pipeline.training.density.statistics import Statistics
+from pipeline.training.reporting import Spent
 
 ROWS = 3
-KEYS = ("iteration", "train_seconds", "seed", "step_count")
+KEYS = ("iteration", "seed", "step_count")
 
 
 def example() -> Files:
@@ -31,7 +32,7 @@ def example() -> Files:
     moments = tuple({name: torch.full_like(p, 0.5) for name, p in model.parameters.items()} for _ in range(2))
     saved = checkpoint.Checkpoint(
         iteration=7,
-        train_seconds=1.5,
+        spent=Spent(1.5, 3.0),
         seed=0,
         model=model,
         step_count=7,

@@ -51,7 +51,11 @@ def check(folder: Path) -> str:
                 header, *lines = run.curve.read_text().splitlines()
                 require(
                     header == ",".join(CURVE_COLUMNS)
-                    and all(line.count(",") == header.count(",") and int(line.split(",")[1]) <= NEXT for line in lines),
+                    and all(
+                        line.count(",") == header.count(",")
+                        and int(line.split(",")[CURVE_COLUMNS.index("iteration")]) <= NEXT
+                        for line in lines
+                    ),
                     "a curve with other lines",
                 )
             require(isinstance(run.values_of("init"), dict), "values of a stage that are no object")

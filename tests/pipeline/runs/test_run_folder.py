@@ -77,10 +77,12 @@ def test_curve_and_log_forget_what_comes_after_the_checkpoint(tmp_path: Path) ->
         folder.log({"event": "start"})
         for iteration in (10, 20, 30):
             folder.log({"event": "train", "iteration": iteration})
-            folder.append_error_vs_time({"train_seconds": 0.5, "iteration": iteration, "psnr": 20.0, "n_gaussians": 7})
+            folder.append_error_vs_time(
+                {"train_seconds": 0.5, "cpu_seconds": 1.0, "iteration": iteration, "psnr": 20.0}
+            )
         folder.truncate_after(20)
         assert [row.get("iteration") for row in folder.log_rows()] == [None, 10, 20]
-        assert folder.curve.read_text() == (",".join(CURVE_COLUMNS) + "\n0.5,10,20.0,,,7,\n0.5,20,20.0,,,7,\n")
+        assert folder.curve.read_text() == (",".join(CURVE_COLUMNS) + "\n0.5,1.0,10,20.0,,,,\n0.5,1.0,20,20.0,,,,\n")
 
 
 def test_a_line_cut_short_by_a_kill_is_dropped(tmp_path: Path) -> None:
@@ -93,7 +95,7 @@ def test_a_line_cut_short_by_a_kill_is_dropped(tmp_path: Path) -> None:
         folder.append_error_vs_time({"iteration": 2})
         folder.truncate_after(5)
         assert [row["iteration"] for row in folder.log_rows()] == [2]
-        assert folder.curve.read_text().splitlines()[1:] == [",2,,,,,"]
+        assert folder.curve.read_text().splitlines()[1:] == [",,2,,,,,"]
 
 
 def test_a_curve_cut_within_its_header(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from pipeline.model.transformed import in_velocities
 from pipeline.training import checkpoint
 from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.density.statistics import Statistics
+from pipeline.training.reporting import Spent
 from rasterizer.covariance import scaled_axes
 
 RNG_STATE = json.dumps(np.random.default_rng(4).bit_generator.state)
@@ -27,7 +28,7 @@ def example(iteration: int = 7, **changes) -> Checkpoint:
     moments = tuple({name: torch.rand_like(t) for name, t in model.parameters.items()} for _ in range(2))
     values = dict(
         iteration=iteration,
-        train_seconds=0.1 + 0.2,
+        spent=Spent(0.1 + 0.2, 0.7),
         seed=3,
         model=model,
         step_count=iteration,
@@ -51,7 +52,7 @@ def test_round_trip_is_exact(tmp_path) -> None:
     path, saved = tmp_path / checkpoint.FILE_NAME, example()
     checkpoint.save(path, saved)
     loaded = checkpoint.load(path)
-    for name in ("iteration", "train_seconds", "seed", "step_count", "best"):
+    for name in ("iteration", "spent", "seed", "step_count", "best"):
         assert getattr(loaded, name) == getattr(saved, name), name
     assert loaded.model.kind == saved.model.kind
     assert_same(loaded.model.parameters, saved.model.parameters)

@@ -55,7 +55,7 @@ def test_indicators_against_a_naive_sum() -> None:
     rng = torch.Generator().manual_seed(0)
     count, batch, width, height, duration = 9, 3, 40, 20, 2.5
     statistics = Statistics(count)
-    space, time, seen, radius = [0.0] * count, [0.0] * count, [0] * count, [0.0] * count
+    space, time, seen = [0.0] * count, [0.0] * count, [0] * count
     for _ in range(6):
         views = [sorted(torch.randperm(count, generator=rng)[:4].tolist()) for _ in range(batch)]
         by_view = [
@@ -68,18 +68,16 @@ def test_indicators_against_a_naive_sum() -> None:
             statistics.add_view(view, Camera(width, height, 1, 1, 0, 0, np.eye(4)), duration)
         statistics.end(batch)
         for i in range(count):
-            rows = [(g2[ids.index(i)], gt[ids.index(i)], r[ids.index(i)]) for ids, g2, gt, r in by_view if i in ids]
+            rows = [(g2[ids.index(i)], gt[ids.index(i)]) for ids, g2, gt, _ in by_view if i in ids]
             if rows:
-                norms = [math.hypot(float(g[0]) * width / 2, float(g[1]) * height / 2) for g, _, _ in rows]
+                norms = [math.hypot(float(g[0]) * width / 2, float(g[1]) * height / 2) for g, _ in rows]
                 space[i] += sum(norms) * batch / len(rows)
-                time[i] += sum(abs(float(t)) * duration for _, t, _ in rows) * batch / len(rows)
+                time[i] += sum(abs(float(t)) * duration for _, t in rows) * batch / len(rows)
                 seen[i] += 1
-                radius[i] = max(radius[i], *(float(r) for _, _, r in rows))
     found_space, found_time = statistics.indicators()
     expected = torch.tensor([[s / max(n, 1), t / max(n, 1)] for s, t, n in zip(space, time, seen)])
     # sums of at most 18 float32 terms
     assert torch.allclose(torch.stack([found_space, found_time], 1), expected, rtol=1e-5)
-    assert torch.allclose(statistics.radius, torch.tensor(radius))
 
 
 def test_small_gaussians_are_cloned_and_large_ones_split_by_either_indicator() -> None:
