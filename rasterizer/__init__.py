@@ -6,7 +6,7 @@ PyTorch. `Rasterizer` is the kernel without autograd, for training loops.
 
 from rasterizer.autograd import rasterize
 from rasterizer.camera import Camera
-from rasterizer.engine import Engine, engine_for
+from rasterizer.engine import Engine, engine_for, render_batch
 from rasterizer.gaussians import Gaussians
 from rasterizer.gradients import Gradients, ViewGradient
 from rasterizer.rasterizer import Rasterizer
@@ -23,4 +23,5 @@ __all__ = [
     "ViewGradient",
     "engine_for",
     "rasterize",
+    "render_batch",
 ]

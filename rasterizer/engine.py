@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol
 
 import torch
@@ -40,6 +41,17 @@ class Engine(Protocol):
     ) -> ViewGradient:
         """Add the parameter gradients of the last view to `gradients`, given ∂L/∂image of its outputs (None: zero).
         Returns what density control reads."""
+
+
+def render_batch(
+    engines: Sequence[Engine], gaussians: Sequence[Gaussians], requests: Sequence[Request], differentiable: bool = True
+) -> list[RenderOutput]:
+    """Render a view with each engine, all of one kind, as `render`. The Gaussians must have the same shapes."""
+    kernels = [engine for engine in engines if isinstance(engine, Rasterizer)]
+    if kernels:
+        return Rasterizer.render_batch(kernels, gaussians, requests, differentiable)
+    views = zip(engines, gaussians, requests, strict=True)
+    return [engine.render(shown, request, differentiable) for engine, shown, request in views]
 
 
 def engine_for(backend: str, threads: int = 0) -> Engine:

@@ -3,10 +3,13 @@
 rasterizer = Rasterizer(threads=2)  # owns buffers that are reused from view to view
 out = rasterizer.render(gaussians, Request(camera, time=0.5))
 view = rasterizer.backward(gradients, d_color=…)  # adds to `gradients`
+
+A batch of views has a Rasterizer each; `render_batch` reads the Gaussians once for all of them.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from types import ModuleType
 from typing import Any
 
@@ -52,6 +55,34 @@ class Rasterizer:
 
         differentiable: False skips what only `backward` needs.
         """
+        return self.render_batch([self], [gaussians], [request], differentiable)[0]
+
+    @staticmethod
+    def render_batch(
+        rasterizers: Sequence[Rasterizer],
+        gaussians: Sequence[Gaussians],
+        requests: Sequence[Request],
+        differentiable: bool = True,
+    ) -> list[RenderOutput]:
+        """Render a view with each, as `render`: the same bits, but parameters are read once for all views.
+
+        The Gaussians of all views must have the same shapes; ValueError otherwise.
+        """
+        views = list(zip(rasterizers, gaussians, requests, strict=True))
+        stored = [rasterizer._begin(shown, request, differentiable) for rasterizer, shown, request in views]
+        shapes = [rasterizer._shapes for rasterizer in rasterizers]
+        if any(shape != shapes[0] for shape in shapes):
+            raise ValueError("the Gaussians of a batch's views must have the same shapes, got several")
+        images = [rasterizer._new_images() for rasterizer in rasterizers]
+        planes = [[rasterizer._images.get(name) for name in OUTPUT_CHANNELS] for rasterizer in rasterizers]
+        kernel = rasterizers[0]._kernel
+        kernel.render(rasterizers=[rasterizer._state for rasterizer in rasterizers], gaussians=stored, images=planes)
+        for rasterizer, shown in zip(rasterizers, stored, strict=True):
+            rasterizer._gaussians = shown
+        return [RenderOutput(**{name: named.get(name) for name in OUTPUT_CHANNELS}) for named in images]
+
+    def _begin(self, gaussians: Gaussians, request: Request, differentiable: bool) -> Any:
+        """Check and note the view to render; the Gaussians as the kernel sees them."""
         check_layout(gaussians, self.dtype)
         request.check_against(gaussians)
         self._differentiable = differentiable
@@ -64,17 +95,18 @@ class Rasterizer:
         self._request, self._trajectories = request, gaussians.trajectories
         if gaussians.trajectories is not None:
             detached["trajectories"] = gaussians.trajectories.table(request.time, _flow_dt(request))
-        stored = self._kernel.Gaussians(**{**MISSING, **detached}, coefficients=coefficients, stored_order=orders - 1)
         self._set_view(request)
-        size = request.camera.height, request.camera.width
-        images = {name: self._empty(OUTPUT_CHANNELS[name], *size) for name in request.outputs}
+        return self._kernel.Gaussians(**{**MISSING, **detached}, coefficients=coefficients, stored_order=orders - 1)
+
+    def _new_images(self) -> dict[str, Tensor]:
+        """Those that the view's request names, not yet written."""
+        size = self._request.camera.height, self._request.camera.width
+        images = {name: self._empty(OUTPUT_CHANNELS[name], *size) for name in self._request.outputs}
         # Detached: autograd's graph references this object, which must not reference the graph.
         self._images = {name: image.detach() for name, image in images.items()}
         # Under torch.inference_mode tensors have no version, and no backward pass.
         self._versions = {name: image._version for name, image in self._images.items() if not image.is_inference()}
-        self._state.render(stored, **{name: self._images.get(name) for name in OUTPUT_CHANNELS})
-        self._gaussians = stored
-        return RenderOutput(**{name: images.get(name) for name in OUTPUT_CHANNELS})
+        return images
 
     def _set_view(self, request: Request) -> None:
         flow_dt = _flow_dt(request)

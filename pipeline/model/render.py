@@ -7,13 +7,14 @@ Training and evaluation both render through here. Without an environment map the
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
 import torch
 from torch import Tensor
 
 from pipeline.model.model import Model
-from rasterizer import Engine, Gradients, Request, ViewGradient
+from rasterizer import Engine, Gradients, RenderOutput, Request, ViewGradient, render_batch
 
 
 @dataclass(frozen=True)
@@ -75,18 +76,33 @@ def render(rasterizer: Engine, model: Model, request: Request, differentiable: b
 
     An environment map or cube map replaces the request's background.
     """
-    gaussians, environment_map = model.gaussians(), model.environment_map
+    return render_views([rasterizer], [model], [request], differentiable)[0]
+
+
+def render_views(
+    rasterizers: Sequence[Engine], models: Sequence[Model], requests: Sequence[Request], differentiable: bool = True
+) -> list[Rendered]:
+    """As `render` with each rasterizer, all of one kind. The models differ in values alone."""
+    complete = [_with_outputs(model, request) for model, request in zip(models, requests, strict=True)]
+    found = render_batch(rasterizers, [model.gaussians() for model in models], complete, differentiable)
+    return [_composited(*view) for view in zip(models, complete, found, strict=True)]
+
+
+def _with_outputs(model: Model, request: Request) -> Request:
+    """The request of the rasterizer: colour too, and what compositing over an environment map needs."""
     also = tuple(name for name in ("alpha", "depth", "flow") if name in request.outputs)
-    if environment_map is None:
-        out = rasterizer.render(gaussians, replace(request, outputs=("color", *also)), differentiable)
-        assert out.color is not None
+    if model.environment_map is None:
+        return replace(request, outputs=("color", *also))
+    return replace(request, outputs=("color", "alpha", *also), background=(0.0, 0.0, 0.0))
+
+
+def _composited(model: Model, request: Request, out: RenderOutput) -> Rendered:
+    assert out.color is not None
+    if model.environment_map is None:
         return Rendered(out.color, None, out.flow, out.alpha, out.depth)
-    also = tuple(name for name in also if name != "alpha")
-    request = replace(request, outputs=("color", "alpha", *also), background=(0.0, 0.0, 0.0))
-    out = rasterizer.render(gaussians, request, differentiable)
-    assert out.color is not None and out.alpha is not None
-    grid = environment_map.grid(request.camera)
-    colors = environment_map.sample(grid)
+    assert out.alpha is not None
+    grid = model.environment_map.grid(request.camera)
+    colors = model.environment_map.sample(grid)
     composite = Composite(out.alpha, colors, grid)
     return Rendered(out.color + (1 - out.alpha) * colors, composite, out.flow, out.alpha, out.depth)
 

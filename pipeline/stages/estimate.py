@@ -32,9 +32,9 @@ from rasterizer.bench.workloads import Workload, make_workload
 from rasterizer.cores import thread_count
 
 # float32 values per Gaussian of the full model in training: parameters, Adam's two moments and the best model so far,
-# stored gradients (17) and statistics (7); and 9 for each view of a batch.
+# stored gradients (17) and statistics (7); for each view of a batch the gradient of the colour (9) and its state (40).
 PARAMETERS = 161
-FLOATS_PER_GAUSSIAN, FLOATS_PER_VIEW = PARAMETERS * 4 + 17 + 7, 9
+FLOATS_PER_GAUSSIAN, FLOATS_PER_VIEW = PARAMETERS * 4 + 17 + 7, 9 + 40
 CHECKPOINT_FLOATS = PARAMETERS * 4 + 4  # parameters, moments, best model; statistics
 PROGRAM_MB = 600.0  # Python and torch
 MAX_GAUSSIANS = 500_000  # assumed where train.densify.max_gaussians is higher

@@ -78,8 +78,8 @@ def render_batch(
     state.zero_gradients()
     if phase.densification:
         state.statistics.begin()
-    for view in drawn:
-        rendered = objective.backward(model, view, state.gradients, batch.d_environment_map)
+    for view, found in zip(drawn, objective.render(model, drawn), strict=True):
+        rendered = objective.backward(model, found, state.gradients, batch.d_environment_map)
         batch.add(rendered, len(drawn), state.threads)
         finite_checks.check_loss(rendered.loss, state.iteration, view.target.name, model)
         if phase.densification:

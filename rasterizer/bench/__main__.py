@@ -20,7 +20,16 @@ from pathlib import Path
 import torch
 
 from rasterizer.bench.baselines import time_loss, time_parts, time_reference
-from rasterizer.bench.frame_time import FrameTime, Time, WorkCounts, clock_for, count_work, time_frame, time_iteration
+from rasterizer.bench.frame_time import (
+    FrameTime,
+    Time,
+    WorkCounts,
+    clock_for,
+    count_work,
+    time_batch,
+    time_frame,
+    time_iteration,
+)
 from rasterizer.bench.roofline import Rates, Work, bound_ms, measure_rates, work_of, write_roofline
 from rasterizer.bench.workloads import WORKLOADS, Workload, make_workload
 from rasterizer.cores import keep_freed_memory, usable_cores
@@ -160,6 +169,13 @@ def log_frames(name: str, c: WorkCounts, times: dict[int, FrameTime], bound: flo
 
 def measure_iteration_and_reference(workload: Workload, threads: list[int], repeats: int, log: Log) -> dict:
     result: dict[str, dict] = {}
+    for n in threads:
+        together, alone = time_batch(workload, n, repeats)
+        result[f"batch_{n}"] = {"together": asdict(together), "one_by_one": asdict(alone)}
+        log(
+            f"  4 views forward, {plural(n)}: {together.minimum:.1f} ms {clock_for(n)[0]} together, "
+            f"{alone.minimum:.1f} ms one by one"
+        )
     for sparse, label in ((False, "adam"), (True, "sparse_adam")):
         for n in threads:
             parts = time_iteration(workload, n, repeats, sparse=sparse)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import statistics
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -19,6 +19,7 @@ from rasterizer.gaussians import Gaussians
 from rasterizer.gradients import Gradients
 from rasterizer.loss import PhotometricLoss
 from rasterizer.rasterizer import STAGES, Rasterizer
+from rasterizer.request import Request
 
 
 @dataclass(frozen=True)
@@ -116,7 +117,7 @@ def time_iteration(
     workload: Workload, threads: int, repeats: int, views: int = 4, sparse: bool = False
 ) -> dict[str, Time]:
     """Time by part ("rasterizer", "loss", "adam") and of the whole "iteration": rendering, loss and backward pass of
-    `views` views, then Adam.
+    `views` views, evenly spread in time, then Adam.
 
     sparse: Adam skips the Gaussians that no view of the batch shows.
     """
@@ -124,7 +125,8 @@ def time_iteration(
     parameters = {name: p.clone() for name, p in workload.gaussians.tensors().items()}
     gaussians = Gaussians.from_tensors(parameters)
     adam = _Adam(parameters, threads)
-    rasterizer, gradients = Rasterizer(threads), Gradients.zeros_like(gaussians)
+    rasterizers, gradients = [Rasterizer(threads) for _ in range(views)], Gradients.zeros_like(gaussians)
+    requests = batch_of(workload, views)
     criterion = PhotometricLoss(threads=threads)
     target = torch.rand(3, workload.camera.height, workload.camera.width, generator=torch.Generator().manual_seed(1))
     spent: dict[str, list[float]] = {"rasterizer": [], "loss": [], "adam": [], "iteration": []}
@@ -133,19 +135,20 @@ def time_iteration(
         gradients.zero_(threads)
         parts = dict.fromkeys(("rasterizer", "loss", "adam"), 0.0)
         visible = torch.zeros(len(gaussians), dtype=torch.uint8) if sparse else None
-        for _ in range(views):
+        t0 = clock()
+        rendered = Rasterizer.render_batch(rasterizers, [gaussians] * views, requests)
+        parts["rasterizer"] += clock() - t0
+        for rasterizer, out in zip(rasterizers, rendered, strict=True):
+            assert out.color is not None
             t0 = clock()
-            image = rasterizer.render(gaussians, workload.request()).color
-            assert image is not None
+            d_image = criterion(out.color, target).d_image
             t1 = clock()
-            d_image = criterion(image, target).d_image
-            t2 = clock()
             view = rasterizer.backward(gradients, d_color=d_image)
-            t3 = clock()
+            t2 = clock()
             if visible is not None:
                 view.mark_visible(visible, threads)
-            parts["rasterizer"] += t1 - t0 + t3 - t2
-            parts["loss"] += t2 - t1
+            parts["rasterizer"] += t2 - t1
+            parts["loss"] += t1 - t0
         t0 = clock()
         adam.step(gradients, visible)
         end = clock()
@@ -153,6 +156,27 @@ def time_iteration(
         for name, seconds in (parts | {"iteration": end - start}).items():
             spent[name].append(seconds)
     return {name: Time.of(seconds) for name, seconds in spent.items()}
+
+
+def time_batch(workload: Workload, threads: int, repeats: int, views: int = 4) -> tuple[Time, Time]:
+    """The forward passes of the iteration's views: in one call, and in turn with it each on its own."""
+    _, clock = clock_for(threads)
+    requests, rasterizers = batch_of(workload, views), [Rasterizer(threads) for _ in range(views)]
+    together, alone = [], []
+    for _ in range(repeats):
+        t0 = clock()
+        Rasterizer.render_batch(rasterizers, [workload.gaussians] * views, requests)
+        t1 = clock()
+        for request in requests:
+            rasterizers[0].render(workload.gaussians, request)
+        together.append(t1 - t0)
+        alone.append(clock() - t1)
+    return Time.of(together), Time.of(alone)
+
+
+def batch_of(workload: Workload, views: int) -> list[Request]:
+    """Views evenly spread in time."""
+    return [replace(workload, time=(view + 0.5) / views).request() for view in range(views)]
 
 
 class _Adam:

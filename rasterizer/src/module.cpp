@@ -115,6 +115,9 @@ splat::FlowCamera<double> flow_camera_of(const CameraDouble& now, const CameraDo
     return r;
 }
 
+// Colour, alpha, depth, flow and statistics; none for those not rendered.
+using Images = std::array<std::optional<Out>, 5>;
+
 // The state of one view, with the rendered images, which the backward pass reads.
 class Rasterizer {
 public:
@@ -141,13 +144,13 @@ public:
                            detached,
                            threads};
     }
-    void render(const Gaussians& gaussians, std::optional<Out> color, std::optional<Out> alpha,
-                std::optional<Out> depth, std::optional<Out> flow, std::optional<Out> stats) {
-        const splat::OutputPlanes out{pointer(color), pointer(alpha), pointer(depth), pointer(flow),
-                                      pointer(stats)};
-        rendered_ = {color, alpha, depth, flow, stats};
-        nb::gil_scoped_release release;
-        splat::render(state_, gaussians.motion(), gaussians.parameters(), out);
+    // For the forward pass, whose images these are.
+    splat::View view(const Gaussians& gaussians, const Images& images) {
+        rendered_ = images;
+        return {state_,
+                gaussians.parameters(),
+                {pointer(images[0]), pointer(images[1]), pointer(images[2]), pointer(images[3]),
+                 pointer(images[4])}};
     }
     void backward(const Gaussians& gaussians, std::optional<In> color, std::optional<In> alpha,
                   std::optional<In> depth, std::optional<In> flow, std::optional<In> stats, Out mean,
@@ -177,8 +180,17 @@ public:
 
 private:
     splat::ViewState state_;
-    std::array<std::optional<Out>, 5> rendered_;
+    Images rendered_;
 };
+
+void render(const std::vector<Rasterizer*>& rasterizers, const std::vector<Gaussians>& gaussians,
+            const std::vector<Images>& images) {
+    std::vector<splat::View> views;
+    for (size_t v = 0; v < rasterizers.size(); ++v)
+        views.push_back(rasterizers[v]->view(gaussians[v], images[v]));
+    nb::gil_scoped_release release;
+    splat::render(views, gaussians.front().motion());
+}
 
 // visible [V], color gradient [V, 8], sh_degree, fourier_order, wrong_line
 using View = std::tuple<Array<const int32_t>, In, int, int, bool>;
@@ -279,9 +291,6 @@ NB_MODULE(KERNEL_MODULE_NAME, m) {
              nb::arg("flow_dt"), nb::arg("flow_camera").none(), nb::arg("sh_degree"),
              nb::arg("fourier_order"), nb::arg("extras"), nb::arg("differentiable"), nb::arg("detached"),
              nb::arg("threads"))
-        .def("render", &Rasterizer::render, nb::arg("gaussians"), written("color").none(),
-             written("alpha").none(), written("depth").none(), written("flow").none(),
-             written("stats").none())
         .def("backward", &Rasterizer::backward, nb::arg("gaussians"), nb::arg("d_color").none(),
              nb::arg("d_alpha").none(), nb::arg("d_depth").none(), nb::arg("d_flow").none(),
              nb::arg("d_stats").none(), written("mean"), written("log_scale"), written("quat_left"),
@@ -293,6 +302,7 @@ NB_MODULE(KERNEL_MODULE_NAME, m) {
         .def_prop_ro("intersections", &Rasterizer::intersections)
         .def("count_pairs", &Rasterizer::count_pairs)
         .def_prop_ro("stage_ms", &Rasterizer::stage_ms);
+    m.def("render", &render, nb::arg("rasterizers"), nb::arg("gaussians"), written("images"));
     m.def("expand_sh", &expand_sh, nb::arg("views"), written("dense"), nb::arg("coefficients"),
           nb::arg("orders"), nb::arg("threads"));
     m.def("adam_step", &adam_step, written("param"), nb::arg("grad"), written("m"), written("v"),

@@ -1,4 +1,4 @@
-// Renders one view and takes its gradient: start reading here. Each stage is a file.
+// Renders the views of a batch and takes their gradients: start reading here. Each stage is a file.
 //
 //     render           forward/preprocess.hpp            per Gaussian: cull in time, slice, project, colour
 //                      forward/sort.hpp                  visible splats front to back
@@ -19,6 +19,7 @@
 
 #include <stdexcept>
 #include <utility>
+#include <vector>
 
 #include "backward/blend_backward.hpp"
 #include "backward/preprocess_backward.hpp"
@@ -61,15 +62,48 @@ inline void with_extra(int extra, Run&& run) {
     at(std::make_integer_sequence<int, kMaxExtraChannels + 1>{});
 }
 
-// Forward pass: writes the images of `out` and leaves in `view` what the backward pass needs.
-inline void render(ViewState& view, Motion motion, const Parameters& p, const OutputPlanes& out) {
-    with_model(motion, view.settings.fourier_order, [&]<Motion m, int order>() {
-        view.settings.differentiable ? preprocess<m, order, true>(view, p)
-                                     : preprocess<m, order, false>(view, p);
-    });
-    sort_by_depth(view);
-    intersect_tiles(view);
-    with_extra(view.settings.extra_channels(), [&]<int extra>() { blend<extra>(view, out); });
+// A view of a batch: its state, the Gaussians as it shows them, and its images.
+struct View {
+    ViewState& state;
+    Parameters gaussians;
+    OutputPlanes out;
+};
+
+// A chunk of Gaussians goes through all views while its parameters are in cache.
+inline void preprocess(const std::vector<View>& views, Motion motion) {
+    StageTimer timer(views.front().state, kStagePreprocess);
+    const uint32_t count = views.front().gaussians.count;
+    for (const View& view : views) {
+        view.state.stage_ms[kStagePreprocess] = 0;  // the first view's has the time of all
+        make_room(view.state, count);
+    }
+    const int chunks = chunks_of(count);
+#pragma omp parallel num_threads(views.front().state.settings.threads)
+    {
+        ChunkScratch scratch;
+#pragma omp for schedule(dynamic, 1)
+        for (int c = 0; c < chunks; ++c)
+            for (const View& view : views)
+                with_model(motion, view.state.settings.fourier_order, [&]<Motion m, int order>() {
+                    view.state.settings.differentiable
+                        ? preprocess_chunk<m, order, true>(view.state, view.gaussians, c, scratch)
+                        : preprocess_chunk<m, order, false>(view.state, view.gaussians, c, scratch);
+                });
+        end_of_streaming();
+    }
+    for (const View& view : views) count_visible(view.state);
+}
+
+// Forward pass of views of the same number of Gaussians and one motion: writes the images of each and leaves
+// in its state what the backward pass needs.
+inline void render(const std::vector<View>& views, Motion motion) {
+    preprocess(views, motion);
+    for (const View& view : views) {
+        sort_by_depth(view.state);
+        intersect_tiles(view.state);
+        with_extra(view.state.settings.extra_channels(),
+                   [&]<int extra>() { blend<extra>(view.state, view.out); });
+    }
 }
 
 // Backward pass of the last `render`: `rendered` are its images, `d` their gradients. Adds to `out`.

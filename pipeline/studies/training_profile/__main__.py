@@ -66,30 +66,31 @@ HEADER = ("stage", "CPU s", "share")
 @contextmanager
 def timing_kernel(clock: StageClock) -> Iterator[None]:
     """Splits the kernel's two calls by its own stage times, which on one thread are CPU time but for interruptions."""
-    passes = {"render": STAGES[:4], "backward": STAGES[4:]}
+    passes = {"render_batch": (staticmethod, STAGES[:4]), "backward": (lambda function: function, STAGES[4:])}
     with ExitStack() as stack:
-        for function, names in passes.items():
-            stack.enter_context(_timing_pass(clock, function, names))
+        for function, (bound, names) in passes.items():
+            timed = _timed_pass(clock, getattr(Rasterizer, function), names)
+            stack.enter_context(patch.object(Rasterizer, function, bound(timed)))
         yield
 
 
-@contextmanager
-def _timing_pass(clock: StageClock, function: str, names: Sequence[str]) -> Iterator[None]:
-    original, around = getattr(Rasterizer, function), "around the kernel"
+def _timed_pass(clock: StageClock, original: Any, names: Sequence[str]) -> Any:
+    around = "around the kernel"
 
     @wraps(original)
-    def timed(self: Rasterizer, *args: Any, **kwargs: Any) -> Any:
+    def timed(rasterizers: Rasterizer | Sequence[Rasterizer], *args: Any, **kwargs: Any) -> Any:
         before = clock.seconds[around]
         with clock.stage(around):
-            result = original(self, *args, **kwargs)
-        spent, ms = clock.seconds[around] - before, self.stage_ms
-        scale = min(1e-3, spent / max(1e-9, sum(ms[name] for name in names)))
+            result = original(rasterizers, *args, **kwargs)
+        spent = clock.seconds[around] - before
+        each = [rasterizers] if isinstance(rasterizers, Rasterizer) else rasterizers
+        ms = {name: sum(rasterizer.stage_ms[name] for rasterizer in each) for name in names}
+        scale = min(1e-3, spent / max(1e-9, sum(ms.values())))
         if spent > 0:
             clock.move(around, {name: scale * ms[name] for name in names})
         return result
 
-    with patch.object(Rasterizer, function, timed):
-        yield
+    return timed
 
 
 def profile(keys: Sequence[str]) -> dict[str, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 
@@ -11,12 +12,22 @@ from torch import Tensor
 from datasets.scene import Scene
 from pipeline.config.schema import Config
 from pipeline.model.model import Model
-from pipeline.model.render import ImageGradient, backward, render
+from pipeline.model.render import ImageGradient, Rendered, backward, render_views
 from pipeline.training.objective.dropout import without
 from pipeline.training.objective.image_terms import image_terms
 from pipeline.training.objective.model_terms import model_terms
 from pipeline.training.objective.terms import DrawnView
-from rasterizer import Gradients, Request, ViewGradient, engine_for
+from rasterizer import Engine, Gradients, Request, ViewGradient, engine_for
+
+
+@dataclass(frozen=True)
+class ForwardPass:
+    """A view of a batch after its forward pass: what its backward pass needs."""
+
+    view: DrawnView  # on the rasterizer's device
+    shown: Model  # without what is dropped
+    rasterizer: Engine
+    rendered: Rendered
 
 
 @dataclass(frozen=True)
@@ -31,49 +42,56 @@ class RenderedView:
 
 
 class Objective:
-    """The terms, and the rasterizer whose memory every view reuses."""
+    """The terms, and a rasterizer for each view of a batch, whose memory every batch reuses."""
 
     def __init__(self, scene: Scene, cfg: Config, threads: int) -> None:
         self._scene, self._near = scene, cfg.scene.near * scene.unit
-        self._rasterizer = engine_for(cfg.backend, threads)
+        self._rasterizers = [engine_for(cfg.backend, threads) for _ in range(cfg.train.batch)]
         self._released_gradients = tuple(cfg.train.released_gradients)
         self._image_terms = image_terms(cfg.train, scene, threads)
         self._model_terms = model_terms(cfg.train.regularization, scene, threads, cfg.seed)
 
+    def render(self, model: Model, views: Sequence[DrawnView]) -> list[ForwardPass]:
+        """The forward pass of a batch's views; the next one replaces it."""
+        rasterizers = self._rasterizers[: len(views)]
+        views = [replace(view, target=view.target.to(rasterizers[0].device)) for view in views]
+        shown = [model if view.dropped is None else without(model, view.dropped) for view in views]
+        rendered = render_views(rasterizers, shown, [self._request(view) for view in views])
+        return [ForwardPass(*each) for each in zip(views, shown, rasterizers, rendered, strict=True)]
+
     def backward(
-        self, model: Model, view: DrawnView, gradients: Gradients, d_environment_map: Tensor | None = None
+        self, model: Model, found: ForwardPass, gradients: Gradients, d_environment_map: Tensor | None = None
     ) -> RenderedView:
-        """Render a view and add the gradient of its share of the batch's loss, in place.
+        """Add the gradient of a view's share of the batch's loss, in place.
 
         d_environment_map: of the map's image; None: the map is not trained.
         """
-        view = replace(view, target=view.target.to(self._rasterizer.device))
-        target, shown = view.target, model if view.dropped is None else without(model, view.dropped)
-        terms = [term for term in self._image_terms if term.outputs(target)]
-        outputs = {output for term in terms for output in term.outputs(target)}
-        rendered = render(self._rasterizer, shown, self._request(view, outputs))
+        view, rendered, target = found.view, found.rendered, found.view.target
         compared = view
         if target.mask is not None:  # outside it the target is what is rendered, so that SSIM's windows see no error
             compared = replace(
                 view, target=replace(target, image=torch.where(target.mask, target.image, rendered.image))
             )
-        found = reduce(ImageGradient.__add__, (term(rendered, compared) for term in terms))
+        terms = [term for term in self._image_terms if term.outputs(target)]
+        by_image = reduce(ImageGradient.__add__, (term(rendered, compared) for term in terms))
         if target.mask is not None:
-            found = found.inside(target.mask)
-        gradient = backward(self._rasterizer, shown, rendered, found, gradients, d_environment_map)
-        loss = found.loss
+            by_image = by_image.inside(target.mask)
+        gradient = backward(found.rasterizer, found.shown, rendered, by_image, gradients, d_environment_map)
+        loss = by_image.loss
         for model_term in self._model_terms:
             loss += model_term.add(gradients, model, view)
-        return RenderedView(loss, rendered.image, target.image, gradient, self._rasterizer.alive)
+        return RenderedView(loss, rendered.image, target.image, gradient, found.rasterizer.alive)
 
     def gradient_of(self, model: Model, view: DrawnView) -> Gradients:
         """That of one view alone; finite_checks finds the non-finite view with it."""
         alone = Gradients.zeros_like(model.gaussians())
-        self.backward(model, view, alone)
+        (found,) = self.render(model, [view])
+        self.backward(model, found, alone)
         return alone
 
-    def _request(self, view: DrawnView, outputs: set[str]) -> Request:
+    def _request(self, view: DrawnView) -> Request:
         target, scene = view.target, self._scene
+        outputs = {output for term in self._image_terms for output in term.outputs(target)}
         return Request(
             target.camera,
             target.time,

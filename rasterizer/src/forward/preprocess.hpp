@@ -237,43 +237,51 @@ inline void color_and_write_splats(const Parameters& p, const Settings& s, Proje
     }
 }
 
-template <Motion motion, int order, bool differentiable>
-inline void preprocess(ViewState& view, const Parameters& p) {
-    StageTimer timer(view, kStagePreprocess);
-    const int chunks = static_cast<int>((p.count + kChunk - 1) / kChunk);
-    view.splats.resize(static_cast<size_t>(chunks) * kChunk);
-    view.depth.resize(static_cast<size_t>(chunks) * kChunk);
-    view.depth_low.resize(static_cast<size_t>(chunks) * kChunk);
-    if (differentiable) view.color_jacobian.resize(static_cast<size_t>(chunks) * kChunk);
-    const bool extras = view.settings.extra_channels();
-    if (extras) view.extras.resize(static_cast<size_t>(chunks) * kChunk * kExtraStride);
+inline int chunks_of(uint32_t count) { return static_cast<int>((count + kChunk - 1) / kChunk); }
+
+// Makes room for the splats of `count` Gaussians.
+inline void make_room(ViewState& view, uint32_t count) {
+    const int chunks = chunks_of(count);
+    const size_t splats = static_cast<size_t>(chunks) * kChunk;
+    view.splats.resize(splats);
+    view.depth.resize(splats);
+    view.depth_low.resize(splats);
+    if (view.settings.differentiable) view.color_jacobian.resize(splats);
+    if (view.settings.extra_channels()) view.extras.resize(splats * kExtraStride);
     view.chunk_count.assign(chunks, 0);
     view.chunk_alive.assign(chunks, 0);
     view.chunk_first.assign(chunks + 1, 0);
-#pragma omp parallel num_threads(view.settings.threads)
-    {
-        ProjectedChunk projected;
-        uint32_t candidates[kChunk + kLanes];
-#pragma omp for schedule(dynamic, 1)
-        for (int c = 0; c < chunks; ++c) {
-            const uint32_t first = static_cast<uint32_t>(c) * kChunk,
-                           last = std::min(p.count, first + kChunk);
-            const int n = cull_in_time<motion>(p, first, last, view.camera, candidates);
-            view.chunk_alive[c] = project_chunk<motion>(p, view.camera, view.camera_double, view.settings,
-                                                        candidates, n, projected);
-            color_and_write_splats<order, differentiable>(
-                p, view.settings, projected, view.splats.data() + first,
-                differentiable ? view.color_jacobian.data() + first : nullptr,
-                extras ? view.extras.data() + static_cast<size_t>(first) * kExtraStride : nullptr);
-            std::copy_n(projected.value[projected.kDepth], projected.count, &view.depth[first]);
-            if (projected.any_double_depth)
-                std::copy_n(projected.value[projected.kDepthLow], projected.count, &view.depth_low[first]);
-            view.chunk_count[c] = projected.count;
-        }
-        end_of_streaming();
-    }
+}
+
+// A thread's memory for one chunk.
+struct ChunkScratch {
+    uint32_t candidates[kChunk + kLanes];
+    ProjectedChunk projected;
+};
+
+template <Motion motion, int order, bool differentiable>
+inline void preprocess_chunk(ViewState& view, const Parameters& p, int chunk, ChunkScratch& scratch) {
+    const uint32_t first = static_cast<uint32_t>(chunk) * kChunk, last = std::min(p.count, first + kChunk);
+    ProjectedChunk& projected = scratch.projected;
+    const int n = cull_in_time<motion>(p, first, last, view.camera, scratch.candidates);
+    view.chunk_alive[chunk] = project_chunk<motion>(p, view.camera, view.camera_double, view.settings,
+                                                    scratch.candidates, n, projected);
+    color_and_write_splats<order, differentiable>(
+        p, view.settings, projected, view.splats.data() + first,
+        differentiable ? view.color_jacobian.data() + first : nullptr,
+        view.settings.extra_channels() ? view.extras.data() + static_cast<size_t>(first) * kExtraStride
+                                       : nullptr);
+    std::copy_n(projected.value[projected.kDepth], projected.count, &view.depth[first]);
+    if (projected.any_double_depth)
+        std::copy_n(projected.value[projected.kDepthLow], projected.count, &view.depth_low[first]);
+    view.chunk_count[chunk] = projected.count;
+}
+
+// Sums over the chunks.
+inline void count_visible(ViewState& view) {
+    const size_t chunks = view.chunk_count.size();
     view.alive = 0;
-    for (int c = 0; c < chunks; ++c) {
+    for (size_t c = 0; c < chunks; ++c) {
         view.chunk_first[c + 1] = view.chunk_first[c] + view.chunk_count[c];
         view.alive += view.chunk_alive[c];
     }

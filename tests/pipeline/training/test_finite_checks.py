@@ -16,10 +16,10 @@ def insert_nan(monkeypatch, at_call: int, row: int) -> None:
     """The view of the `at_call`-th backward pass has a NaN in the gradient of the mean from then on."""
     original, names = Objective.backward, []
 
-    def backward(self, model, drawn, gradients, *rest):
-        view = original(self, model, drawn, gradients, *rest)
-        names.append(drawn.target.name)
-        if drawn.target.name == names[min(at_call, len(names) - 1)] and len(names) > at_call:
+    def backward(self, model, found, gradients, *rest):
+        view = original(self, model, found, gradients, *rest)
+        names.append(found.view.target.name)
+        if names[-1] == names[min(at_call, len(names) - 1)] and len(names) > at_call:
             gradients.mean[row, 1] = float("nan")
         return view
 

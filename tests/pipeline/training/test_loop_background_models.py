@@ -144,7 +144,9 @@ def test_the_near_plane_is_in_the_scenes_unit(unit: float, visible: bool) -> Non
     scene, cfg = replace(tiny_scene(), unit=unit), tiny_config()
     model = initialise(scene, cfg, np.random.default_rng(0))
     view = DrawnView(target_of(scene.train[0], 1.0), phase(1.0, cfg.train, scene.extent, 3, 2))
-    rendered = Objective(scene, cfg, 1).backward(model, view, Gradients.zeros_like(model.gaussians()))
+    objective = Objective(scene, cfg, 1)
+    (found,) = objective.render(model, [view])
+    rendered = objective.backward(model, found, Gradients.zeros_like(model.gaussians()))
     assert (len(rendered.gradient.visible) > 0) == visible
 
 

@@ -80,7 +80,9 @@ def test_the_gradient_of_a_batch_is_that_of_image_and_flow(make_scene: Callable[
     target = TrainingViews(scene.train, FlowTargets(scene)).at(1, 1.0)
     monkeypatch.setattr(Photometric, "__init__", l1_alone)
     gradients = Gradients.zeros_like(model.gaussians())
-    loss = Objective(scene, cfg, 1).backward(model, DrawnView(target, late), gradients).loss
+    objective = Objective(scene, cfg, 1)
+    (found,) = objective.render(model, [DrawnView(target, late)])
+    loss = objective.backward(model, found, gradients).loss
 
     leaves = {name: tensor.clone().requires_grad_() for name, tensor in gaussians.tensors().items()}
     request = Request(
