@@ -17,10 +17,9 @@ class Stream(IntEnum):
 
     INIT = 0  # positions, times and orientations of the first Gaussians
     BATCHES = 1  # which views an iteration trains on
-    # 2 was of a part that is gone
+    # 2 and 5 were of parts that are gone
     SENSITIVITY = 3  # signs of the estimate of image sensitivity; by iteration
     ERROR_POINTS = 4  # where and when the error is; by iteration
-    DROPOUT = 5  # which Gaussians are left out of a view; by iteration
     MARGINAL = 6  # by how much the times of the temporal marginals are shifted; by iteration
     TRAJECTORIES = 7  # where shared trajectories start
     RIGID = 8  # pairs of neighbours and a time; by view

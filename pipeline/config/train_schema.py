@@ -124,8 +124,6 @@ class TrainConfig:
     mse_weight: float = 0.0  # of MSE in the loss; PSNR is the logarithm of MSE; 3DGS and the paper have none
     regularization: RegularizationConfig = field(default_factory=RegularizationConfig)
     depth: DepthConfig = field(default_factory=DepthConfig)
-    dropout: float = 0.0  # share of the Gaussians left out of each training view, at random; 0: none
-    dropout_until: float = 1.0  # share of the schedule in which any of them may be; after it only short-lived ones
     # Each view takes its temporal marginals at a time off by up to this; × spacing of the training times; 0: none
     marginal_jitter: float = 0.0
     optimiser: str = "adam"  # adam (dense, the paper's) | sparse_adam (Gaussians of the batch's views only)
@@ -163,8 +161,6 @@ class TrainConfig:
             "init_time_scale": above(0),
             "init_time_margin": at_least(0),
             "init_points": positive_count(),
-            "dropout": between("[0, 1)", 0, 1).but("0: none"),
-            "dropout_until": between("[0, 1]", 0, 1),
             "marginal_jitter": at_least(0).but("0: none"),
             "released_gradients": some_of("detached", "untrained", "wrong_line"),
             "orders_at": Range("five iterations, the first three and the last two in ascending order",

@@ -116,7 +116,7 @@ def fewest_changes(key: Key, groups: Groups) -> Key | None:
     """The same scene, protocol and model with the fewest of the run's own changes; of its recipe, or else of the only
     other one.
 
-    An experiment names its recipes: `no_dropout (train.dropout=0)` is compared with `short`.
+    An experiment names its recipes: `no_jitter (train.marginal_jitter=0)` is compared with `short`.
     Rows: (scene, protocol, model, …).
     """
     own = groups[key].iloc[0]

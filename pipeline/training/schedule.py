@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from pipeline.config.scaled import scaled
 from pipeline.config.train_schema import LearningRates, ResolutionStep, TrainConfig
 
-LATE_DROPOUT_LIFETIME = 0.2  # × duration: late in the schedule dropout is of Gaussians with a smaller st
 SPHERE_FREEZE_AFTER = 10_000  # iterations for which the background sphere is trained, as in the paper
 MAP_UNTIL = 5000  # iterations for which the environment map or the cube map is trained
 MAP_LEARNING_RATE = 2.5e-3  # of their texels: that of the constant coefficients in 3DGS
@@ -40,8 +39,6 @@ class Phase:
     sphere: bool  # whether the sphere around the scene is trained (pipeline/model/sphere.py)
     environment_map: bool  # whether the environment map or cube map is trained (pipeline/model/environment_map.py)
     depth_decay: float = 0.0  # factor of the weights of the depth loss
-    dropout: float = 0.0  # share of the Gaussians left out of each view
-    dropout_lifetime: float | None = None  # those with a smaller st alone; × duration; None: any
 
 
 def clock_at(iteration: int, train_seconds: float, cfg: TrainConfig) -> float:
@@ -59,7 +56,6 @@ def shortened(cfg: TrainConfig, share: float) -> TrainConfig:
 def phase(clock: float, cfg: TrainConfig, extent: float, max_sh_degree: int, max_fourier_order: int) -> Phase:
     """The phase at `clock`. extent: as `learning_rates`."""
     fraction = min(1.0, clock / cfg.iterations)
-    any_dropped = fraction <= cfg.dropout_until
     return Phase(
         clock,
         learning_rates(clock, cfg.iterations, cfg.lr, extent),
@@ -70,8 +66,6 @@ def phase(clock: float, cfg: TrainConfig, extent: float, max_sh_degree: int, max
         sphere=clock <= SPHERE_FREEZE_AFTER,
         environment_map=clock <= MAP_UNTIL,
         depth_decay=math.exp(-fraction / DEPTH_DECAY),
-        dropout=cfg.dropout,
-        dropout_lifetime=None if any_dropped else LATE_DROPOUT_LIFETIME,
     )
 
 

@@ -14,7 +14,6 @@ from pipeline.config.schema import Config
 from pipeline.data.training_views import TrainingViews
 from pipeline.model.sphere import trainable_rows
 from pipeline.training import finite_checks
-from pipeline.training.objective.dropout import draw_dropped, short_lived
 from pipeline.training.objective.marginal_jitter import draw_offsets
 from pipeline.training.objective.objective import Objective, RenderedView
 from pipeline.training.objective.still_gaussians import hold_still
@@ -50,12 +49,6 @@ def draw_batch(state: TrainState, views: TrainingViews, phase: Phase, scene: Sce
         DrawnView(views.at(index, phase.resolution), phase, len(chosen), place, before + place + 1)
         for place, index in enumerate(chosen)
     ]
-    if phase.dropout > 0:
-        rng = stream(cfg.seed, Stream.DROPOUT, state.iteration)
-        may_drop = torch.tensor(True)
-        if phase.dropout_lifetime is not None:
-            may_drop = short_lived(state.model, phase.dropout_lifetime * scene.duration).cpu()
-        drawn = [replace(view, dropped=draw_dropped(len(state.model), phase.dropout, rng) & may_drop) for view in drawn]
     if (jitter := cfg.train.marginal_jitter) > 0 and state.model.kind.moves:
         rng = stream(cfg.seed, Stream.MARGINAL, state.iteration)
         offsets = draw_offsets(len(drawn), jitter, state.model, scene, rng)

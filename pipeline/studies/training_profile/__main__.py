@@ -36,7 +36,7 @@ REST = "the rest of the loop"
 SETTLE, EVALUATION, REPORTS = "short trainings of validation", "evaluation", "reports"
 # What is timed, and the stage that it counts for. Kernel stages come with `timing_kernel`.
 TIMED: Sequence[tuple[Any, str, str]] = (
-    (loop, "draw_batch", "targets, dropout and jitter"),
+    (loop, "draw_batch", "targets and jitter"),
     (image_terms.Photometric, "__call__", "photometric loss"),
     (image_terms.Flow, "__call__", "other losses"),
     (image_terms.KnownDepth, "__call__", "other losses"),

@@ -13,7 +13,6 @@ from datasets.scene import Scene
 from pipeline.config.schema import Config
 from pipeline.model.model import Model
 from pipeline.model.render import ImageGradient, Rendered, backward, render_views
-from pipeline.training.objective.dropout import without
 from pipeline.training.objective.image_terms import image_terms
 from pipeline.training.objective.model_terms import model_terms
 from pipeline.training.objective.terms import DrawnView
@@ -25,7 +24,6 @@ class ForwardPass:
     """A view of a batch after its forward pass: what its backward pass needs."""
 
     view: DrawnView  # on the rasterizer's device
-    shown: Model  # without what is dropped
     rasterizer: Engine
     rendered: Rendered
 
@@ -55,9 +53,8 @@ class Objective:
         """The forward pass of a batch's views; the next one replaces it."""
         rasterizers = self._rasterizers[: len(views)]
         views = [replace(view, target=view.target.to(rasterizers[0].device)) for view in views]
-        shown = [model if view.dropped is None else without(model, view.dropped) for view in views]
-        rendered = render_views(rasterizers, shown, [self._request(view) for view in views])
-        return [ForwardPass(*each) for each in zip(views, shown, rasterizers, rendered, strict=True)]
+        rendered = render_views(rasterizers, [model] * len(views), [self._request(view) for view in views])
+        return [ForwardPass(*each) for each in zip(views, rasterizers, rendered, strict=True)]
 
     def backward(
         self, model: Model, found: ForwardPass, gradients: Gradients, d_environment_map: Tensor | None = None
@@ -76,7 +73,7 @@ class Objective:
         by_image = reduce(ImageGradient.__add__, (term(rendered, compared) for term in terms))
         if target.mask is not None:
             by_image = by_image.inside(target.mask)
-        gradient = backward(found.rasterizer, found.shown, rendered, by_image, gradients, d_environment_map)
+        gradient = backward(found.rasterizer, model, rendered, by_image, gradients, d_environment_map)
         loss = by_image.loss
         for model_term in self._model_terms:
             loss += model_term.add(gradients, model, view)

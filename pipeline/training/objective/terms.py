@@ -8,8 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-from torch import Tensor
-
 from pipeline.data.training_views import Target
 from pipeline.model.model import Model
 from pipeline.model.render import ImageGradient, Rendered
@@ -26,7 +24,6 @@ class DrawnView:
     batch: int = 1  # views of its batch
     place: int = 0  # in its batch
     number: int = 1  # training views since the start of the run, this one included
-    dropped: Tensor | None = None  # (N,) bool, Gaussians that are left out of it; None: none
     marginal_offset: float = 0.0  # its temporal marginals are those of its time + this
 
 

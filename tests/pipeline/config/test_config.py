@@ -135,7 +135,7 @@ def test_the_command_line_wins_over_every_file() -> None:
         ("train.iterations=[1", "train.iterations=[1: not a key=value that Hydra can read"),
         ("train.iterations=0", "train.iterations: expected at least 1, found 0"),
         ("train.batch=-2", "train.batch: expected at least 1, found -2"),
-        ("train.dropout=nan", "train.dropout: expected in [0, 1) (0: none), found nan"),
+        ("train.mse_weight=nan", "train.mse_weight: expected >= 0, found nan"),
         ("train.optimiser=best", "train.optimiser: expected adam or sparse_adam, found 'best'"),
         ("train.resolution_steps=[{until: 2}]", "train.resolution_steps.until: expected in (0, 1], found 2.0"),
         ("train.densify.space_gradient=0", "train.densify.space_gradient: expected > 0, found 0.0"),

@@ -20,7 +20,7 @@ from pipeline.report.build import content_of
 from pipeline.report.run_table import RunTable, Shown, fewest_changes
 from pipeline.report.runs import collect
 
-DROPOUT = "fast (train.dropout=0.1)"
+JITTER = "fast (train.marginal_jitter=1)"
 DIFFERENCE, VERDICT = "final.psnr.difference", "final.psnr.verdict"
 T1, T2 = 12.706205, 4.302653  # the 97.5 % quantiles of Student's t with 1 and 2 degrees of freedom
 
@@ -237,9 +237,9 @@ def test_changes_are_compared_per_scene_and_over_scenes(tmp_path: Path) -> None:
     write_seeds(tmp_path, [20.0, 22.0, 24.0], "synthetic/wheel")
     write_seeds(tmp_path, [30.0, 30.0], "synthetic/lamp")
     for scene, psnr in (("synthetic/wheel", 23.0), ("synthetic/lamp", 31.0)):
-        write_seeds(tmp_path, [psnr, psnr], scene, out="dropout", changes={"train.dropout": 0.1})
+        write_seeds(tmp_path, [psnr, psnr], scene, out="jitter", changes={"train.marginal_jitter": 1})
     rows = changed(tmp_path)
-    wheel, mean = rows["synthetic/wheel", DROPOUT], rows["mean of 2", DROPOUT]
+    wheel, mean = rows["synthetic/wheel", JITTER], rows["mean of 2", JITTER]
     # Seeds 0 and 1 differ by 3 and 1, the scenes by 2 and 1: t(1) / √2 × their standard deviations √2 and 1/√2.
     assert (wheel.cells[DIFFERENCE].value, wheel.cells[DIFFERENCE].error) == (pytest.approx(2.0), pytest.approx(T1))
     assert (mean.cells[DIFFERENCE].value, mean.cells[DIFFERENCE].error) == (pytest.approx(1.5), pytest.approx(T1 / 2))
@@ -259,16 +259,16 @@ def test_changes_of_the_scene_are_not_changes_of_the_recipe(tmp_path: Path) -> N
 
 def test_a_named_recipe_is_compared_with_the_one_of_the_fewest_changes(tmp_path: Path) -> None:
     """As of an experiment whose every run has a change in common; a recipe of another kind is not compared."""
-    common, dropout = {"train.eval_every": 600}, {"train.dropout": 0}
+    common, jitter = {"train.eval_every": 600}, {"train.marginal_jitter": 0}
     write_seeds(tmp_path, [30.0], out="short", recipe="short", changes=common)
-    write_seeds(tmp_path, [29.0], out="no_dropout", recipe="no_dropout", changes=common | dropout)
-    write_seeds(tmp_path, [28.0], out="both", recipe="both", changes=common | dropout | {"train.batch": 1})
+    write_seeds(tmp_path, [29.0], out="no_jitter", recipe="no_jitter", changes=common | jitter)
+    write_seeds(tmp_path, [28.0], out="both", recipe="both", changes=common | jitter | {"train.batch": 1})
     write_seeds(tmp_path, [20.0], out="paper", recipe="paper", changes={"train.iterations": 100})
     found = {recipe: row.cells[DIFFERENCE].text for (_, recipe), row in changed(tmp_path).items()}
     assert found == {
         "short (train.eval_every=600)": "·",
-        "no_dropout (train.dropout=0, train.eval_every=600)": "-1.00",
-        "both (train.batch=1, train.dropout=0, train.eval_every=600)": "-2.00",
+        "no_jitter (train.eval_every=600, train.marginal_jitter=0)": "-1.00",
+        "both (train.batch=1, train.eval_every=600, train.marginal_jitter=0)": "-2.00",
     }
 
 

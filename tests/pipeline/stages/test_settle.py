@@ -46,7 +46,7 @@ def test_the_scene_chooses_the_file_of_its_kind(scene: Scene, kind: str) -> None
 def test_each_kind_has_its_own_settings_and_nothing_else_changes() -> None:
     base = settled(MOVING)
     assert settled(STATIC)["train.init_points"] == 60_000 != base["train.init_points"]
-    assert (settled(FILM)["train.dropout_until"], settled(CLIP)["train.regularization.flow"]) == (1.0, 5.0)
+    assert (settled(FILM)["train.regularization.opacity"], settled(CLIP)["train.regularization.flow"]) == (0.01, 5.0)
     for scene in (STATIC, FILM, CLIP):
         found = {key for key in differing(settled(scene), base) if not key.startswith("train.")}
         assert found <= {"ablation.static", "ablation.fourier_order"}, "a static model has neither"
@@ -95,7 +95,7 @@ def test_a_run_says_what_its_command_changed(overrides: tuple[str, ...], found: 
 
 def test_shared_motion_has_a_file_of_its_own() -> None:
     found = settled(MOVING, decided={"shared_motion": True})
-    assert (found["train.motion"], found["train.dropout"]) == ("trajectories", 0.0)
+    assert (found["train.motion"], found["train.regularization.rigid"]) == ("trajectories", 0.02)
     assert settled(MOVING)["train.motion"] == "tracks"
     for scene in (FILM, CLIP, STATIC):  # it is not compared there
         assert settled(scene)["train.motion"] != "trajectories"

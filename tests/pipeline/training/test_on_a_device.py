@@ -34,7 +34,7 @@ DENSIFY = DensifyConfig(
 )  # fmt: skip
 KINDS: dict[str, dict] = {
     "rotations": dict(regularization=RegularizationConfig(rigid_released=0.02, opacity=0.001), mse_weight=1.0),
-    "sparse": dict(optimiser="sparse_adam", marginal_jitter=0.5, dropout=0.1),
+    "sparse": dict(optimiser="sparse_adam", marginal_jitter=0.5),
     "tracks": dict(motion="tracks", regularization=RegularizationConfig(flow=0.1)),
     "trajectories": dict(motion="trajectories", regularization=RegularizationConfig(rigid=0.02)),
 }

@@ -90,12 +90,6 @@ def test_background_models_are_trained_through_the_given_iteration() -> None:
     assert [found.sphere for found in trained.values()] == [True, True, True, False]
 
 
-def test_late_dropout_applies_to_short_lived_gaussians_only() -> None:
-    cfg = TrainConfig(iterations=5000, dropout=0.1, dropout_until=0.7)
-    phases = [phase(now, cfg, EXTENT, 3, 2) for now in (1.0, 3500.0, 3501.0, 5000.0)]
-    assert [(found.dropout, found.dropout_lifetime) for found in phases] == [(0.1, None)] * 2 + [(0.1, 0.2)] * 2
-
-
 def test_the_clock_is_the_iteration_unless_the_time_budget_ends_first() -> None:
     assert clock_at(123, 1e9, TrainConfig()) == 123.0
     cfg = TrainConfig(iterations=1000, time_budget_s=60)
