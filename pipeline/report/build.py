@@ -21,6 +21,7 @@ from pipeline.presentation.theme import DARK
 from pipeline.report import tables
 from pipeline.report.content import Content, CurvePlot, report_markdown, terminal_text
 from pipeline.report.curve_figures import curve_figures, file_name
+from pipeline.report.mean_curves import with_means
 from pipeline.report.nerfbaselines import result_file
 from pipeline.report.plots import plot, recoloured
 from pipeline.report.runs import Collection, collect
@@ -88,6 +89,7 @@ def tables_of(collection: Collection, levels: tuple[float, ...] = ()) -> list[Ta
 
 
 def plots_of(collection: Collection) -> list[CurvePlot]:
+    collection = with_means(collection)
     drawn = {figure: plot(collection, figure) for figure in curve_figures(collection)}
     return [CurvePlot(figure.title, figure.slug, svg, recoloured(svg, DARK)) for figure, svg in drawn.items()]
 

@@ -24,7 +24,11 @@ from pipeline.report.curve_figures import CurveFigure, Line
 from pipeline.report.runs import Collection, is_number
 
 _LOG_RATIO = 4  # of the longest to the shortest run; from this ratio the x axis is logarithmic
-_ROWS = (("train_seconds", "training time, s (without evaluation)"), ("iteration", "iteration"))
+_ROWS = (
+    ("cpu_seconds", "CPU seconds of training (without evaluation)"),
+    ("train_seconds", "training time, s (without evaluation)"),
+    ("iteration", "iteration"),
+)
 _COLUMNS = (
     ("psnr", "PSNR, dB, test views"),
     ("psnr_moving", "PSNR, dynamic region, dB"),
@@ -45,7 +49,8 @@ _LEGEND_COLUMNS = 4
 
 
 def plot(collection: Collection, figure_of: CurveFigure) -> str:
-    """SVG text in LIGHT: one column per measured quantity; over training time (top) and over iterations (bottom)."""
+    """SVG text in LIGHT: one column per measured quantity; over CPU seconds, or training time where a run did not
+    record them (top), and over iterations (bottom), which means over scenes do not have."""
     curves = collection.curves[collection.curves["scene_label"] == figure_of.scene_label]
     runs_of = {
         line: curves[(curves["model"] == line.model) & (curves["recipe_label"] == line.recipe_label)]
@@ -53,6 +58,8 @@ def plot(collection: Collection, figure_of: CurveFigure) -> str:
     }
     shown = pd.concat(runs_of.values())
     columns = [(y, label) for y, label in _COLUMNS if shown[y].notna().any()]
+    recorded = [(x, label) for x, label in _ROWS if shown[x].notna().all()]
+    rows = [recorded[0], *(row for row in recorded[1:] if row[0] == "iteration")]
     colours = _colours(figure_of.lines, LIGHT.ablations)
     # Text as text elements: outlines would double the size of the page.
     style: Any = {
@@ -62,9 +69,11 @@ def plot(collection: Collection, figure_of: CurveFigure) -> str:
         "font.size": 9.5,
     }
     with matplotlib.rc_context(style):
-        figure, axes = _empty_figure(len(columns), len(runs_of) + (figure_of.scene_label in scenes.PLENOPTIC))
+        figure, axes = _empty_figure(
+            (len(rows), len(columns)), len(runs_of) + (figure_of.scene_label in scenes.PLENOPTIC)
+        )
         any_coarse = False
-        for row, (x, x_label) in enumerate(_ROWS):
+        for row, (x, x_label) in enumerate(rows):
             coarse = {line: end_of_coarse(runs, collection.settings, x) for line, runs in runs_of.items()}
             any_coarse |= any(coarse.values())
             for axis, (y, label) in zip(axes[row], columns):
@@ -88,16 +97,16 @@ def recoloured(svg: str, theme: Theme) -> str:
     return svg
 
 
-def _empty_figure(columns: int, legend_entries: int) -> tuple[Figure, np.ndarray]:
-    """A figure and its axes, rows × columns, with space for the legend above and the caption below."""
+def _empty_figure(shape: tuple[int, int], legend_entries: int) -> tuple[Figure, np.ndarray]:
+    """A figure and its axes, `shape` rows × columns, with space for the legend above and the caption below."""
     above = _ABOVE + _LEGEND_ROW * math.ceil(legend_entries / _LEGEND_COLUMNS)
-    height = above + _ROW_HEIGHT * len(_ROWS) + _BELOW
+    height = above + _ROW_HEIGHT * shape[0] + _BELOW
     figure = Figure(figsize=(12.6, height))
     FigureCanvasSVG(figure)
     # Fixed margins: the layout solver is not deterministic in the last digits.
     vertical = {"bottom": _BELOW / height, "top": 1 - above / height, "hspace": 0.34}
     margins = {"left": 0.035, "right": 0.985, "wspace": 0.17} | vertical
-    axes = figure.subplots(len(_ROWS), columns, sharey="col", sharex="row", squeeze=False, gridspec_kw=margins)
+    axes = figure.subplots(*shape, sharey="col", sharex="row", squeeze=False, gridspec_kw=margins)
     return figure, axes
 
 

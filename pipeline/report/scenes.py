@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -73,10 +74,11 @@ def family(scene: str, capture: str) -> str:
 
 
 def in_order(names: Iterable[str]) -> list[str]:
-    """Unique scenes or their labels in the order of the report: synthetic, D-NeRF, Plenoptic Video, others."""
-    first = (*(made.scene for made in MADE_FOR), "synthetic/still", *DNERF, *PLENOPTIC)
+    """Unique scenes or their labels in the order of the report: means of families, synthetic, D-NeRF, Plenoptic Video,
+    others."""
+    first = (*FAMILIES.values(), *(made.scene for made in MADE_FOR), "synthetic/still", *DNERF, *PLENOPTIC)
     place = {name: number for number, name in enumerate(first)}
-    return sorted(set(names), key=lambda name: (place.get(name.split(" (")[0], len(first)), name))
+    return sorted(set(names), key=lambda name: (place.get(re.split(r" \(|, mean", name)[0], len(first)), name))
 
 
 def models_in_order(names: Iterable[str]) -> list[str]:

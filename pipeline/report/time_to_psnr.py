@@ -74,11 +74,11 @@ def levels_of(curves: pd.DataFrame) -> tuple[float, ...]:
     return tuple(float(highest - below) for below in LEVELS_BELOW)
 
 
-def seconds_to(curve: pd.DataFrame, level: float) -> float | None:
-    """Training seconds at which one run first reaches `level` dB; None if it never does."""
-    curve = curve.sort_values("train_seconds")
+def seconds_to(curve: pd.DataFrame, level: float, clock: str = "train_seconds") -> float | None:
+    """Seconds, of the column `clock`, at which one run first reaches `level` dB; None if it never does."""
+    curve = curve.sort_values(clock)
     before = None
-    for seconds, psnr in zip(curve["train_seconds"], curve["psnr"]):
+    for seconds, psnr in zip(curve[clock], curve["psnr"]):
         if psnr >= level:
             if before is None:
                 return float(seconds)

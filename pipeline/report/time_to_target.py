@@ -12,10 +12,10 @@ import statistics
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-import numpy as np
 import pandas as pd
 
 from pipeline.presentation.table import NOT_MEASURED, Cell, Column, Row, Table, number
+from pipeline.report.mean_curves import mean_curve
 from pipeline.report.paper_table import read
 from pipeline.report.run_table import FOLDED, HEADERS, protocol_notes
 from pipeline.report.runs import Collection
@@ -63,7 +63,7 @@ def _rows(line: dict[str, str], runs: pd.DataFrame, curves: pd.DataFrame) -> Ite
         whole = [seed for _, seed in group.groupby("seed") if set(seed["scene"]) == set(wanted)]
         if not whole:
             continue
-        times = [seconds_to(mean_curve(seed, curves), float(line["psnr"])) for seed in whole]
+        times = [seconds_to(mean_curve(seed, curves), float(line["psnr"]), "cpu_seconds") for seed in whole]
         rate, bandwidth = (group[name].median() / 1e9 for name in ("multiply_adds_per_s", "bytes_per_s"))
         seconds = time_of(times)
         cells = {
@@ -85,17 +85,3 @@ def time_of(times: list[float | None]) -> float | str:
         return f"fewer than {SEEDS} seeds"
     middle = statistics.median_high([math.inf if time is None else time for time in times])
     return middle if math.isfinite(middle) else "not reached"
-
-
-def mean_curve(runs: pd.DataFrame, curves: pd.DataFrame) -> pd.DataFrame:
-    """PSNR over CPU seconds of a seed's runs, one a scene: the mean where each was trained for as long. A run that has
-    ended keeps its last PSNR."""
-    own = []
-    for run, threads in zip(runs["run"], runs["threads"]):
-        curve = curves[curves["run"] == run].sort_values("train_seconds")
-        spent = curve["cpu_seconds"].fillna(curve["train_seconds"] * threads)
-        own.append((spent.to_numpy(), curve["psnr"].to_numpy()))
-    times = np.unique(np.concatenate([seconds for seconds, _ in own]))
-    times = times[times >= max(seconds[0] for seconds, _ in own)]
-    psnr = np.mean([np.interp(times, seconds, values) for seconds, values in own], axis=0)
-    return pd.DataFrame({"train_seconds": times, "psnr": psnr})
