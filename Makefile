@@ -8,7 +8,7 @@ RUN := .venv/bin/python -m
 RUNS ?= results/runs
 FUZZ_SECONDS ?= 20
 CPP := $(wildcard rasterizer/src/*.?pp rasterizer/src/*/*.hpp)
-MARKDOWN := README.md CONTRIBUTING.md CHANGELOG.md docs results/measured/motion results/measured/dnerf results/measured/training_curves pipeline/studies
+MARKDOWN := README.md CONTRIBUTING.md CHANGELOG.md docs results/measured/motion results/measured/dnerf pipeline/studies
 
 # How long a target took since make began, what it set up on the way included.
 STARTED := $(shell date +%s)

@@ -21,7 +21,7 @@ COARSE = "  resolution_steps: [{until: 0.5, scale: 0.5}]\n"
 
 
 def study(root: Path) -> Collection:
-    """A small version of conf/experiment/training_curves.yaml."""
+    """Several recipes, settings and models of one scene, two seeds each."""
     for seed in range(2):
         psnr = 25 + 0.1 * seed
         write_run(root, "synthetic/wheel", seed=seed, psnr=psnr, settings=COARSE)
