@@ -44,14 +44,14 @@ class Engine(Protocol):
 
 
 def render_batch(
-    engines: Sequence[Engine], gaussians: Sequence[Gaussians], requests: Sequence[Request], differentiable: bool = True
+    engines: Sequence[Engine], gaussians: Gaussians, requests: Sequence[Request], differentiable: bool = True
 ) -> list[RenderOutput]:
-    """Render a view with each engine, all of one kind, as `render`. The Gaussians must have the same shapes."""
+    """Render a view with each engine, all of one kind, as `render`."""
     kernels = [engine for engine in engines if isinstance(engine, Rasterizer)]
     if kernels:
         return Rasterizer.render_batch(kernels, gaussians, requests, differentiable)
-    views = zip(engines, gaussians, requests, strict=True)
-    return [engine.render(shown, request, differentiable) for engine, shown, request in views]
+    views = zip(engines, requests, strict=True)
+    return [engine.render(gaussians, request, differentiable) for engine, request in views]
 
 
 def engine_for(backend: str, threads: int = 0) -> Engine:

@@ -55,24 +55,18 @@ class Rasterizer:
 
         differentiable: False skips what only `backward` needs.
         """
-        return self.render_batch([self], [gaussians], [request], differentiable)[0]
+        return self.render_batch([self], gaussians, [request], differentiable)[0]
 
     @staticmethod
     def render_batch(
         rasterizers: Sequence[Rasterizer],
-        gaussians: Sequence[Gaussians],
+        gaussians: Gaussians,
         requests: Sequence[Request],
         differentiable: bool = True,
     ) -> list[RenderOutput]:
-        """Render a view with each, as `render`: the same bits, but parameters are read once for all views.
-
-        The Gaussians of all views must have the same shapes; ValueError otherwise.
-        """
-        views = list(zip(rasterizers, gaussians, requests, strict=True))
-        stored = [rasterizer._begin(shown, request, differentiable) for rasterizer, shown, request in views]
-        shapes = [rasterizer._shapes for rasterizer in rasterizers]
-        if any(shape != shapes[0] for shape in shapes):
-            raise ValueError("the Gaussians of a batch's views must have the same shapes, got several")
+        """Render a view with each, as `render`: the same bits, but parameters are read once for all views."""
+        views = zip(rasterizers, requests, strict=True)
+        stored = [rasterizer._begin(gaussians, request, differentiable) for rasterizer, request in views]
         images = [rasterizer._new_images() for rasterizer in rasterizers]
         planes = [[rasterizer._images.get(name) for name in OUTPUT_CHANNELS] for rasterizer in rasterizers]
         kernel = rasterizers[0]._kernel

@@ -76,16 +76,16 @@ def render(rasterizer: Engine, model: Model, request: Request, differentiable: b
 
     An environment map or cube map replaces the request's background.
     """
-    return render_views([rasterizer], [model], [request], differentiable)[0]
+    return render_views([rasterizer], model, [request], differentiable)[0]
 
 
 def render_views(
-    rasterizers: Sequence[Engine], models: Sequence[Model], requests: Sequence[Request], differentiable: bool = True
+    rasterizers: Sequence[Engine], model: Model, requests: Sequence[Request], differentiable: bool = True
 ) -> list[Rendered]:
-    """As `render` with each rasterizer, all of one kind. The models differ in values alone."""
-    complete = [_with_outputs(model, request) for model, request in zip(models, requests, strict=True)]
-    found = render_batch(rasterizers, [model.gaussians() for model in models], complete, differentiable)
-    return [_composited(*view) for view in zip(models, complete, found, strict=True)]
+    """As `render` with each rasterizer, all of one kind."""
+    complete = [_with_outputs(model, request) for request in requests]
+    found = render_batch(rasterizers, model.gaussians(), complete, differentiable)
+    return [_composited(model, request, out) for request, out in zip(complete, found, strict=True)]
 
 
 def _with_outputs(model: Model, request: Request) -> Request:

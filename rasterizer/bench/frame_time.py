@@ -136,7 +136,7 @@ def time_iteration(
         parts = dict.fromkeys(("rasterizer", "loss", "adam"), 0.0)
         visible = torch.zeros(len(gaussians), dtype=torch.uint8) if sparse else None
         t0 = clock()
-        rendered = Rasterizer.render_batch(rasterizers, [gaussians] * views, requests)
+        rendered = Rasterizer.render_batch(rasterizers, gaussians, requests)
         parts["rasterizer"] += clock() - t0
         for rasterizer, out in zip(rasterizers, rendered, strict=True):
             assert out.color is not None
@@ -165,7 +165,7 @@ def time_batch(workload: Workload, threads: int, repeats: int, views: int = 4) -
     together, alone = [], []
     for _ in range(repeats):
         t0 = clock()
-        Rasterizer.render_batch(rasterizers, [workload.gaussians] * views, requests)
+        Rasterizer.render_batch(rasterizers, workload.gaussians, requests)
         t1 = clock()
         for request in requests:
             rasterizers[0].render(workload.gaussians, request)

@@ -53,7 +53,7 @@ class Objective:
         """The forward pass of a batch's views; the next one replaces it."""
         rasterizers = self._rasterizers[: len(views)]
         views = [replace(view, target=view.target.to(rasterizers[0].device)) for view in views]
-        rendered = render_views(rasterizers, [model] * len(views), [self._request(view) for view in views])
+        rendered = render_views(rasterizers, model, [self._request(view) for view in views])
         return [ForwardPass(*each) for each in zip(views, rasterizers, rendered, strict=True)]
 
     def backward(
