@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from datasets.files.atomic_write import atomic_folder
 from datasets.files.errors import DataError, SceneError
 from datasets.manifest import OWN, Manifest, described, read_manifest, write_manifest
 from datasets.synthetic.camera_path import TimedPose, arc_poses, held_out_poses, poses_beside_camera, training_poses
@@ -49,7 +50,7 @@ def make_scene(name: str, cache: str | Path, *, progress: Progress | None = None
 
 
 def _is_published(folder: Path) -> bool:
-    """Not where making it was killed in between, or where an earlier version wrote a manifest of another form."""
+    """Not where an earlier version wrote no manifest, or one of another form."""
     try:
         read_manifest(folder / OWN)
     except DataError:
@@ -97,8 +98,9 @@ def build_scene(
     """
     parameters = parameters_of(scene, **given)
     folder = Path(folder)
-    _trace(folder, scene, parameters, samples, processes, progress)
-    _publish(folder, scene)
+    with atomic_folder(folder, "meta.json") as made:  # with its manifest: several processes may make one scene
+        _trace(made, scene, parameters, samples, processes, progress)
+        _publish(made, scene)
     return folder
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import os
+import signal
 from dataclasses import replace
 from pathlib import Path
 
@@ -112,6 +114,16 @@ def test_a_synthetic_scene_publishes_its_own(tmp_path: Path, capsys: pytest.Capt
     next(iter(folders[1].glob("test/*.npz"))).write_bytes(b"")
     assert main(["verify", "synthetic/still", str(folders[1])]) == 1
     assert "1 altered: test/r_000.npz" in capsys.readouterr().out
+
+
+def test_a_synthetic_scene_appears_with_its_manifest_or_not_at_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another process that finds the folder would otherwise write the manifest, too."""
+    monkeypatch.setattr("datasets.synthetic.write_croissant", lambda *_: os.kill(os.getpid(), signal.SIGINT))
+    with pytest.raises(KeyboardInterrupt):
+        build_scene(tmp_path / "one", scene="still", size=16, train_views=2, test_views=1)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_every_published_manifest_can_be_read() -> None:
