@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
-import signal
 from dataclasses import replace
 from pathlib import Path
 
@@ -120,7 +118,11 @@ def test_a_synthetic_scene_appears_with_its_manifest_or_not_at_all(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Another process that finds the folder would otherwise write the manifest, too."""
-    monkeypatch.setattr("datasets.synthetic.write_croissant", lambda *_: os.kill(os.getpid(), signal.SIGINT))
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("datasets.synthetic.write_croissant", interrupted)
     with pytest.raises(KeyboardInterrupt):
         build_scene(tmp_path / "one", scene="still", size=16, train_views=2, test_views=1)
     assert list(tmp_path.iterdir()) == []
