@@ -52,7 +52,7 @@ def target_of(view: View, scale: float) -> Target:
     camera = camera_at(view.camera, scale)
     planes = np.asarray(view.image)
     if view.coverage is not None:
-        planes = np.dstack([planes, view.coverage])
+        planes = cv2.merge([*cv2.split(planes), view.coverage])  # np.dstack takes seven times as long
     planes = area_average(planes, camera) / np.float32(255)
     # All parts of a valid pixel are valid.
     mask = None if view.mask is None else torch.from_numpy(area_average(view.mask, camera) > 1 - 1e-3)

@@ -28,6 +28,7 @@ from pipeline.config.schema import MAX_SEED
 from pipeline.model.model import Model, ModelKind
 from pipeline.model.transformed import in_rotations
 from pipeline.training.density.statistics import Statistics
+from pipeline.training.objective.neighbours import Neighbours
 from pipeline.training.optimiser import shared_tensors
 from pipeline.training.reporting import Spent
 from rasterizer.gaussians import MAX_FOURIER_ORDER, SH_DEGREES, Motion
@@ -52,6 +53,7 @@ class Checkpoint:
     split_rng: Tensor  # torch.Generator.get_state()
     best: dict | None  # metrics and iteration of the evaluation with the highest PSNR
     best_model: Model | None
+    neighbours: Neighbours | None  # of the Gaussians, since the last change of their set
 
 
 def save(path: Path, checkpoint: Checkpoint) -> None:
@@ -65,6 +67,8 @@ def save(path: Path, checkpoint: Checkpoint) -> None:
     tensors |= {f"statistics.{name}": t for name, t in c.statistics.items()}
     if c.best_model is not None:
         tensors |= {f"best.{name}": t for name, t in c.best_model.state().items()}
+    if c.neighbours is not None:
+        tensors["neighbours"] = c.neighbours.index
     tensors["sampler.order"] = torch.from_numpy(c.sampler["order"])
     tensors["split_generator"] = c.split_rng
     kind = c.model.kind
@@ -76,6 +80,7 @@ def save(path: Path, checkpoint: Checkpoint) -> None:
         "seed": c.seed,
         "step_count": c.step_count,
         "best": c.best,
+        "spacing": None if c.neighbours is None else c.neighbours.spacing,
         "kind": [kind.motion, kind.fourier_order, kind.sh_degree],
         "sampler": {key: c.sampler[key] for key in ("position", "generator")},
     }
@@ -145,7 +150,16 @@ def _assemble(header: dict, tensors: dict[str, Tensor]) -> Checkpoint:
         split_rng=tensors["split_generator"],
         best=best,
         best_model=_model(header, groups["best"]) if "best" in groups else None,
+        neighbours=_neighbours(header, tensors, len(model)),
     )
+
+
+def _neighbours(header: dict, tensors: dict[str, Tensor], count: int) -> Neighbours | None:
+    if (index := tensors.get("neighbours")) is None:
+        return None
+    if len(index) != count:
+        raise ValueError(f"neighbours: expected those of {count} Gaussians, found {len(index)}")
+    return Neighbours(index, _number("spacing", header["spacing"]))
 
 
 def _model(header: dict, state: dict[str, Tensor]) -> Model:

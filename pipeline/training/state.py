@@ -20,6 +20,7 @@ from pipeline.model.transformed import in_velocities
 from pipeline.training import checkpoint as checkpoints
 from pipeline.training import finite_checks
 from pipeline.training.density.statistics import Statistics
+from pipeline.training.objective.neighbours import SEARCH_EVERY, Neighbours, find_neighbours
 from pipeline.training.optimiser import Adam
 from pipeline.training.reporting import NOTHING_SPENT, RunLog, Spent
 from pipeline.training.sampling import BatchSampler
@@ -71,6 +72,7 @@ class TrainState:
     iteration: int = 0
     best: dict | None = None  # the evaluation with the highest PSNR
     best_model: Model | None = None
+    neighbours: Neighbours | None = None  # None: to be found, if they are wanted
 
     @property
     def threads(self) -> int:
@@ -83,6 +85,10 @@ class TrainState:
     def begin_iteration(self, scene: Scene, cfg: Config) -> Phase:
         """Increment the iteration and return its phase of the schedule."""
         self.iteration += 1
+        if self.iteration % SEARCH_EVERY == 1:
+            self.neighbours = None
+        if self.neighbours is None and cfg.train.regularization.rigid > 0:
+            self.neighbours = find_neighbours(self.model, self.threads)
         clock = clock_at(self.iteration, self.stopwatch.seconds, cfg.train)
         kind = self.model.kind
         found = phase(clock, cfg.train, scene.extent, kind.sh_degree, kind.fourier_order)
@@ -174,6 +180,7 @@ def save(state: TrainState, run: RunLog) -> None:
             split_rng=state.split_rng.get_state(),
             best=state.best,
             best_model=state.best_model,
+            neighbours=state.neighbours,
         ),
     )
 
@@ -181,7 +188,7 @@ def save(state: TrainState, run: RunLog) -> None:
 def _restore(state: TrainState, saved: checkpoints.Checkpoint) -> None:
     """Restore everything except the model, which `state` already has."""
     device = state.model.device
-    state.iteration, state.best = saved.iteration, saved.best
+    state.iteration, state.best, state.neighbours = saved.iteration, saved.best, saved.neighbours
     state.best_model = None if saved.best_model is None else saved.best_model.to(device)
     state.stopwatch = Stopwatch(saved.spent)
     state.optimiser.first, state.optimiser.second = (

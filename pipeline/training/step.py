@@ -49,6 +49,7 @@ def draw_batch(state: TrainState, views: TrainingViews, phase: Phase, scene: Sce
         DrawnView(views.at(index, phase.resolution), phase, len(chosen), place, before + place + 1)
         for place, index in enumerate(chosen)
     ]
+    drawn[0] = replace(drawn[0], neighbours=state.neighbours)
     if (jitter := cfg.train.marginal_jitter) > 0 and state.model.kind.moves:
         rng = stream(cfg.seed, Stream.MARGINAL, state.iteration)
         offsets = draw_offsets(len(drawn), jitter, state.model, scene, rng)

@@ -24,7 +24,6 @@
 #include "training/array_passes.hpp"
 #include "training/densification_statistics.hpp"
 #include "training/loss.hpp"
-#include "training/nearest.hpp"
 
 #define SPLAT_TEXT_OF(x) #x
 #define SPLAT_TEXT(x) SPLAT_TEXT_OF(x)  // of the expansion of x
@@ -255,13 +254,6 @@ void mark_visible(Array<const int32_t> visible, Array<uint8_t> mask, int threads
     splat::mark_visible(visible.data(), static_cast<int64_t>(visible.size()), mask.data(), threads);
 }
 
-void nearest(In points, Array<const int64_t> rows, Array<int32_t> index, Out distance, int threads) {
-    nb::gil_scoped_release release;
-    splat::nearest_points(points.data(), static_cast<uint32_t>(points.shape(0)),
-                          static_cast<int>(points.shape(1)), rows.data(), static_cast<int64_t>(rows.shape(0)),
-                          static_cast<int>(index.shape(1)), index.data(), distance.data(), threads);
-}
-
 std::tuple<double, double, double> photometric_loss(In image, In target, Out gradient, scalar ssim_weight,
                                                     scalar mse_weight, scalar share, int threads,
                                                     bool copy_background) {
@@ -332,8 +324,6 @@ NB_MODULE(KERNEL_MODULE_NAME, m) {
         const splat::MachineThroughput rates = splat::measure_throughput();
         return std::tuple{rates.fma_per_second, rates.copy_bytes_per_second};
     });
-    m.def("nearest", &nearest, nb::arg("points"), nb::arg("rows"), written("index"), written("distance"),
-          nb::arg("threads"));
     m.def("photometric_loss", &photometric_loss, nb::arg("image"), nb::arg("target"), written("gradient"),
           nb::arg("ssim_weight"), nb::arg("mse_weight"), nb::arg("share"), nb::arg("threads"),
           nb::arg("copy_background") = true);  // false, for tests: every block is computed

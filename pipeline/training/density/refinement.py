@@ -46,6 +46,7 @@ def refine(state: TrainState, phase: Phase, refiners: Sequence[Refiner]) -> Iter
     for refiner in refiners:
         if refiner.due(state.iteration, phase.clock):
             counts = refiner.apply(state, phase)
+            state.neighbours = None
             yield {
                 "event": refiner.event, "iteration": state.iteration, **counts, "n_gaussians": len(state.model)
             }  # fmt: skip

@@ -16,7 +16,7 @@ from pipeline.training.objective.transparency import Transparency, relative_to_d
 def model_terms(rules: RegularizationConfig, scene: Scene, threads: int, seed: int) -> list[ModelTerm]:
     """The losses of a schedule, in the order in which their gradients are added."""
     terms: list[ModelTerm] = [
-        RigidNeighbours(rules.rigid, scene, threads, seed),
+        RigidNeighbours(rules.rigid, scene, seed),
         ReleasedRigid(rules.rigid_released, scene.duration, threads),
         Transparency(relative_to_data(rules, scene), scene),
     ]

@@ -7,18 +7,16 @@ is zero for any rigid motion. Its gradient is written out: autograd takes three 
 
 from __future__ import annotations
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from datasets.scene import Scene
 from pipeline.config.random_streams import Stream, stream
 from pipeline.model.model import Model
+from pipeline.training.objective.neighbours import NEIGHBOURS
 from pipeline.training.objective.terms import DrawnView
 from rasterizer import Gradients
-from rasterizer.nearest import nearest
 
-NEIGHBOURS = 8  # nearest Gaussians that a Gaussian is compared with
 # All at one time, in every iteration: with more in every eighth D-NeRF's hook loses 2.5 dB.
 PAIRS = 2000
 SMALLEST_ANGLE2 = 1e-12  # squared radians, a divisor
@@ -27,42 +25,36 @@ SMALLEST_ANGLE2 = 1e-12  # squared radians, a divisor
 class RigidNeighbours:
     """`weight` × the mean loss of PAIRS random pairs at a random time, once a batch."""
 
-    def __init__(self, weight: float, scene: Scene, threads: int, seed: int) -> None:
-        self.weight, self._scene, self._threads, self._seed = weight, scene, threads, seed
+    def __init__(self, weight: float, scene: Scene, seed: int) -> None:
+        self.weight, self._scene, self._seed = weight, scene, seed
 
     def add(self, gradients: Gradients, model: Model, view: DrawnView) -> float:
         trajectories, weights = model.trajectories, model.parameters.get("weights")
-        if trajectories is None or weights is None or view.place != 0 or len(model) <= NEIGHBOURS:
+        if trajectories is None or weights is None or view.neighbours is None:
             return 0.0
         rng = stream(self._seed, Stream.RIGID, view.number)
-        means = model.parameters["mean"]
-        first = torch.from_numpy(rng.integers(0, len(model), PAIRS))
-        index, distance = nearest(means.cpu(), first, NEIGHBOURS + 1, self._threads)
-        # Column 0 is the Gaussian itself.
-        chosen = torch.from_numpy(rng.integers(1, NEIGHBOURS + 1, PAIRS))
-        second = index.long().gather(1, chosen[:, None])[:, 0]
-        softening = float(np.median(distance[:, 4].numpy())) ** 2
-        first, second = first.to(model.device), second.to(model.device)
+        first, place = (torch.from_numpy(rng.integers(0, count, PAIRS)) for count in (len(model), NEIGHBOURS))
+        second = view.neighbours.index[first, place].long()
+        rows = torch.cat([first, second]).to(model.device)
+        means = model.parameters["mean"].index_select(0, rows)[:, :3]
         basis = trajectories.basis(self._scene.time_start + self._scene.duration * rng.random()).to(means)
         points = trajectories.control_points
         values = (basis @ points.flatten(1)).view(points.shape[1:])
-        of_first, of_second = weights[first], weights[second]
-        losses, d_first, d_second = rigid_losses(
-            means[second, :3] - means[first, :3], of_first @ values, of_second @ values, softening
-        )
-        share = self.weight / PAIRS
-        d_first, d_second = share * d_first, share * d_second
+        followed = weights.index_select(0, rows)
+        losses, gradient = rigid_losses(means[PAIRS:] - means[:PAIRS], followed @ values, view.neighbours.spacing**2)
+        gradient *= self.weight / PAIRS
         assert gradients.weights is not None and gradients.trajectories is not None
-        gradients.weights.index_add_(0, first, d_first @ values.T).index_add_(0, second, d_second @ values.T)
-        gradients.trajectories += basis[:, None, None] * (of_first.T @ d_first + of_second.T @ d_second)
-        return view.batch * share * losses.sum().item()
+        gradients.weights.index_add_(0, rows, gradient @ values.T)
+        gradients.trajectories += basis[:, None, None] * (followed.T @ gradient)
+        return view.batch * self.weight * losses.mean().item()
 
 
-def rigid_losses(apart: Tensor, first: Tensor, second: Tensor, softening: float) -> tuple[Tensor, Tensor, Tensor]:
-    """The (P,) losses of pairs, and each one's gradient by `first` and by `second`, (P, 6).
+def rigid_losses(apart: Tensor, moved: Tensor, softening: float) -> tuple[Tensor, Tensor]:
+    """The (P,) losses of pairs, and each one's gradient by `moved`, (2 P, 6).
 
-    apart: (P, 3) μ_j - μ_i. first, second: (P, 6) displacements and rotation vectors of i, j. softening: s².
+    apart: (P, 3) μ_j - μ_i. moved: (2 P, 6) displacements and rotation vectors of i, then of j. softening: s².
     """
+    first, second = moved.chunk(2)
     # R a = a + 2 c v × a + 2 v × (v × a) with c = cos(θ/2), v = s r, s = sin(θ/2)/θ of the rotation vector r, θ = |r|.
     turn = first[:, 3:]
     angle2 = turn.square().sum(dim=1, keepdim=True).clamp_min(SMALLEST_ANGLE2)
@@ -81,4 +73,5 @@ def rigid_losses(apart: Tensor, first: Tensor, second: Tensor, softening: float)
     along = (d_axis * turn).sum(dim=1, keepdim=True)
     d_turn = sine * d_axis + ((0.5 * cosine - sine) / angle2 * along - 0.5 * sine * d_cosine) * turn
     losses = (error.square().sum(dim=1, keepdim=True) * inverse)[:, 0]
-    return losses, torch.cat([-d_error, d_turn], dim=1), torch.cat([d_error, torch.zeros_like(d_error)], dim=1)
+    d_first, d_second = torch.cat([-d_error, d_turn], dim=1), torch.cat([d_error, torch.zeros_like(d_error)], dim=1)
+    return losses, torch.cat([d_first, d_second])

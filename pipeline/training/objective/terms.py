@@ -11,6 +11,7 @@ from typing import Protocol
 from pipeline.data.training_views import Target
 from pipeline.model.model import Model
 from pipeline.model.render import ImageGradient, Rendered
+from pipeline.training.objective.neighbours import Neighbours
 from pipeline.training.schedule import Phase
 from rasterizer import Gradients
 
@@ -25,6 +26,7 @@ class DrawnView:
     place: int = 0  # in its batch
     number: int = 1  # training views since the start of the run, this one included
     marginal_offset: float = 0.0  # its temporal marginals are those of its time + this
+    neighbours: Neighbours | None = None  # for the rigidity of shared motion; only the batch's first view has them
 
 
 class ImageTerm(Protocol):

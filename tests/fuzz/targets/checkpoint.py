@@ -19,6 +19,7 @@ from fuzz.target import Changes, Files, Target, require, valid_or_refused
 from pipeline.model.environment_map import EnvironmentMap
 from pipeline.training import checkpoint
 from pipeline.training.density.statistics import Statistics
+from pipeline.training.objective.neighbours import Neighbours
 from pipeline.training.reporting import Spent
 
 ROWS = 3
@@ -47,6 +48,7 @@ def example() -> Files:
         split_rng=torch.Generator().manual_seed(0).get_state(),
         best={"psnr": 20.0, "iteration": 5},
         best_model=best,
+        neighbours=Neighbours(torch.zeros(ROWS, 8, dtype=torch.int32), 0.1),
     )
     with tempfile.TemporaryDirectory() as temporary:
         path = Path(temporary) / checkpoint.FILE_NAME

@@ -17,6 +17,7 @@ from pipeline.model.transformed import in_velocities
 from pipeline.training import checkpoint
 from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.density.statistics import Statistics
+from pipeline.training.objective.neighbours import Neighbours
 from pipeline.training.reporting import Spent
 from rasterizer.covariance import scaled_axes
 
@@ -39,6 +40,7 @@ def example(iteration: int = 7, **changes) -> Checkpoint:
         split_rng=torch.Generator().manual_seed(5).get_state(),
         best={"psnr": 1 / 3, "iteration": 5},
         best_model=random_model(model.kind),
+        neighbours=Neighbours(torch.randint(7, (7, 8), dtype=torch.int32), 0.1),
     )
     return Checkpoint(**(values | changes))
 
@@ -63,6 +65,8 @@ def test_round_trip_is_exact(tmp_path) -> None:
     assert np.array_equal(loaded.sampler["order"], saved.sampler["order"])
     assert (loaded.sampler["position"], loaded.sampler["generator"]) == (2, RNG_STATE)
     assert torch.equal(loaded.split_rng, saved.split_rng)
+    assert torch.equal(loaded.neighbours.index, saved.neighbours.index)
+    assert loaded.neighbours.spacing == saved.neighbours.spacing
     assert [p.name for p in tmp_path.iterdir()] == [checkpoint.FILE_NAME], "no temporary file left"
 
 
@@ -92,9 +96,9 @@ def test_equal_checkpoints_have_equal_bytes(tmp_path) -> None:
 
 
 def test_round_trip_without_best(tmp_path) -> None:
-    checkpoint.save(tmp_path / "c", example(best=None, best_model=None))
+    checkpoint.save(tmp_path / "c", example(best=None, best_model=None, neighbours=None))
     loaded = checkpoint.load(tmp_path / "c")
-    assert loaded.best is None and loaded.best_model is None
+    assert loaded.best is None and loaded.best_model is None and loaded.neighbours is None
     assert loaded.shared_moments == {} and loaded.model.background_model == "none"
 
 

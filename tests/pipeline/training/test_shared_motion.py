@@ -20,6 +20,7 @@ from pipeline.model.shared_motion import TRAJECTORIES, with_trajectories
 from pipeline.model.transformed import in_velocities
 from pipeline.training import checkpoint
 from pipeline.training.density.trajectory_start import anchor_weights, farthest_points, opaque_points
+from pipeline.training.objective.neighbours import Neighbours, find_neighbours
 from pipeline.training.objective.rigid_neighbours import RigidNeighbours, rigid_losses
 from pipeline.training.objective.terms import DrawnView
 from pipeline.training.optimiser import Adam
@@ -157,10 +158,10 @@ def test_rigid_motion_of_pairs_has_no_loss() -> None:
         for x in (first, second)
     ]
     apart = torch.from_numpy(second - first)
-    assert rigid_losses(apart, *motion, softening)[0].max() < 1e-24
+    assert rigid_losses(apart, torch.cat(motion), softening)[0].max() < 1e-24
     motion[1][:, 0] += 0.3
     expected = 0.09 / (((second - first) ** 2).sum(axis=1) + softening)
-    np.testing.assert_allclose(rigid_losses(apart, *motion, softening)[0], expected, rtol=1e-9)
+    np.testing.assert_allclose(rigid_losses(apart, torch.cat(motion), softening)[0], expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize("size", [1.0, 0.0], ids=["turned", "not turned"])
@@ -180,18 +181,39 @@ def test_the_gradient_of_rigid_losses_is_that_of_their_formula(size: float) -> N
 
     leaves = first.clone().requires_grad_(), second.clone().requires_grad_()
     expected = torch.autograd.grad(formula(*leaves).sum(), leaves)
-    losses, *gradients = rigid_losses(apart, first, second, 0.1)
+    losses, gradient = rigid_losses(apart, torch.cat([first, second]), 0.1)
     torch.testing.assert_close(losses, formula(first, second))
-    for gradient, by_autograd in zip(gradients, expected, strict=True):
-        torch.testing.assert_close(gradient, by_autograd, rtol=1e-9, atol=1e-9)
+    torch.testing.assert_close(gradient, torch.cat(expected), rtol=1e-9, atol=1e-9)
+
+
+def test_neighbours_are_the_nearest_others() -> None:
+    """Against all distances, for any number of threads; none for a model without weights or with as many Gaussians."""
+    model = shared_model()
+    means = model.parameters["mean"][:, :3].double()
+    apart = torch.linalg.norm(means[:, None] - means, dim=2)
+    order = apart.argsort(dim=1)[:, 1:9]
+    for threads in (1, 2):
+        found = find_neighbours(model, threads)
+        assert found is not None and torch.equal(found.index.long(), order)
+        assert found.spacing == pytest.approx(apart.sort(dim=1).values[:, 4].median().item(), rel=0.05)
+    assert find_neighbours(random_model(ModelKind("velocity", 2, 3), 40), 1) is None
+    eight = {name: rows[:8] for name, rows in model.parameters.items()}
+    few = Model(model.kind, eight, trajectories=model.trajectories)
+    assert find_neighbours(few, 1) is None
+
+
+@pytest.mark.parametrize("index", [torch.zeros(3, 7, dtype=torch.int32), torch.full((3, 8), 3, dtype=torch.int32)])
+def test_neighbours_are_rows_of_the_model(index: torch.Tensor) -> None:
+    with pytest.raises(ValueError, match="neighbours"):
+        Neighbours(index, 0.1)
 
 
 def test_the_rigid_gradient_is_that_of_finite_differences() -> None:
     """Central differences of the term's own loss, in float32: steps of 1e-2 of a smooth loss of about 1, so that
     rounding (1e-5) and truncation (1e-4) stay below the tolerance of 2 % of the largest gradient."""
     model, scene = shared_model(), SCENE
-    term = RigidNeighbours(1.0, scene, threads=1, seed=4)
-    view = DrawnView(target_of(scene.train[0], 1.0), phase(1.0, CFG.train, scene.extent, 3, 2))
+    term, near = RigidNeighbours(1.0, scene, seed=4), find_neighbours(model, threads=1)
+    view = DrawnView(target_of(scene.train[0], 1.0), phase(1.0, CFG.train, scene.extent, 3, 2), neighbours=near)
     gradients = Gradients.zeros_like(model.gaussians())
     term.add(gradients, model, view)
     assert model.trajectories is not None
