@@ -23,6 +23,7 @@ from pipeline.stages.decide import (
     compare_shared_motion,
     compare_time,
     mean_and_error,
+    motion_scale,
     shared_motion_is_open,
     time_is_open,
     without_time_colour,
@@ -192,6 +193,13 @@ def test_shared_motion_is_compared_by_its_own_settings() -> None:
     found, again = (compare_shared_motion(config(60), shared, scene, None, lines.append) for _ in range(2))
     assert replace(again, seconds=found.seconds, cpu_seconds=found.cpu_seconds) == found and found.views == VIEWS // 4
     assert lines[0].startswith("settle: with shared motion, 60 iterations") and "60 iterations" in lines[1]
+
+
+@pytest.mark.parametrize(("width", "side"), [(400, 100), (1352, 100), (160, 80)])
+def test_shared_motion_is_compared_at_100_pixels_or_at_half(width: int, side: int) -> None:
+    scene = tiny_scene()
+    larger = [replace(view, camera=view.camera.resized(width, width // 2)) for view in scene.train]
+    assert width * motion_scale(replace(scene, train=tuple(larger))) == pytest.approx(side)
 
 
 @pytest.mark.parametrize("model, static, kept", [(20.0, True, "static: time,"), (14.9, False, "dynamic by default, ")])
