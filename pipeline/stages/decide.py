@@ -135,7 +135,7 @@ def compare_shared_motion(
     """Gaussians that share trajectories, by the settings `shared`, and those of the paper, by `cfg`; in colours
     constant in time, and in as many iterations."""
     iterations = MOTION_SHARE * cfg.train.iterations
-    scale = motion_scale(scene)
+    scale = motion_scale(scene, cfg.train.resolution_scale)
     with_it, without = (
         replace(
             without_time_colour(one),
@@ -147,10 +147,10 @@ def compare_shared_motion(
     return _compared("shared motion", with_it, without, scene, cloud, log)
 
 
-def motion_scale(scene: Scene) -> float:
-    """× the schedule's resolution, where shared motion is compared."""
+def motion_scale(scene: Scene, resolution_scale: float) -> float:
+    """× the schedule's resolution, which is `resolution_scale` × the images', where shared motion is compared."""
     longest = max(max(view.camera.width, view.camera.height) for view in scene.train)
-    return min(RESOLUTION, MOTION_SIDE / longest)
+    return min(RESOLUTION, MOTION_SIDE / (resolution_scale * longest))
 
 
 def compare_colour(cfg: Config, scene: Scene, cloud: Reconstruction | None, log: Callable[[str], None]) -> Comparison:

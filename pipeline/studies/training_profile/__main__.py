@@ -23,7 +23,7 @@ from pipeline.stages.run import run
 from pipeline.studies.common import StudyParser, made_by, markdown_table, write_results
 from pipeline.studies.training_profile.stage_clock import StageClock
 from pipeline.terminal.command_line import command, log
-from pipeline.training import finite_checks, loop, optimiser
+from pipeline.training import finite_checks, loop, optimiser, state
 from pipeline.training.density.statistics import Statistics
 from pipeline.training.objective import image_terms, released_rigid, rigid_neighbours, transparency
 from pipeline.training.optimiser import Adam
@@ -42,6 +42,7 @@ TIMED: Sequence[tuple[Any, str, str]] = (
     (image_terms.KnownDepth, "__call__", "other losses"),
     (image_terms.Sky, "__call__", "other losses"),
     (rigid_neighbours.RigidNeighbours, "add", "other losses"),
+    (state, "find_neighbours", "other losses"),
     (released_rigid.ReleasedRigid, "add", "other losses"),
     (transparency.Transparency, "add", "other losses"),
     (TrainState, "zero_gradients", "gradients zeroed and checked"),

@@ -195,11 +195,13 @@ def test_shared_motion_is_compared_by_its_own_settings() -> None:
     assert lines[0].startswith("settle: with shared motion, 60 iterations") and "60 iterations" in lines[1]
 
 
-@pytest.mark.parametrize(("width", "side"), [(400, 100), (1352, 100), (160, 80)])
-def test_shared_motion_is_compared_at_100_pixels_or_at_half(width: int, side: int) -> None:
+@pytest.mark.parametrize(("width", "scale", "side"), [(400, 1, 100), (1352, 0.5, 100), (160, 1, 80), (320, 0.5, 80)])
+def test_shared_motion_is_compared_at_100_pixels_or_at_half(width: int, scale: float, side: int) -> None:
+    """scale: the schedule's own resolution, of which half is the most."""
     scene = tiny_scene()
     larger = [replace(view, camera=view.camera.resized(width, width // 2)) for view in scene.train]
-    assert width * motion_scale(replace(scene, train=tuple(larger))) == pytest.approx(side)
+    compared = motion_scale(replace(scene, train=tuple(larger)), scale)
+    assert width * scale * compared == pytest.approx(side)
 
 
 @pytest.mark.parametrize("model, static, kept", [(20.0, True, "static: time,"), (14.9, False, "dynamic by default, ")])

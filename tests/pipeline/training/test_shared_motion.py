@@ -195,7 +195,7 @@ def test_neighbours_are_the_nearest_others() -> None:
     for threads in (1, 2):
         found = find_neighbours(model, threads)
         assert found is not None and torch.equal(found.index.long(), order)
-        assert found.spacing == pytest.approx(apart.sort(dim=1).values[:, 4].median().item(), rel=0.05)
+        assert found.spacing == pytest.approx(np.median(apart.sort(dim=1).values[:, 4]))  # both in float64
     assert find_neighbours(random_model(ModelKind("velocity", 2, 3), 40), 1) is None
     eight = {name: rows[:8] for name, rows in model.parameters.items()}
     few = Model(model.kind, eight, trajectories=model.trajectories)
