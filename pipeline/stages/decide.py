@@ -46,6 +46,8 @@ FEWEST_SHARED = 75
 # dB, and standard errors, of the gain by time-varying colour. Leaving out colours that do change costs more than
 # keeping coefficients that have no use.
 COLOUR_GAIN, COLOUR_STANDARD_ERRORS = 0.1, 1.0
+# dB, of training views, from which any gain keeps it: 1.6 and more where light changes, elsewhere at most 0.8.
+COLOUR_FIT_GAIN = 1.0
 # × the learning rates of 4DSH's time coefficients, which would hardly leave zero in so few iterations. 1 decides
 # wrongly on one of two scenes with changing colours; 10 makes the model worse than one without.
 COLOUR_RATE = 3.0
@@ -91,7 +93,9 @@ class Comparison:
 
     @property
     def keeps_colour(self) -> bool:
-        """Time-varying colour is kept where it gains clearly."""
+        """Time-varying colour is kept where it gains clearly, or gains while it explains the training views."""
+        if self.fit_gain > COLOUR_FIT_GAIN:
+            return self.gain > 0
         return self.gain > max(COLOUR_GAIN, COLOUR_STANDARD_ERRORS * self.standard_error)
 
 

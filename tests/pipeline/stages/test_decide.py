@@ -113,8 +113,8 @@ def test_batches_larger_than_the_part_of_the_views_become_smaller() -> None:
     assert compare_time(config(8, batch=VIEWS), one_camera(changes=True), None, silent).views == 6
 
 
-def compared(gain: float, error: float) -> Comparison:
-    return Comparison(20.0 + gain, 20.0, gain, error, 0.0, AgainstRivals(20.0, 12.0, 14.0), 6, 1.0, 2.0)
+def compared(gain: float, error: float, fit_gain: float = 0.0) -> Comparison:
+    return Comparison(20.0 + gain, 20.0, gain, error, fit_gain, AgainstRivals(20.0, 12.0, 14.0), 6, 1.0, 2.0)
 
 
 def test_time_must_gain_more_than_two_standard_errors() -> None:
@@ -125,6 +125,11 @@ def test_colour_must_gain_more_than_its_standard_error_and_the_minimum() -> None
     kept = [compared(*found).keeps_colour for found in ((0.21, 0.2), (0.11, 0.01))]
     left_out = [compared(*found).keeps_colour for found in ((0.19, 0.2), (0.09, 0.01), (-0.3, 0.1))]
     assert all(kept) and not any(left_out)
+
+
+def test_colour_that_explains_the_training_views_may_gain_less() -> None:
+    assert compared(0.09, 0.12, fit_gain=1.7).keeps_colour
+    assert not compared(0.09, 0.12, fit_gain=0.8).keeps_colour and not compared(-0.01, 0.12, fit_gain=1.7).keeps_colour
 
 
 @pytest.mark.parametrize(
