@@ -9,10 +9,15 @@ the width by 60 %: hence the size of its own at which it is measured.
 
 from __future__ import annotations
 
+import math
+import os
 from collections import defaultdict
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from tempfile import TemporaryFile
+from typing import IO, Any
 
 import cv2
 import numpy as np
@@ -27,7 +32,7 @@ MIN_SIDE = 8  # pixels, of the search's patches
 AGREEMENT, RELATIVE_AGREEMENT = 0.4, 0.05  # |forward + backward|: pixels of the measured size, part of |forward|
 TRUSTED_SHARE = 0.5  # of the measured pixels that a training pixel averages
 MAX_GAP = 1.5  # mean frame spacings between frames that count as consecutive
-CACHE_LIMIT_BYTES = 2**30  # beyond it flow is measured anew at each use
+MEMORY_BYTES = 2**30  # of measured flow, beyond which it is kept in a file
 
 
 @dataclass(frozen=True)
@@ -42,28 +47,51 @@ class MeasuredFlow:
 class FlowTargets:
     """The flow of each training view to the next frame of its camera, or of the last one to the one before.
 
-    It is measured at first use and kept in half precision while `cache_limit_bytes` last.
+    It is measured at first use, and kept in half precision: in memory while `memory_bytes` last, then in a temporary
+    file in `folder`. What finds no room there is measured anew.
     """
 
-    def __init__(self, scene: Scene, cache_limit_bytes: int = CACHE_LIMIT_BYTES) -> None:
+    def __init__(self, scene: Scene, folder: Path, memory_bytes: int = MEMORY_BYTES) -> None:
         self._views = scene.train
         self._neighbour = neighbours(scene.train, MAX_GAP * scene.frame_spacing, scene.capture == "clip")
-        self._bytes_left = cache_limit_bytes
-        self._cache: dict[int, np.ndarray] = {}
+        self._folder, self._bytes_left = folder, memory_bytes
+        self._in_memory: dict[int, np.ndarray] = {}
+        self._file: IO[bytes] | None = None
+        self._in_file: dict[int, tuple[int, tuple[int, ...]]] = {}  # where, and the shape
 
     def at(self, index: int, camera: Camera) -> MeasuredFlow | None:
         """The flow of view `index` at the size of `camera`; None for a view without a neighbour."""
         if index not in self._neighbour:
             return None
         view, other = self._views[index], self._views[self._neighbour[index]]
-        flow = self._cache.get(index)
+        flow = self._kept(index)
         if flow is None:
-            flow = measure_flow(np.asarray(view.image), np.asarray(other.image)).astype(np.float16)
-            if flow.nbytes <= self._bytes_left:
-                self._cache[index] = flow
-                self._bytes_left -= flow.nbytes
+            measured = measure_flow(np.asarray(view.image), np.asarray(other.image))
+            flow = torch.from_numpy(measured).half().numpy()  # NumPy takes ten times as long
+            self._keep(index, flow)
         later = None if _same(view.camera, other.camera) else other.camera.resized(camera.width, camera.height)
         return MeasuredFlow(other.time - view.time, resized_flow(flow, camera.width, camera.height), later)
+
+    def _kept(self, index: int) -> np.ndarray | None:
+        if index not in self._in_file or self._file is None:
+            return self._in_memory.get(index)
+        place, shape = self._in_file[index]
+        self._file.seek(place)
+        return np.frombuffer(self._file.read(2 * math.prod(shape)), np.float16).reshape(shape)
+
+    def _keep(self, index: int, flow: np.ndarray) -> None:
+        if flow.nbytes <= self._bytes_left:
+            self._in_memory[index] = flow
+            self._bytes_left -= flow.nbytes
+            return
+        with suppress(OSError):
+            if self._file is None:
+                self._folder.mkdir(parents=True, exist_ok=True)
+                self._file = TemporaryFile(dir=self._folder)  # noqa: SIM115  open while this object lives
+            place = self._file.seek(0, os.SEEK_END)
+            self._file.write(flow.tobytes())
+            self._file.flush()
+            self._in_file[index] = place, flow.shape
 
 
 def neighbours(views: Sequence[View], max_gap: float, one_camera: bool = False) -> dict[int, int]:

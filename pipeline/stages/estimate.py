@@ -20,7 +20,7 @@ import torch
 from datasets.scene import Scene
 from datasets.source import Size, Source, open_source
 from pipeline.config.schema import Config
-from pipeline.data.optical_flow import CACHE_LIMIT_BYTES as FLOW_CACHE_LIMIT_BYTES
+from pipeline.data.optical_flow import MEMORY_BYTES as FLOW_MEMORY_BYTES
 from pipeline.data.optical_flow import measured_size
 from pipeline.data.training_views import CACHE_LIMIT_BYTES
 from pipeline.evaluation.metrics import MeasuredView, measure
@@ -128,7 +128,7 @@ def _estimate(cfg: Config, size: Size, threads: int, stored_bytes: int = 0, deco
     images = 0 if stored_bytes else (read.train_views + read.test_views) * 3 * read.width * read.height
     floats = min((size.train_views * 3 * pixels) * 4, CACHE_LIMIT_BYTES)
     measured_pixels = math.prod(measured_size(read.width, read.height)) if cfg.train.regularization.flow > 0 else 0
-    flows = min(size.train_views * 4 * measured_pixels, FLOW_CACHE_LIMIT_BYTES)  # two numbers in half precision
+    flows = min(size.train_views * 4 * measured_pixels, FLOW_MEMORY_BYTES)  # two numbers in half precision
     resident = 4 * gaussians * (FLOATS_PER_GAUSSIAN + FLOATS_PER_VIEW * cfg.train.batch) + images + floats + flows
     return Estimate(
         gaussians,

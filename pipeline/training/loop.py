@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 
 import torch
 from torch import Tensor
@@ -68,7 +69,8 @@ def train(
     Raises finite_checks.NonFiniteError, with the last checkpoint kept, and ValueError for a checkpoint of another run.
     """
     state = start(model, scene, cfg, run, before)
-    flows = FlowTargets(scene) if cfg.train.regularization.flow > 0 and state.model.kind.moves else None
+    folder = Path(cfg.scene.cache).expanduser()
+    flows = FlowTargets(scene, folder) if cfg.train.regularization.flow > 0 and state.model.kind.moves else None
     views = TrainingViews(scene.train, flows, _depths(scene, cfg))
     objective, density = Objective(scene, cfg, state.threads), refiners(scene, cfg)
     for observer in observers:

@@ -3,6 +3,7 @@
 python -m rasterizer.bench W1                 stages, lower bound, one and two threads
 python -m rasterizer.bench W1 W2h W2 --all    also a training iteration, the loss, the reference implementation, a plot
 python -m rasterizer.bench W1 --parts         cost of each part of the model and of each output
+python -m rasterizer.bench W2 --scaling       growth of the cost with Gaussians, pixels, views and threads
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from rasterizer.bench.frame_time import (
     time_iteration,
 )
 from rasterizer.bench.roofline import Rates, Work, bound_ms, measure_rates, work_of, write_roofline
+from rasterizer.bench.scaling import measure_growth, measure_threads, simulated_waiting
 from rasterizer.bench.workloads import WORKLOADS, Workload, make_workload
 from rasterizer.cores import keep_freed_memory, usable_cores
 from rasterizer.kernel_loader import ISA_VARIABLE, kernel, source_hash
@@ -51,14 +53,17 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--threads", type=int, nargs="+", help="default: 1, and 2 where the machine has them")
     parser.add_argument("--repeats", type=int, default=15)
     parser.add_argument("--parts", action="store_true", help="cost of each part of the model and of each output")
+    parser.add_argument("--scaling", action="store_true", help="growth of the cost with the size of the problem")
     parser.add_argument(
         "--all", action="store_true", help="also a training iteration, the loss and the reference implementation"
     )
     parser.add_argument("--plot", type=Path, help=f"write a roofline plot here (with --all: {ROOFLINE_FILE})")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     options = parser.parse_args()
-    if options.parts and (options.plot or options.all):
-        parser.error("--parts: expected neither --plot nor --all beside it")
+    if sum((options.parts, options.scaling, bool(options.plot or options.all))) > 1:
+        parser.error("--parts, --scaling: expected one of them, and neither --plot nor --all beside it")
+    if options.scaling and options.threads:
+        parser.error("--threads: expected none beside --scaling, which measures several")
     if (options.plot or options.all) and options.threads and 1 not in options.threads:
         parser.error("--threads: expected 1 among them for --plot and --all, whose roofline is of one thread")
     if options.repeats < 1:
@@ -85,6 +90,9 @@ def main() -> None:
     if options.parts:
         for name in options.workloads:
             result["workloads"][name] = measure_parts(name, threads[0], options.repeats, log)
+    elif options.scaling:
+        for name in options.workloads:
+            result["workloads"][name] = measure_scaling(name, options.repeats, log)
     else:
         result |= measure_workloads(options, threads, plot, log)
     if options.json:
@@ -213,6 +221,32 @@ def measure_parts(name: str, threads: int, repeats: int, log: Log) -> dict:
             f"backward {time.backward.minimum:7.2f}  total {time.total.minimum:7.2f}"
         )
     return {label: {"visible": visible} | asdict(time) for label, (visible, time) in rows.items()}
+
+
+def measure_scaling(name: str, repeats: int, log: Log) -> dict:
+    workload = make_workload(name)
+    log(f"{name}: a training iteration, 4 views, adam, 1 thread, ms cpu; exponent from the size before")
+    growth = measure_growth(workload, repeats)
+    for found in growth:
+        steps = zip(found.sizes[1:], found.ms[1:], found.exponents, strict=True)
+        rest = "".join(f", {size:,}: {ms:.1f} ({exponent:.2f})" for size, ms, exponent in steps)
+        log(f"  {found.what:<9}  {found.sizes[0]:,}: {found.ms[0]:.1f}{rest}")
+    threads = measure_threads(workload, repeats)
+    one = threads[0][1].minimum
+    log(
+        "  a view forward and backward, cpu time of all threads together over that of one: "
+        + ", ".join(f"{n} threads {time.minimum / one:.2f}" for n, time in threads[1:])
+    )
+    waiting = simulated_waiting(workload, min(3, repeats))
+    log(
+        "  blending, both passes, share of the threads' time that they wait, simulated: "
+        + ", ".join(f"{n} threads {share:.3f}" for n, share in waiting)
+    )
+    return {
+        "growth": [asdict(found) for found in growth],
+        "threads": {n: asdict(time) for n, time in threads},
+        "waiting": dict(waiting),
+    }
 
 
 def shown(time: Time) -> str:

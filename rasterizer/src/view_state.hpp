@@ -14,7 +14,7 @@
 namespace splat {
 
 // Gaussians preprocessed together by one thread: their working set stays in the second-level cache.
-inline constexpr int kChunk = 1024;
+inline constexpr int kChunk = 256;
 
 struct ViewState {
     Camera camera;

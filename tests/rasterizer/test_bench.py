@@ -13,6 +13,7 @@ import torch
 from rasterizer import Rasterizer
 from rasterizer.bench.baselines import torch_loss
 from rasterizer.bench.frame_time import count_work
+from rasterizer.bench.scaling import Growth, strip_seconds, waiting_share
 from rasterizer.bench.workloads import SplitMix64, Workload, make_workload
 from rasterizer.kernel_loader import available_isas, load_kernel
 from rasterizer.loss import PhotometricLoss
@@ -93,3 +94,27 @@ def test_the_torch_baseline_computes_the_same_loss_and_gradient() -> None:
     ours = PhotometricLoss(threads=1)(image, target)
     assert ours.loss == pytest.approx(expected.item(), abs=1e-5)  # float32 sums over 4800 values
     assert (ours.d_image - gradient).abs().max() < 1e-4 * gradient.abs().max()
+
+
+@pytest.mark.parametrize(
+    "seconds, threads, share",
+    [
+        ([1.0, 1.0, 1.0, 1.0], 2, 0.0),
+        ([2.0, 1.0, 1.0], 2, 0.0),
+        ([1.0, 3.0], 2, 1 - 4 / 6),  # one second beside three
+        ([1.0, 1.0, 2.0], 2, 1 - 4 / 6),  # the last one begins after a second
+        ([5.0], 4, 0.75),
+    ],
+)
+def test_threads_wait_for_the_last(seconds: list[float], threads: int, share: float) -> None:
+    assert waiting_share(seconds, threads) == pytest.approx(share, abs=1e-12)
+
+
+def test_exponents_are_those_of_powers() -> None:
+    assert Growth("x", (10, 20, 80), (3.0, 6.0, 24.0)).exponents == pytest.approx((1.0, 1.0))
+    assert Growth("x", (10, 20, 80), (3.0, 3.0, 48.0)).exponents == pytest.approx((0.0, 2.0))
+
+
+def test_strips_are_all_tiles_of_the_image(w1: Workload) -> None:
+    small = w1.cropped(40)  # 3 × 3 tiles
+    assert [len(strip_seconds(small, tiles, 1)) for tiles in (1, 2, 3, 8)] == [9, 6, 3, 3]

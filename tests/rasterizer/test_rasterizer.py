@@ -52,7 +52,7 @@ def test_any_number_of_threads_gives_the_same_bits(motion: str):
     gaussians = random_gaussians(500, motion, generator(1)).to(torch.float32)
     requests = [request_for(motion), request_for(motion, time=0.6)]
     expected, expected_views = render_and_backward(gaussians, requests, threads=1)
-    for threads in (2, 3):
+    for threads in (2, 3, 64):
         found, views = render_and_backward(gaussians, requests, threads)
         for name, tensor in expected.items():
             assert torch.equal(found[name], tensor), name

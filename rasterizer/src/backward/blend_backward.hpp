@@ -115,9 +115,10 @@ template <int extra>
 inline void blend_backward(ViewState& view, const InputPlanes& rendered, const InputPlanes& d) {
     StageTimer timer(view, kStageBlendBackward);
     view.intersection_gradients.resize(view.gradient_index.size());
+    const int together = tiles_together(view);
 #pragma omp parallel num_threads(view.settings.threads)
     {
-#pragma omp for schedule(dynamic, kTilesTogether)
+#pragma omp for schedule(dynamic, together)
         for (int tile = 0; tile < view.tiles(); ++tile) blend_backward_tile<extra>(view, tile, rendered, d);
         end_of_streaming();
     }

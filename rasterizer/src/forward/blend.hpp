@@ -77,8 +77,11 @@ SPLAT_INLINE int blend_block(const Splat* splats, const scalar* extras, const ui
 
 // Intersections of a tile that are blended together; the splats of the next batch are prefetched meanwhile.
 inline constexpr int kBatch = 256;
-// Neighbouring tiles that one thread takes in sequence, so that its prefetches are for itself.
-inline constexpr int kTilesTogether = 8;
+// Neighbouring tiles that one thread takes in sequence, so that its prefetches are for itself: 8, or fewer
+// for many threads, so that none waits long for the last.
+inline int tiles_together(const ViewState& view) {
+    return std::clamp(view.tiles() / (32 * view.settings.threads), 1, 8);
+}
 
 template <int extra>
 inline void blend_tile(ViewState& view, int tile, BlockState<extra> (&state)[kBlocks]) {
@@ -177,7 +180,8 @@ inline void blend(ViewState& view, const OutputPlanes& out) {
     view.block_last.resize(static_cast<size_t>(tiles) * kBlocks);
     scalar* planes[3 + kMaxExtraChannels];
     list_planes(view, out, planes);
-#pragma omp parallel for schedule(dynamic, kTilesTogether) num_threads(view.settings.threads)
+    const int together = tiles_together(view);
+#pragma omp parallel for schedule(dynamic, together) num_threads(view.settings.threads)
     for (int tile = 0; tile < tiles; ++tile) {
         const TileSpan span = tile_span(view, tile);
         for (int k = 0; k < 3 + extra; ++k)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from tiny import tiny_scene
@@ -17,6 +19,7 @@ from tiny_film import (
     unsynchronised_film,
 )
 
+from pipeline.data import optical_flow
 from pipeline.data.optical_flow import FlowTargets, measure_flow, measured_size, neighbours, resized_flow
 
 
@@ -60,45 +63,54 @@ def test_pairs_are_consecutive_frames_of_one_camera() -> None:
     assert neighbours(photographs[::2], gap, one_camera=True) == {}, "frames in between are missing"
 
 
-def test_flow_of_a_clip_comes_with_the_camera_that_sees_it() -> None:
+def test_flow_of_a_clip_comes_with_the_camera_that_sees_it(tmp_path: Path) -> None:
     """A plane that stands still, passed by the camera: its flow is that of a point of it, projected by both cameras."""
     clip = clip_past_a_plane()
     view, other = clip.train[1], clip.train[2]
-    target = FlowTargets(clip).at(1, view.camera.resized(64, 48))
+    target = FlowTargets(clip, tmp_path).at(1, view.camera.resized(64, 48))
     np.testing.assert_allclose(target.camera.world_to_cam, other.camera.world_to_cam)
     assert (target.camera.width, target.camera.height) == (64, 48) and target.camera.fx == 0.5 * other.camera.fx
     point = np.array([0.1, -0.2, PLANE_DEPTH]) - view.camera.world_to_cam[:3, 3]  # the rotation is the identity
     seen = [(c.fx * (point + c.world_to_cam[:3, 3]) / PLANE_DEPTH)[0] for c in (view.camera, other.camera)]
     measured = np.nanmedian(target.flow.numpy(), axis=(1, 2)) * PLANE[1]
     np.testing.assert_allclose(measured, [seen[1] - seen[0], 0], atol=0.1)  # a pixel is measured to 0.05
-    assert FlowTargets(moving_plane()).at(1, view.camera).camera is None, "it stands still"
+    assert FlowTargets(moving_plane(), tmp_path).at(1, view.camera).camera is None, "it stands still"
 
 
-def test_views_of_cameras_that_are_not_synchronised_have_flow() -> None:
+def test_views_of_cameras_that_are_not_synchronised_have_flow(tmp_path: Path) -> None:
     film = unsynchronised_film(frames=4)
-    targets = FlowTargets(film)
+    targets = FlowTargets(film, tmp_path)
     found = [targets.at(index, view.camera) for index, view in enumerate(film.train)]
     steps = [None if flow is None else round(flow.step * 30, 9) for flow in found]
     assert steps == [1, 1, 1, -1] * 4
 
 
-def test_flow_of_a_film_has_the_sign_of_its_step() -> None:
+def test_flow_of_a_film_has_the_sign_of_its_step(tmp_path: Path) -> None:
     """The last frame's flow leads back to the one before."""
-    targets = FlowTargets(moving_plane())
+    targets = FlowTargets(moving_plane(), tmp_path)
     first, last = (targets.at(index, moving_plane().train[0].camera) for index in (0, 3))
     assert first.step == pytest.approx(1 / RATE) and last.step == pytest.approx(-1 / RATE)
     moved = [np.nanmedian(found.flow.numpy(), axis=(1, 2)) * PLANE[1] for found in (first, last)]
     np.testing.assert_allclose(moved, [[2, 1], [-2, -1]], atol=0.1)
 
 
-def test_what_the_cache_does_not_hold_is_measured_anew() -> None:
-    film = moving_plane()
-    cached, uncached = FlowTargets(film), FlowTargets(film, cache_limit_bytes=0)
+def test_flow_is_the_same_from_memory_and_file_and_measured_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    film, measured = moving_plane(), []
+    (tmp_path / "no_folder").touch()
+    places = {"memory": (tmp_path, 2**30), "file": (tmp_path / "cache", 0), "nowhere": (tmp_path / "no_folder", 0)}
     camera = film.train[0].camera.resized(64, 48)
-    for _ in range(2):
-        found = [targets.at(1, camera).flow.numpy() for targets in (cached, uncached)]
-        assert found[0].shape == (2, 48, 64)
-        np.testing.assert_array_equal(*found)
+    monkeypatch.setattr(optical_flow, "measure_flow", lambda *pair: measured.append(pair) or measure_flow(*pair))
+    expected = resized_flow(measure_flow(film.train[1].image, film.train[2].image), 64, 48)
+    for name, (folder, memory) in places.items():
+        targets = FlowTargets(film, folder, memory)
+        measured.clear()
+        found = [targets.at(index, camera).flow.numpy() for index in (1, 0, 1, 0)]
+        assert len(measured) == (4 if name == "nowhere" else 2), name
+        np.testing.assert_array_equal(found[:2], found[2:])
+        # Half precision keeps eleven bits, of flow up to a tenth of the width.
+        np.testing.assert_allclose(found[0], expected, atol=0.1 * 2**-11)
 
 
 def test_flow_is_measured_at_a_size_of_its_own() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -69,7 +70,9 @@ def l1_alone(self: Photometric, mse_weight: float, threads: int) -> None:
 
 
 @pytest.mark.parametrize("make_scene", [moving_plane, clip_past_a_plane])
-def test_the_gradient_of_a_batch_is_that_of_image_and_flow(make_scene: Callable[[], Scene], monkeypatch) -> None:
+def test_the_gradient_of_a_batch_is_that_of_image_and_flow(
+    make_scene: Callable[[], Scene], monkeypatch, tmp_path: Path
+) -> None:
     """One view by the kernel, against autograd through the float64 reference implementation."""
     scene, weight = make_scene(), 50.0
     cfg = tiny_config()
@@ -77,7 +80,7 @@ def test_the_gradient_of_a_batch_is_that_of_image_and_flow(make_scene: Callable[
     late = phase(60.0, cfg.train, scene.extent, 3, 2)
     gaussians = random_gaussians(40, "full", torch.Generator().manual_seed(2))  # float64 of float32 values
     model = Model.from_gaussians(gaussians.to(torch.float32))
-    target = TrainingViews(scene.train, FlowTargets(scene)).at(1, 1.0)
+    target = TrainingViews(scene.train, FlowTargets(scene, tmp_path)).at(1, 1.0)
     monkeypatch.setattr(Photometric, "__init__", l1_alone)
     gradients = Gradients.zeros_like(model.gaussians())
     objective = Objective(scene, cfg, 1)
