@@ -1,8 +1,8 @@
 """Estimate of a run's disk, memory and time, before it starts.
 
 Time is measured on this machine: decoding a few frames, the metrics of one image, and a few iterations with the maximum
-number of Gaussians at the run's image size. The estimate is an order of magnitude, because a benchmark scene is
-rendered and a run starts with fewer Gaussians, often at a coarser resolution. Structure from motion is not included.
+number of Gaussians at each of the schedule's resolutions. A benchmark scene is rendered, and a run starts with fewer
+Gaussians. Structure from motion is not included.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import shutil
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,13 +21,14 @@ import torch
 from datasets.scene import Scene
 from datasets.source import Size, Source, open_source
 from pipeline.config.schema import Config
+from pipeline.config.train_schema import ResolutionStep
 from pipeline.data.optical_flow import MEMORY_BYTES as FLOW_MEMORY_BYTES
-from pipeline.data.optical_flow import measured_size
-from pipeline.data.training_views import CACHE_LIMIT_BYTES
+from pipeline.data.optical_flow import measure_flow, measured_size
+from pipeline.data.training_views import CACHE_LIMIT_BYTES, area_average
 from pipeline.evaluation.metrics import MeasuredView, measure
 from pipeline.evaluation.quick_evaluate import EVAL_VIEWS
 from pipeline.runs.provenance import memory_gb
-from pipeline.stages.decide import COLOUR_SHARE, MOTION_SHARE, TIME_SHARE
+from pipeline.stages.decide import COLOUR_SHARE, MOTION_SHARE, RESOLUTION, TIME_SHARE
 from rasterizer.bench.frame_time import time_frame, time_iteration
 from rasterizer.bench.workloads import Workload, make_workload
 from rasterizer.cores import thread_count
@@ -38,6 +40,7 @@ FLOATS_PER_GAUSSIAN, FLOATS_PER_VIEW = PARAMETERS * 4 + 17 + 7, 9 + 40
 CHECKPOINT_FLOATS = PARAMETERS * 4 + 4  # parameters, moments, best model; statistics
 PROGRAM_MB = 600.0  # Python and torch
 MAX_GAUSSIANS = 500_000  # assumed where train.densify.max_gaussians is higher
+SPHERE_SHARE = 0.2  # of the sphere's Gaussians: those that cameras on one side see; the others are left out
 TIMED_ITERATIONS = 3
 LARGE_SCENE_BYTES = 1e9  # of decoded frames, above which a run logs its estimate
 
@@ -74,13 +77,14 @@ def estimate(cfg: Config) -> Estimate:
 def _of_source(cfg: Config, source: Source) -> Estimate:
     size, threads = source.size(), thread_count(cfg.threads)
     seconds = source.seconds_per_frame() * (size.train_views + size.test_views) / threads
-    return _estimate(cfg, size, threads, source.stored_bytes, seconds)
+    return _estimate(cfg, size, threads, source.several_videos, source.stored_bytes, seconds)
 
 
 def training_minutes(cfg: Config, scene: Scene) -> str:
     """A line for a scene that is read: how long its training will take on this machine."""
     camera, threads = scene.train[0].camera, thread_count(cfg.threads)
-    found = _estimate(cfg, Size(len(scene.train), len(scene.test), camera.width, camera.height), threads)
+    size = Size(len(scene.train), len(scene.test), camera.width, camera.height)
+    found = _estimate(cfg, size, threads, scene.several_cameras)
     return (
         f"{len(scene.train)} training frames of {camera.width} x {camera.height}, {len(scene.test)} held out; training "
         f"will take about {duration(found.train_seconds)}, evaluations {duration(found.evaluate_seconds)}"
@@ -99,24 +103,32 @@ def estimate_if_large(cfg: Config, log: Callable[[str], None]) -> Estimate | Non
     return _of_source(cfg, source) if source.stored_bytes > LARGE_SCENE_BYTES else None
 
 
-def _estimate(cfg: Config, size: Size, threads: int, stored_bytes: int = 0, decode_seconds: float = 0.0) -> Estimate:
+def _estimate(
+    cfg: Config, size: Size, threads: int, several_cameras: bool, stored_bytes: int = 0, decode_seconds: float = 0.0
+) -> Estimate:
     """stored_bytes: of decoded frames in the cache; 0: images are kept in memory."""
-    read, scale = size, cfg.train.resolution_scale
-    size = replace(read, width=max(1, round(scale * read.width)), height=max(1, round(scale * read.height)))
+    read, size = size, _scaled(size, cfg.train.resolution_scale)
     gaussians = min(cfg.train.densify.max_gaussians, MAX_GAUSSIANS)
     if cfg.scene.background_model == "sphere":
-        gaussians += cfg.init.sphere_points
-    workload = workload_of(gaussians, size)
-    clock = time_iteration(workload, threads, TIMED_ITERATIONS, cfg.train.batch, cfg.train.optimiser == "sparse_adam")
-    iteration = clock["iteration"].minimum / 1e3
+        gaussians += round(cfg.init.sphere_points * (SPHERE_SHARE if several_cameras else 1))
+    flow = several_cameras and cfg.train.regularization.flow > 0
+    stored = stored_bytes > 0
+    iteration = _iteration_seconds(cfg, size, gaussians, threads, flow, stored)
     train = cfg.train.iterations * iteration
     if cfg.train.time_budget_s is not None:
         train = min(train, cfg.train.time_budget_s)
     else:
-        shared = MOTION_SHARE if cfg.train.select and cfg.ablation.shared_motion else 0
+        shared = MOTION_SHARE if cfg.train.select and cfg.ablation.shared_motion and not several_cameras else 0
         colour = COLOUR_SHARE if cfg.train.select and cfg.ablation.fourier_order else 0
-        selections = (TIME_SHARE if cfg.scene.may_be_static else 0) + shared + colour
-        train *= 1 + 2 * selections  # an upper bound: at half resolution, and not in static scenes
+        time_or_not = TIME_SHARE if cfg.scene.may_be_static else 0
+        if choices := 2 * (time_or_not + shared + colour):  # an upper bound: shared motion at 100 pixels
+            half = _iteration_seconds(cfg, _scaled(size, RESOLUTION), gaussians, threads, flow, stored)
+            train += choices * cfg.train.iterations * half
+    if flow:
+        each = _flow_seconds(read)
+        drawn = [2 * COLOUR_SHARE * cfg.train.iterations * cfg.train.batch if cfg.train.select else 0, read.train_views]
+        train += each * sum(min(count, read.train_views) for count in drawn)
+    workload = workload_of(gaussians, size)
     view = time_frame(workload, threads, TIMED_ITERATIONS).forward.minimum / 1e3
     image = np.random.default_rng(0).random((size.height, size.width, 3), dtype=np.float32)
     started = time.perf_counter()
@@ -140,6 +152,39 @@ def _estimate(cfg: Config, size: Size, threads: int, stored_bytes: int = 0, deco
         train,
         quick + final,
     )
+
+
+def _iteration_seconds(cfg: Config, size: Size, gaussians: int, threads: int, flow: bool, stored: bool) -> float:
+    """Mean over the schedule's resolutions. flow: rendered too. stored: images are read at each use."""
+    seconds = begun = 0.0
+    image = np.random.default_rng(0).integers(0, 256, (size.height, size.width, 3), dtype=np.uint8)
+    for step in [*cfg.train.resolution_steps, ResolutionStep(until=1.0, scale=1.0)]:
+        workload = workload_of(gaussians, _scaled(size, step.scale))
+        options = {"outputs": ("color", "flow"), "flow_dt": 0.01 * workload.duration} if flow else {}
+        sparse = cfg.train.optimiser == "sparse_adam"
+        spent = time_iteration(workload, threads, TIMED_ITERATIONS, cfg.train.batch, sparse, **options)["iteration"]
+        reading = cfg.train.batch * _seconds(partial(area_average, image, workload.camera)) if stored else 0.0
+        seconds += (step.until - begun) * (spent.minimum / 1e3 + reading)
+        begun = step.until
+    return seconds
+
+
+def _flow_seconds(size: Size) -> float:
+    """To measure the optical flow of one image."""
+    shape = (size.height, size.width, 3)
+    images = np.random.default_rng(0).integers(0, 256, (2, *shape), dtype=np.uint8)
+    return _seconds(partial(measure_flow, *images))
+
+
+def _seconds(do: Callable[[], object]) -> float:
+    """CPU time, since machines are shared."""
+    started = time.process_time()
+    do()
+    return time.process_time() - started
+
+
+def _scaled(size: Size, scale: float) -> Size:
+    return replace(size, width=max(1, round(scale * size.width)), height=max(1, round(scale * size.height)))
 
 
 def workload_of(gaussians: int, size: Size) -> Workload:

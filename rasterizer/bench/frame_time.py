@@ -114,19 +114,19 @@ def count_work(workload: Workload) -> WorkCounts:
 
 
 def time_iteration(
-    workload: Workload, threads: int, repeats: int, views: int = 4, sparse: bool = False
+    workload: Workload, threads: int, repeats: int, views: int = 4, sparse: bool = False, **options
 ) -> dict[str, Time]:
     """Time by part ("rasterizer", "loss", "adam") and of the whole "iteration": rendering, loss and backward pass of
     `views` views, evenly spread in time, then Adam.
 
-    sparse: Adam skips the Gaussians that no view of the batch shows.
+    sparse: Adam skips the Gaussians that no view of the batch shows. options: as Request's (outputs, flow_dt).
     """
     _, clock = clock_for(threads)
     parameters = {name: p.clone() for name, p in workload.gaussians.tensors().items()}
     gaussians = Gaussians.from_tensors(parameters)
     adam = _Adam(parameters, threads)
     rasterizers, gradients = [Rasterizer(threads) for _ in range(views)], Gradients.zeros_like(gaussians)
-    requests = batch_of(workload, views)
+    requests = batch_of(workload, views, **options)
     criterion = PhotometricLoss(threads=threads)
     target = torch.rand(3, workload.camera.height, workload.camera.width, generator=torch.Generator().manual_seed(1))
     spent: dict[str, list[float]] = {"rasterizer": [], "loss": [], "adam": [], "iteration": []}
@@ -174,9 +174,9 @@ def time_batch(workload: Workload, threads: int, repeats: int, views: int = 4) -
     return Time.of(together), Time.of(alone)
 
 
-def batch_of(workload: Workload, views: int) -> list[Request]:
+def batch_of(workload: Workload, views: int, **options) -> list[Request]:
     """Views evenly spread in time."""
-    return [replace(workload, time=(view + 0.5) / views).request() for view in range(views)]
+    return [replace(workload, time=(view + 0.5) / views).request(**options) for view in range(views)]
 
 
 class _Adam:

@@ -20,7 +20,7 @@ def test_images_in_memory_have_the_size_that_is_trained(monkeypatch: pytest.Monk
     size = Size(train_views=50, test_views=1, width=400, height=300)
     cfg = tiny_config(10)
     cfg = replace(cfg, train=replace(cfg.train, densify=replace(cfg.train.densify, max_gaussians=100)))
-    whole = _estimate(cfg, size, 1)
-    half = _estimate(replace(cfg, train=replace(cfg.train, resolution_scale=0.5)), size, 1)
+    whole = _estimate(cfg, size, 1, False)
+    half = _estimate(replace(cfg, train=replace(cfg.train, resolution_scale=0.5)), size, 1, False)
     saved = 50 * 12 * 400 * 300 * (1 - 0.25)
     assert abs((whole.memory_gb - half.memory_gb) * 1e9 - saved) < 1  # both are sums of integers below 2^53
