@@ -86,13 +86,13 @@ class Adam:
         for name, tensor in shared_tensors(model).items():
             self.shared_moments.setdefault(name, (torch.zeros_like(tensor), torch.zeros_like(tensor)))
 
-    def keep(self, mask: Tensor) -> None:
-        """Remove the Gaussians where `mask` (N,) bool is False, with their moments; the others keep their order."""
+    def keep(self, rows: Tensor) -> None:
+        """Keep the Gaussians `rows`, with their moments: (N,) bool, in their order, or indices, in that of these."""
         for tensors in (self.model.parameters, self.first, self.second):
             for name in tensors:
-                tensors[name] = tensors[name][mask]
+                tensors[name] = tensors[name][rows]
         if self.model.sphere is not None:
-            self.model.sphere = self.model.sphere[mask]
+            self.model.sphere = self.model.sphere[rows]
 
     def append(self, rows: dict[str, Tensor]) -> None:
         """Append Gaussians, one row of every field each, with zero moments; they are not of the sphere."""

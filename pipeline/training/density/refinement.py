@@ -9,6 +9,7 @@ from datasets.scene import Scene
 from pipeline.config.schema import Config
 from pipeline.training.density.densification import Densification, OpacityReset
 from pipeline.training.density.error_guided import ErrorGuidedDensification
+from pipeline.training.density.row_order import RowOrder
 from pipeline.training.density.sensitivity_pruning import SensitivityPruning, scoring_views
 from pipeline.training.density.track_linking import TrackLinking
 from pipeline.training.density.trajectory_start import TrajectoryStart
@@ -38,7 +39,7 @@ def refiners(scene: Scene, cfg: Config) -> list[Refiner]:
         found.append(ErrorGuidedDensification(scene, cfg))
     if cfg.train.motion == "tracks" and cfg.ablation.shared_motion:
         found.append(TrackLinking(scene, cfg))
-    return [*found, OpacityReset(rules)]
+    return [*found, RowOrder(rules), OpacityReset(rules)]
 
 
 def refine(state: TrainState, phase: Phase, refiners: Sequence[Refiner]) -> Iterator[dict]:
