@@ -143,14 +143,14 @@ def measured_size(width: int, height: int) -> tuple[int, int]:
 def resized_flow(flow: np.ndarray, width: int, height: int) -> Tensor:
     """Flow (h, w, 2), NaN where not trusted, as (2, height, width) float32: area averages of what is trusted, NaN where
     that is less than TRUSTED_SHARE."""
-    flow = flow.astype(np.float32)
-    trusted = np.isfinite(flow[..., :1]).astype(np.float32)
-    planes = np.concatenate([np.nan_to_num(flow), trusted], axis=2)
-    if planes.shape[:2] != (height, width):
-        planes = cv2.resize(planes, (width, height), interpolation=cv2.INTER_AREA)
-    sums, share = planes[..., :2], planes[..., 2:]
-    mean = np.divide(sums, share, out=np.full_like(sums, np.nan), where=share >= TRUSTED_SHARE)
-    return torch.from_numpy(np.ascontiguousarray(mean.transpose(2, 0, 1)))
+    x, y = cv2.split(flow.astype(np.float32))
+    trusted = np.isfinite(x).astype(np.float32)
+    planes = [np.nan_to_num(x), np.nan_to_num(y), trusted]
+    if trusted.shape != (height, width):
+        planes = [cv2.resize(plane, (width, height), interpolation=cv2.INTER_AREA) for plane in planes]
+    *sums, share = planes
+    share[share < TRUSTED_SHARE] = np.nan
+    return torch.from_numpy(np.stack([plane / share for plane in sums]))
 
 
 def _same(a: Camera, b: Camera) -> bool:

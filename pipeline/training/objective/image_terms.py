@@ -112,10 +112,10 @@ def flow_loss(flow: Tensor, measured: Tensor, weight: float, alpha: Tensor | Non
     a part of the measured one. None: with all of it, for cameras that stand still, whose background has no flow.
     """
     height, width = flow.shape[1:]
-    error = torch.nan_to_num(flow / width - (measured if alpha is None else alpha * measured), nan=0.0)
-    length = torch.sqrt((error * error).sum(dim=0, keepdim=True) + FLOW_SOFTENING**2)
+    error = (flow / width).sub_(measured if alpha is None else alpha * measured).nan_to_num_(nan=0.0)
+    length = error.square().sum(dim=0, keepdim=True).add_(FLOW_SOFTENING**2).sqrt_()
     loss = (length - FLOW_SOFTENING).mean().item()
-    return loss, error * (weight / (height * width * width)) / length
+    return loss, error.mul_(weight / (height * width * width)).div_(length)
 
 
 def inverse_depth(depth: Tensor, alpha: Tensor) -> tuple[Tensor, Tensor, Tensor]:
