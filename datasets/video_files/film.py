@@ -34,7 +34,8 @@ from rasterizer.cores import thread_count
 
 HDR_TRANSFERS = {16: "PQ (HDR10)", 18: "HLG"}  # of ISO 23091-2: the code points of high dynamic range
 SIZE_LIMIT = 16  # pixels a side
-FILM_VERSION = 1  # to be increased by every change that alters what is kept
+ROUNDED_PIXELS = 2.0  # of the longer side: a program that scaled to whole pixels writes what that changed as an aspect
+FILM_VERSION = 2  # to be increased by every change that alters what is kept
 FINGERPRINT_PART = 1 << 20  # bytes hashed at the beginning and at the end of each file
 UNTURNED = (1, 0, 0, 1)
 TURNS = {
@@ -233,6 +234,8 @@ def _decoded(path: Path, threads: int) -> Film:
         stamped = any(stamp is not None for stamp in stamps)
         tick = float(unit)
         aspect = float(stream.sample_aspect_ratio or 1)
+        if abs(aspect - 1) * max(first.width, first.height) <= ROUNDED_PIXELS:
+            aspect = 1.0
         covers = sum(bool(other.disposition & NO_FILM) for other in container.streams.video)
         films = len(container.streams.video) - covers
     if min(first.width, first.height) < SIZE_LIMIT:

@@ -78,6 +78,16 @@ def test_pixels_that_are_not_square_are_made_so(tmp_path: Path) -> None:
     assert np.abs(found - images[3]).mean() < 3  # crf 12: about two levels
 
 
+def test_an_aspect_that_is_the_rounding_of_a_scaled_size_is_square(tmp_path: Path) -> None:
+    """ffmpeg writes 1.0104 for 97 × 64 scaled to 96 × 64."""
+    plain, rounded = write_clip(tmp_path / "plain.mp4", frames(16), evenly(16)), tmp_path / "rounded.mp4"
+    aspect = "-c copy -bsf:v h264_metadata=sample_aspect_ratio=97/96"
+    subprocess.run([get_ffmpeg_exe(), "-v", "error", "-i", plain, *aspect.split(), rounded], check=True)
+    clip, said = opened(rounded)
+    assert clip.size == SIZE and "wide as high" not in said
+    np.testing.assert_array_equal(clip.frames[3].image, opened(plain)[0].frames[3].image)
+
+
 def test_a_cut_leaves_the_longest_take(tmp_path: Path) -> None:
     clip, said = opened(write_clip(tmp_path / "a.mp4", frames(15) + frames(30, seed=1), evenly(45)))
     assert [frame.name for frame in clip.frames] == [f"frame_{i:05d}" for i in range(15, 45)]
