@@ -155,12 +155,12 @@ def _estimate(
 
 
 def _iteration_seconds(cfg: Config, size: Size, gaussians: int, threads: int, flow: bool, stored: bool) -> float:
-    """Mean over the schedule's resolutions. flow: rendered too. stored: images are read at each use."""
+    """Mean over the schedule's resolutions. flow: rendered too, with depth. stored: images are read at each use."""
     seconds = begun = 0.0
     image = np.random.default_rng(0).integers(0, 256, (size.height, size.width, 3), dtype=np.uint8)
     for step in [*cfg.train.resolution_steps, ResolutionStep(until=1.0, scale=1.0)]:
         workload = workload_of(gaussians, _scaled(size, step.scale))
-        options = {"outputs": ("color", "flow"), "flow_dt": 0.01 * workload.duration} if flow else {}
+        options = {"outputs": ("color", "alpha", "depth", "flow"), "flow_dt": 0.01 * workload.duration} if flow else {}
         sparse = cfg.train.optimiser == "sparse_adam"
         spent = time_iteration(workload, threads, TIMED_ITERATIONS, cfg.train.batch, sparse, **options)["iteration"]
         reading = cfg.train.batch * _seconds(partial(area_average, image, workload.camera)) if stored else 0.0
