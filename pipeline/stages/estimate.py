@@ -188,10 +188,12 @@ def _scaled(size: Size, scale: float) -> Size:
 
 
 def workload_of(gaussians: int, size: Size) -> Workload:
-    """The benchmark's forward-facing scene with this number of Gaussians and image size."""
+    """The benchmark's forward-facing scene with this number of Gaussians and image size. Fewer Gaussians are larger, so
+    that they cover the image as often."""
     whole = make_workload("W2")
-    rows = torch.arange(gaussians) % len(whole.gaussians)
-    return replace(whole, gaussians=whole.gaussians.rows(rows), camera=whole.camera.resized(size.width, size.height))
+    rows = whole.gaussians.rows(torch.arange(gaussians) % len(whole.gaussians))
+    rows.log_scale[:, :3] += 0.5 * math.log(len(whole.gaussians) / gaussians)
+    return replace(whole, gaussians=rows, camera=whole.camera.resized(size.width, size.height))
 
 
 def duration(seconds: float) -> str:
