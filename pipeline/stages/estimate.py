@@ -48,7 +48,7 @@ LARGE_SCENE_BYTES = 1e9  # of decoded frames, above which a run logs its estimat
 @dataclass(frozen=True)
 class Estimate:
     gaussians: int  # assumed for time and memory
-    frames_gb: float  # decoded frames in scene.cache, shared by all runs of the scene
+    cache_gb: float  # in scene.cache: decoded frames, shared by all runs of the scene, and flow that memory lacks
     run_gb: float  # the run folder
     memory_gb: float  # resident, without the page cache
     decode_seconds: float
@@ -60,7 +60,7 @@ class Estimate:
         """Lines of text: what the run needs, and what this machine has."""
         free = shutil.disk_usage(_existing(Path(cfg.scene.cache))).free / 1e9
         return [
-            f"disk: {self.frames_gb:.1f} GB of decoded frames in {cfg.scene.cache}, {self.run_gb:.1f} GB in {cfg.out} "
+            f"disk: {self.cache_gb:.1f} GB of frames and flow in {cfg.scene.cache}, {self.run_gb:.1f} GB in {cfg.out} "
             f"({free:.0f} GB free)",
             f"memory: about {self.memory_gb:.1f} GB without the page cache ({memory_gb():.0f} GB in this machine)",
             f"time: decoding {duration(self.decode_seconds)}, training {duration(self.train_seconds)} "
@@ -139,12 +139,13 @@ def _estimate(
     pixels = size.width * size.height
     images = 0 if stored_bytes else (read.train_views + read.test_views) * 3 * read.width * read.height
     floats = min((size.train_views * 3 * pixels) * 4, CACHE_LIMIT_BYTES)
-    measured_pixels = math.prod(measured_size(read.width, read.height)) if cfg.train.regularization.flow > 0 else 0
-    flows = min(size.train_views * 4 * measured_pixels, FLOW_MEMORY_BYTES)  # two numbers in half precision
-    resident = 4 * gaussians * (FLOATS_PER_GAUSSIAN + FLOATS_PER_VIEW * cfg.train.batch) + images + floats + flows
+    measured_pixels = math.prod(measured_size(read.width, read.height)) if flow else 0
+    flows = size.train_views * 4 * measured_pixels  # two numbers in half precision
+    held = min(flows, FLOW_MEMORY_BYTES)
+    resident = 4 * gaussians * (FLOATS_PER_GAUSSIAN + FLOATS_PER_VIEW * cfg.train.batch) + images + floats + held
     return Estimate(
         gaussians,
-        stored_bytes / 1e9,
+        (stored_bytes + flows - held) / 1e9,
         4 * gaussians * (CHECKPOINT_FLOATS + PARAMETERS) / 1e9,
         resident / 1e9 + PROGRAM_MB / 1e3,
         decode_seconds,
