@@ -87,11 +87,11 @@ class FlowTargets:
         with suppress(OSError):
             if self._file is None:
                 self._folder.mkdir(parents=True, exist_ok=True)
-                self._file = TemporaryFile(dir=self._folder)  # noqa: SIM115  open while this object lives
+                # Unbuffered: after a failed write the rest stays readable.
+                self._file = TemporaryFile(dir=self._folder, buffering=0)  # noqa: SIM115  open while this object lives
             place = self._file.seek(0, os.SEEK_END)
-            self._file.write(flow.tobytes())
-            self._file.flush()
-            self._in_file[index] = place, flow.shape
+            if self._file.write(flow.tobytes()) == flow.nbytes:  # less on a full disk
+                self._in_file[index] = place, flow.shape
 
 
 def neighbours(views: Sequence[View], max_gap: float, one_camera: bool = False) -> dict[int, int]:

@@ -46,7 +46,7 @@ FEWEST_SHARED = 75
 # dB, and standard errors, of the gain by time-varying colour. Leaving out colours that do change costs more than
 # keeping coefficients that have no use.
 COLOUR_GAIN, COLOUR_STANDARD_ERRORS = 0.1, 1.0
-# dB, of training views, from which any gain keeps it: 1.6 and more where light changes, elsewhere at most 0.8.
+# dB, of training views, from which any gain keeps it: 1.5 and more where light changes, elsewhere at most 0.8.
 COLOUR_FIT_GAIN = 1.0
 # × the learning rates of 4DSH's time coefficients, which would hardly leave zero in so few iterations. 1 decides
 # wrongly on one of two scenes with changing colours; 10 makes the model worse than one without.

@@ -56,7 +56,8 @@ def measure_growth(workload: Workload, repeats: int) -> list[Growth]:
 
 
 def measure_threads(workload: Workload, repeats: int) -> list[tuple[int, Time]]:
-    """CPU time of all threads together, forward and backward. What it grows by is lost to any number of cores."""
+    """CPU time of all threads together, forward and backward. What it grows by is at most what sharing the work costs:
+    more threads than cores also disturb each other."""
     d_color, found = workload.image_gradient(), []
     for threads in THREADS:
         rasterizer, gradients = Rasterizer(threads), Gradients.zeros_like(workload.gaussians)

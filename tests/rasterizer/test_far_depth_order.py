@@ -167,7 +167,7 @@ def test_near_and_far_gaussians_in_one_view():
 
 
 def nearly_equal_depths(camera: Camera) -> Gaussians:
-    """More than two chunks of 1024 Gaussians, all within 24 float32 steps of depth, a hundred exactly coincident."""
+    """Several chunks of Gaussians, all within 24 float32 steps of depth, a hundred exactly coincident."""
     gaussians = gaussians_along_axis(camera, "separable", 5e-4, 1e5, logit=-6.0, count=3000)
     for name in ("mean", "log_scale", "quat_left"):
         getattr(gaussians, name)[1000:1100] = getattr(gaussians, name)[1000]

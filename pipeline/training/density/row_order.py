@@ -25,7 +25,7 @@ BITS = 10  # of each coordinate, of the space that they span
 
 @dataclass(frozen=True)
 class RowOrder:
-    """Sorts the rows, right after a densification, whose statistics are at their beginning."""
+    """Sorts the rows, with what training knows of each."""
 
     rules: DensifyConfig
     event = "order_rows"
@@ -36,8 +36,9 @@ class RowOrder:
     def apply(self, state: TrainState, phase: Phase) -> dict[str, int]:
         if len(state.model) < FEWEST:
             return {"sorted": 0}
-        state.optimiser.keep(memory_order(state.model))
-        state.reset_statistics()
+        order = memory_order(state.model)
+        state.optimiser.keep(order)
+        state.statistics.reorder(order)
         return {"sorted": len(state.model)}
 
 

@@ -57,6 +57,11 @@ class Statistics:
         count = self.iterations.clamp(min=1)
         return self.space / count, self.time / count
 
+    def reorder(self, rows: Tensor) -> None:
+        """Between iterations: the Gaussians are now those `rows`, indices of all present ones."""
+        for name in self.FIELDS:
+            setattr(self, name, getattr(self, name)[rows])
+
     def state(self) -> dict[str, Tensor]:
         return {name: getattr(self, name) for name in self.FIELDS}
 

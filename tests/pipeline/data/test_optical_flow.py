@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+from io import FileIO
 from pathlib import Path
 
 import numpy as np
@@ -111,6 +113,33 @@ def test_flow_is_the_same_from_memory_and_file_and_measured_anew(
         np.testing.assert_array_equal(found[:2], found[2:])
         # Half precision keeps eleven bits, of flow up to a tenth of the width.
         np.testing.assert_allclose(found[0], expected, atol=0.1 * 2**-11)
+
+
+@pytest.mark.parametrize("full", ["fails", "writes a part"])
+def test_a_full_disk_leaves_what_is_kept_readable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, full: str) -> None:
+    film, files = moving_plane(), []
+
+    class FullDisk(FileIO):
+        """Takes one flow."""
+
+        def write(self, data: bytes) -> int:
+            if self.tell() == 0:
+                return super().write(data)
+            if full == "fails":
+                raise OSError(errno.ENOSPC, "No space left on device")
+            return super().write(data[:10])
+
+    def on_full_disk(dir: Path, buffering: int) -> FullDisk:
+        assert buffering == 0
+        files.append(FullDisk(dir / "flow", "w+"))
+        return files[-1]
+
+    monkeypatch.setattr(optical_flow, "TemporaryFile", on_full_disk)
+    targets, others = FlowTargets(film, tmp_path, 0), FlowTargets(film, tmp_path)
+    camera = film.train[0].camera
+    for index in (1, 0, 1, 2, 1, 0):
+        np.testing.assert_array_equal(targets.at(index, camera).flow, others.at(index, camera).flow)
+    assert len(files) == 1
 
 
 def test_flow_is_measured_at_a_size_of_its_own() -> None:

@@ -13,6 +13,7 @@ from tiny import TinyRun, random_model, tiny_config, train_tiny
 from pipeline.model.model import ModelKind
 from pipeline.training.density import row_order
 from pipeline.training.density.row_order import BITS, TIMES, memory_order
+from pipeline.training.density.statistics import Statistics
 from pipeline.training.optimiser import Adam
 
 
@@ -48,6 +49,15 @@ def test_moments_and_sphere_move_with_their_gaussians() -> None:
     assert torch.equal(adam.first["mean"], model.parameters["mean"])
     assert torch.equal(model.parameters["opacity_logit"], before[order])
     assert torch.equal(model.sphere, order % 3 == 0)
+
+
+def test_statistics_of_densification_move_with_their_gaussians() -> None:
+    statistics = Statistics(5)
+    for value, name in enumerate(Statistics.FIELDS):
+        getattr(statistics, name)[:] = 10.0 * value + torch.arange(5)
+    statistics.reorder(torch.tensor([3, 0, 4, 1, 2]))
+    for value, name in enumerate(Statistics.FIELDS):
+        assert (getattr(statistics, name) - 10 * value).tolist() == [3, 0, 4, 1, 2]
 
 
 def test_training_sorts_with_the_same_bits_for_any_number_of_threads(
