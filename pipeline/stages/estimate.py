@@ -77,14 +77,15 @@ def estimate(cfg: Config) -> Estimate:
 def _of_source(cfg: Config, source: Source) -> Estimate:
     size, threads = source.size(), thread_count(cfg.threads)
     seconds = source.seconds_per_frame() * (size.train_views + size.test_views) / threads
-    return _estimate(cfg, size, threads, source.several_videos, source.stored_bytes, seconds)
+    film = source.several_videos or source.poses == "of every frame"
+    return _estimate(cfg, size, threads, film, source.stored_bytes, seconds)
 
 
 def training_minutes(cfg: Config, scene: Scene) -> str:
     """A line for a scene that is read: how long its training will take on this machine."""
     camera, threads = scene.train[0].camera, thread_count(cfg.threads)
     size = Size(len(scene.train), len(scene.test), camera.width, camera.height)
-    found = _estimate(cfg, size, threads, scene.several_cameras)
+    found = _estimate(cfg, size, threads, scene.capture in ("multi_view", "clip"))
     return (
         f"{len(scene.train)} training frames of {camera.width} x {camera.height}, {len(scene.test)} held out; training "
         f"will take about {duration(found.train_seconds)}, evaluations {duration(found.evaluate_seconds)}"
@@ -104,30 +105,29 @@ def estimate_if_large(cfg: Config, log: Callable[[str], None]) -> Estimate | Non
 
 
 def _estimate(
-    cfg: Config, size: Size, threads: int, several_cameras: bool, stored_bytes: int = 0, decode_seconds: float = 0.0
+    cfg: Config, size: Size, threads: int, film: bool, stored_bytes: int = 0, decode_seconds: float = 0.0
 ) -> Estimate:
-    """stored_bytes: of decoded frames in the cache; 0: images are kept in memory."""
+    """film: of several cameras, or a clip. stored_bytes: of decoded frames in the cache; 0: images are in memory."""
     read, size = size, _scaled(size, cfg.train.resolution_scale)
     gaussians = min(cfg.train.densify.max_gaussians, MAX_GAUSSIANS)
     if cfg.scene.background_model == "sphere":
-        gaussians += round(cfg.init.sphere_points * (SPHERE_SHARE if several_cameras else 1))
-    flow = several_cameras and cfg.train.regularization.flow > 0
+        gaussians += round(cfg.init.sphere_points * (SPHERE_SHARE if film else 1))
+    flow = film and cfg.train.regularization.flow > 0
     stored = stored_bytes > 0
     iteration = _iteration_seconds(cfg, size, gaussians, threads, flow, stored)
     train = cfg.train.iterations * iteration
     if cfg.train.time_budget_s is not None:
         train = min(train, cfg.train.time_budget_s)
     else:
-        shared = MOTION_SHARE if cfg.train.select and cfg.ablation.shared_motion and not several_cameras else 0
+        shared = MOTION_SHARE if cfg.train.select and cfg.ablation.shared_motion and not film else 0
         colour = COLOUR_SHARE if cfg.train.select and cfg.ablation.fourier_order else 0
         time_or_not = TIME_SHARE if cfg.scene.may_be_static else 0
         if choices := 2 * (time_or_not + shared + colour):  # an upper bound: shared motion at 100 pixels
             half = _iteration_seconds(cfg, _scaled(size, RESOLUTION), gaussians, threads, flow, stored)
             train += choices * cfg.train.iterations * half
-    if flow:
-        each = _flow_seconds(read)
-        drawn = [2 * COLOUR_SHARE * cfg.train.iterations * cfg.train.batch if cfg.train.select else 0, read.train_views]
-        train += each * sum(min(count, read.train_views) for count in drawn)
+        if flow:  # once for each view, by the choice of colour and by the training
+            drawn = 2 * colour * cfg.train.iterations * cfg.train.batch
+            train += _flow_seconds(read) * (read.train_views + min(drawn, read.train_views))
     workload = workload_of(gaussians, size)
     view = time_frame(workload, threads, TIMED_ITERATIONS).forward.minimum / 1e3
     image = np.random.default_rng(0).random((size.height, size.width, 3), dtype=np.float32)
@@ -160,6 +160,8 @@ def _iteration_seconds(cfg: Config, size: Size, gaussians: int, threads: int, fl
     seconds = begun = 0.0
     image = np.random.default_rng(0).integers(0, 256, (size.height, size.width, 3), dtype=np.uint8)
     for step in [*cfg.train.resolution_steps, ResolutionStep(until=1.0, scale=1.0)]:
+        if step.until == begun:  # the last one of the schedule lasts to its end
+            continue
         workload = workload_of(gaussians, _scaled(size, step.scale))
         options = {"outputs": ("color", "alpha", "depth", "flow"), "flow_dt": 0.01 * workload.duration} if flow else {}
         sparse = cfg.train.optimiser == "sparse_adam"

@@ -8,10 +8,11 @@ import pytest
 from tiny import tiny_config
 
 from datasets.source import Size
+from pipeline.config.train_schema import ResolutionStep
 from pipeline.stages import estimate
-from pipeline.stages.estimate import _estimate, workload_of
-from rasterizer.bench.frame_time import count_work
-from rasterizer.bench.workloads import make_workload
+from pipeline.stages.estimate import _estimate, _iteration_seconds, workload_of
+from rasterizer.bench.frame_time import Time, count_work
+from rasterizer.bench.workloads import Workload, make_workload
 
 
 def test_images_in_memory_have_the_size_that_is_trained(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -28,8 +29,25 @@ def test_images_in_memory_have_the_size_that_is_trained(monkeypatch: pytest.Monk
 
 
 def test_fewer_gaussians_cover_the_image_as_often() -> None:
-    """(pixel, Gaussian) pairs are proportional to number × area: a quarter of as many if they were no larger. A fifth is
-    for the sample, and for 0.3 squared pixels that widen small Gaussians more."""
+    """(pixel, Gaussian) pairs are proportional to number × area: a quarter of as many if they were no larger. A fifth
+    is for the sample, and for 0.3 squared pixels that widen small Gaussians more."""
     size = Size(train_views=1, test_views=0, width=676, height=507)
     many, few = (count_work(workload_of(count, size)).contributing for count in (300_000, 75_000))
     assert few == pytest.approx(many, rel=0.2)
+
+
+def test_an_iteration_is_the_mean_over_the_resolutions(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a clock that counts pixels."""
+
+    def counted(workload: Workload, *rest: object, **options: object) -> dict[str, Time]:
+        pixels = float(workload.camera.width * workload.camera.height)
+        return {"iteration": Time(1e3 * pixels, 0.0)}
+
+    monkeypatch.setattr(estimate, "time_iteration", counted)
+    steps = [ResolutionStep(until=0.25, scale=0.1), ResolutionStep(until=0.5, scale=0.5)]
+    cfg = tiny_config(10, resolution_steps=steps)
+    size = Size(train_views=1, test_views=0, width=200, height=100)
+    expected = 0.25 * 20 * 10 + 0.25 * 100 * 50 + 0.5 * 200 * 100
+    assert _iteration_seconds(cfg, size, 1000, 1, flow=False, stored=False) == pytest.approx(expected)
+    whole = tiny_config(10, resolution_steps=[ResolutionStep(until=1.0, scale=0.5)])
+    assert _iteration_seconds(whole, size, 1000, 1, flow=False, stored=False) == pytest.approx(100 * 50)
