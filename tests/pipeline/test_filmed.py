@@ -105,7 +105,7 @@ def test_what_it_would_take_is_said_without_doing_it(finished: Path, shell: Shel
     assert sorted((shell.folder / "results").rglob("*")) == before
     assert "would take" in out and "disk: " in out and "memory: " in out and "time: " in out
     # Frames are 160 x 120 pixels of 3 bytes, 5 cameras of 4: 1.2 MB.
-    assert "0.0 GB of decoded frames" in out
+    assert "0.0 GB of frames and flow" in out
 
 
 def test_a_fault_in_the_data_ends_in_one_line(finished: Path, shell: Shell) -> None:
