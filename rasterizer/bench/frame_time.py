@@ -117,7 +117,7 @@ def time_iteration(
     workload: Workload, threads: int, repeats: int, views: int = 4, sparse: bool = False, **options
 ) -> dict[str, Time]:
     """Time by part ("rasterizer", "loss", "adam") and of the whole "iteration": rendering, loss and backward pass of
-    `views` views, evenly spread in time, then Adam.
+    `views` views, evenly spread in time, then Adam. Every output that is rendered has a gradient.
 
     sparse: Adam skips the Gaussians that no view of the batch shows. options: as Request's (outputs, flow_dt).
     """
@@ -129,6 +129,10 @@ def time_iteration(
     requests = batch_of(workload, views, **options)
     criterion = PhotometricLoss(threads=threads)
     target = torch.rand(3, workload.camera.height, workload.camera.width, generator=torch.Generator().manual_seed(1))
+    channels = {"alpha": 1, "depth": 1, "flow": 2, "stats": 2}
+    others: dict[str, Any] = {
+        f"d_{name}": target[:count] - 0.5 for name, count in channels.items() if name in requests[0].outputs
+    }
     spent: dict[str, list[float]] = {"rasterizer": [], "loss": [], "adam": [], "iteration": []}
     for _ in range(repeats):
         start = clock()
@@ -141,9 +145,9 @@ def time_iteration(
         for rasterizer, out in zip(rasterizers, rendered, strict=True):
             assert out.color is not None
             t0 = clock()
-            d_image = criterion(out.color, target).d_image
+            d_color = criterion(out.color, target).d_image
             t1 = clock()
-            view = rasterizer.backward(gradients, d_color=d_image)
+            view = rasterizer.backward(gradients, d_color=d_color, **others)
             t2 = clock()
             if visible is not None:
                 view.mark_visible(visible, threads)
