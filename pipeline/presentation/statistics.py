@@ -30,9 +30,7 @@ class Estimate:
     @property
     def half_width(self) -> float:
         """Of the t-interval of the mean; NaN for one seed."""
-        if self.n < 2:
-            return math.nan
-        return float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, self.n - 1)) * self.std / math.sqrt(self.n)
+        return math.nan if self.n < 2 else interval_scale(self.n) * self.std
 
     @property
     def p_value(self) -> float:
@@ -42,6 +40,11 @@ class Estimate:
         if self.std == 0:
             return 0.0
         return float(2 * stats.t.sf(abs(self.mean) * math.sqrt(self.n) / self.std, self.n - 1))
+
+
+def interval_scale(n: int) -> float:
+    """Half the t-interval of the mean of n values, over their standard deviation."""
+    return float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, n - 1)) / math.sqrt(n)
 
 
 def estimate(values: Iterable[float]) -> Estimate | None:

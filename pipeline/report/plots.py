@@ -18,6 +18,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
+from pipeline.presentation.statistics import MIN_SEEDS, interval_scale
 from pipeline.presentation.theme import LIGHT, Theme
 from pipeline.report import paper_table, scenes
 from pipeline.report.curve_figures import CurveFigure, Line
@@ -38,7 +39,7 @@ _COLUMNS = (
 )
 _CAPTION = (
     "Line: mean over seeds, interpolated linearly, where all seeds have values; dot: its end. "
-    "Band: ± one standard deviation over seeds."
+    f"Band: the 95 % t-interval of the mean, of {MIN_SEEDS} seeds and more."
 )
 _COARSE = (
     "Dashed: trained at a coarse resolution, evaluated at full resolution, so PSNR is low. "
@@ -125,12 +126,12 @@ def _add_legend(figure: Figure, axis: Axes, caption: str) -> None:
 
 
 def _draw(axis: Axes, curves: pd.DataFrame, x: str, y: str, colour: str, label: str, coarse: float) -> None:
-    xs, mean, std = mean_and_std(curves, x, y)
+    xs, mean, half = mean_and_interval(curves, x, y)
     before, after = split_at(xs, mean, coarse)
     axis.plot(*before, linestyle=(0, (3, 1.5)), color=colour, linewidth=1.4)
     axis.plot(*after, color=colour, linewidth=1.8, label=label)
-    if std.any():
-        axis.fill_between(xs, mean - std, mean + std, color=colour, alpha=0.18, linewidth=0)
+    if curves["run"].nunique() >= MIN_SEEDS:
+        axis.fill_between(xs, mean - half, mean + half, color=colour, alpha=0.18, linewidth=0)
     axis.plot(xs[-1], mean[-1], "o", color=colour, markersize=4)
 
 
@@ -184,11 +185,11 @@ def _in_thousands(value: float, _: object) -> str:
 # ---- Curves over seeds ----
 
 
-def mean_and_std(curves: pd.DataFrame, x: str, y: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(x, mean, std) over the runs of `curves`, in the range of `x` that all runs cover.
+def mean_and_interval(curves: pd.DataFrame, x: str, y: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(x, mean, half the t-interval) over the runs of `curves`, in the range of `x` that all runs cover.
 
     Seeds are not evaluated at the same second, so each run is interpolated linearly, at every x at which any run was
-    evaluated. std has n - 1 in the denominator and is zero for a single run.
+    evaluated. A single run has an interval of zero.
     """
     runs = [(g[x].to_numpy(float), g[y].to_numpy(float)) for _, g in curves.sort_values(x).groupby("run")]
     low, high = max(xs[0] for xs, _ in runs), min(xs[-1] for xs, _ in runs)
@@ -198,7 +199,7 @@ def mean_and_std(curves: pd.DataFrame, x: str, y: str) -> tuple[np.ndarray, np.n
     grid = np.unique(np.concatenate([xs for xs, _ in runs]))
     grid = grid[(grid >= low) & (grid <= high)]
     values = np.stack([np.interp(grid, xs, ys) for xs, ys in runs])
-    return grid, values.mean(axis=0), values.std(axis=0, ddof=1)
+    return grid, values.mean(axis=0), interval_scale(len(runs)) * values.std(axis=0, ddof=1)
 
 
 def end_of_coarse(curves: pd.DataFrame, settings: Mapping[str, Mapping[str, Any]], x: str) -> float:

@@ -79,7 +79,7 @@ def markdown(lengths: Lengths, heading: str) -> str:
     return (
         f"### Gaussians against the length of a video\n\n{heading}\n\n"
         f"{markdown_table(['frames', *COLUMNS.values(), 'active fraction'], rows)}\n\n"
-        f"- Exponents e of N = c · frames^e: {exponents}. ±: standard deviation over seeds; no ±: one seed.\n"
+        f"- Exponents e of N = c · frames^e: {exponents}. ±: half the 95 % t-interval over seeds; no ±: one seed.\n"
     )
 
 

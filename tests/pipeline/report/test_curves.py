@@ -14,7 +14,7 @@ from report_runs import write_run
 
 from pipeline.presentation.theme import DARK, LIGHT
 from pipeline.report.curve_figures import MOST_LINES, CurveFigure, curve_figures
-from pipeline.report.plots import end_of_coarse, mean_and_std, plot, recoloured, split_at
+from pipeline.report.plots import end_of_coarse, mean_and_interval, plot, recoloured, split_at
 from pipeline.report.runs import Collection, collect
 
 COARSE = "  resolution_steps: [{until: 0.5, scale: 0.5}]\n"
@@ -87,13 +87,14 @@ def curve(points: list[tuple[float, float]], run: str = "a") -> pd.DataFrame:
     return pd.DataFrame(rows).assign(run=run)
 
 
-def test_mean_and_std_between_evaluations_at_different_seconds() -> None:
+def test_mean_and_interval_between_evaluations_at_different_seconds() -> None:
     both = pd.concat([curve([(1, 10), (3, 14), (5, 16)]), curve([(2, 20), (4, 20), (6, 20)], "b")])
-    x, mean, std = mean_and_std(both, "train_seconds", "psnr")
+    x, mean, half = mean_and_interval(both, "train_seconds", "psnr")
     assert x.tolist() == [2, 3, 4, 5]  # from where the second starts to where the first ends
     first = np.array([12, 14, 15, 16])  # by hand
     np.testing.assert_allclose(mean, (first + 20) / 2, rtol=1e-12)
-    np.testing.assert_allclose(std, (20 - first) / math.sqrt(2), rtol=1e-12)  # of two values: their distance / √2
+    # Of two values s is their distance / √2, and t(1) at 97.5 % is tan(0.475 π): the t-distribution is Cauchy's.
+    np.testing.assert_allclose(half, math.tan(0.475 * math.pi) * (20 - first) / 2, rtol=1e-9)
 
 
 def test_end_of_coarse_resolution_training() -> None:
@@ -141,7 +142,7 @@ def test_svg_has_labels_legend_and_caption(tmp_path: Path) -> None:
         "Gaussians",
         "training time, s",
         "iteration",
-        "one standard deviation over seeds",
+        "t-interval of the mean, of 3 seeds",
         "Dashed",
         "fast (train.batch=2)",
     ):
