@@ -16,8 +16,9 @@ from pipeline.data.depth_targets import DepthTargets, PointDepths, SparseDepth
 from pipeline.data.optical_flow import FlowTargets, MeasuredFlow
 from rasterizer import Camera
 
-# Above this size float images are not cached but converted from uint8 at each use.
+# Above this size float images are not cached but converted from uint8 at each use, and flow is resized.
 CACHE_LIMIT_BYTES = 2 * 1024**3
+IMAGE_BYTES, FLOW_BYTES = 12, 8  # of a pixel: three and two floats
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,8 @@ def area_average(planes: np.ndarray, camera: Camera) -> np.ndarray:
 
 
 class TrainingViews:
-    """`target_of` for a fixed list of views; caches the images of the last scale if they fit cache_limit_bytes."""
+    """`target_of` for a fixed list of views; caches the images of the last scale if they fit cache_limit_bytes, and
+    their flow if it fits too."""
 
     def __init__(
         self,
@@ -103,13 +105,19 @@ class TrainingViews:
         target = self._cache.get(index)
         if target is None:
             target = target_of(self._views[index], scale)
-            if self._pixels * scale**2 * 12 <= self._limit:  # 3 channels of 4 bytes
+            if self._fits(IMAGE_BYTES):
                 self._cache[index] = target
-        if self._flows is not None:
+        if self._flows is not None and target.motion is None:
             target = replace(target, motion=self._flows.at(index, target.camera))
+            if self._fits(IMAGE_BYTES + FLOW_BYTES):
+                self._cache[index] = target
         if self._depths is not None:
             target = replace(target, depth=self._depths.at(index, target.camera, target.image))
         return target if target.mask is None else _valid_only(target, target.mask)
+
+    def _fits(self, bytes_per_pixel: int) -> bool:
+        assert self._scale is not None
+        return self._pixels * self._scale**2 * bytes_per_pixel <= self._limit
 
 
 def _valid_only(target: Target, mask: Tensor) -> Target:

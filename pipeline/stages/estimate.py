@@ -24,7 +24,7 @@ from pipeline.config.schema import Config
 from pipeline.config.train_schema import ResolutionStep
 from pipeline.data.optical_flow import MEMORY_BYTES as FLOW_MEMORY_BYTES
 from pipeline.data.optical_flow import measure_flow, measured_size
-from pipeline.data.training_views import CACHE_LIMIT_BYTES, area_average
+from pipeline.data.training_views import CACHE_LIMIT_BYTES, FLOW_BYTES, IMAGE_BYTES, area_average
 from pipeline.evaluation.metrics import MeasuredView, measure
 from pipeline.evaluation.quick_evaluate import EVAL_VIEWS
 from pipeline.runs.provenance import memory_gb
@@ -148,7 +148,7 @@ def _estimate(
     final = (1 + cfg.evaluate.best_on_test) * size.test_views * (2 * view + measured / threads)
     pixels = size.width * size.height
     images = 0 if stored_bytes else (read.train_views + read.test_views) * 3 * read.width * read.height
-    floats = min((size.train_views * 3 * pixels) * 4, CACHE_LIMIT_BYTES)
+    floats = min(size.train_views * pixels * (IMAGE_BYTES + flow * FLOW_BYTES), CACHE_LIMIT_BYTES)
     measured_pixels = math.prod(measured_size(read.width, read.height)) if flow else 0
     flows = size.train_views * 4 * measured_pixels  # two numbers in half precision
     held = min(flows, FLOW_MEMORY_BYTES)

@@ -36,6 +36,25 @@ def test_views_are_cached_only_below_the_memory_limit() -> None:
     assert cached.at(2, 1.0).image.shape == (3, 32, 32), "another scale is another image"
 
 
+def test_flow_is_resized_once_where_it_fits_beside_the_images() -> None:
+    views, width, height = tiny_scene().train, 32, 32
+    pixels = len(views) * width * height
+    asked: list[tuple[int, int]] = []
+
+    def flow_of(index: int, camera: Camera) -> MeasuredFlow:
+        asked.append((index, camera.width))
+        return MeasuredFlow(0.1, torch.full((2, camera.height, camera.width), float(index)))
+
+    flows = SimpleNamespace(at=flow_of)
+    for limit, often in ((20 * pixels, 1), (20 * pixels - 1, 2)):  # 3 + 2 floats a pixel, and a byte less
+        asked.clear()
+        kept = TrainingViews(views, flows, cache_limit_bytes=limit)  # type: ignore[arg-type]
+        first, second = kept.at(2, 1.0), kept.at(2, 1.0)
+        assert asked == [(2, 32)] * often and first.image is second.image
+        assert torch.equal(first.motion.flow, second.motion.flow) and (first.motion.flow == 2).all()
+        assert kept.at(2, 0.5).motion.flow.shape == (2, 16, 16), "another scale is another flow"
+
+
 def test_outside_a_mask_nothing_is_measured() -> None:
     """Flow is NaN there, depths are left out and no sky is known; inside, all stay."""
     view = tiny_scene().train[0]
