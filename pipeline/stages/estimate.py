@@ -44,8 +44,8 @@ CHECKPOINT_FLOATS = PARAMETERS * 4 + 4  # parameters, moments, best model; stati
 # lego, wheel, burst, lamp and still, whose objects are before a plain background.
 BLENDED, BLENDED_OBJECT = 40.0, 11.0
 BLENDED_BENCHMARK = 26.0  # of the benchmark's scene
-# A training's time over that of its kernel calls, images and losses: densification, targets and the rest are 13 to 20 %
-# (pipeline/studies/training_profile).
+# A training's time over that of its kernel calls, images and losses: densification, targets and the rest are 8 to 28 %
+# (docs/kernel.md, where a training spends its time).
 OTHER_WORK = 1.2
 PROGRAM_MB = 600.0  # Python and torch
 MAX_GAUSSIANS = 500_000  # assumed where train.densify.max_gaussians is higher
