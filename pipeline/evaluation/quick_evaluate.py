@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
-from datasets.scene import Scene, View
+from datasets.scene import Scene
 from pipeline.config.schema import Config
 from pipeline.data.training_views import Target, evenly_spaced, target_of
 from pipeline.evaluation.image_metrics import masked_psnr, psnr
@@ -23,8 +21,8 @@ EVAL_VIEWS = 30  # held-out views of an evaluation during training; the final on
 def quick_evaluate(
     model: Model, scene: Scene, cfg: Config, rasterizer: Engine, moving: MovingPixels | None = None
 ) -> dict[str, float | None]:
-    """{psnr, ssim, test_loss, psnr_moving} over at most EVAL_VIEWS evenly spread test views, and train_psnr over as
-    many training views. PSNR is that of the valid pixels, as in `held_out_psnr`.
+    """{psnr, ssim, test_loss, psnr_moving} over at most EVAL_VIEWS evenly spread test views. PSNR is that of the valid
+    pixels, as in `held_out_psnr`.
 
     Renders have the final resolution, also while training is at a coarser one, so that the numbers of a run can be
     compared. SSIM is the loss's (zero padding at the border, as 3DGS), which differs from metrics.ssim in the third
@@ -33,21 +31,18 @@ def quick_evaluate(
     moving = moving or MovingPixels(scene, cfg.train.resolution_scale)
     renderer = Renderer(model, scene, cfg, rasterizer)
     criterion = PhotometricLoss(mse_weight=cfg.train.mse_weight, threads=rasterizer.threads)
-
-    def means(views: Sequence[View]) -> dict[str, float | None]:
-        rows: list[dict[str, float | None]] = []
-        for index in evenly_spaced(len(views), EVAL_VIEWS):
-            target = target_of(views[index], cfg.train.resolution_scale)
-            image = renderer.tensor(target.camera, target.time).clamp_(0.0, 1.0)
-            loss = criterion(image, target.image.to(image.device))
-            render, truth = (pixels.cpu().numpy().transpose(1, 2, 0) for pixels in (image, target.image))
-            rows.append({"psnr": valid_psnr(render, truth, target), "ssim": loss.ssim, "test_loss": loss.loss})
-            mask = moving.of(index) if views is scene.test else None
-            rows[-1]["psnr_moving"] = masked_psnr(render, truth, mask)
-        found = {name: mean(rows, name) for name in ("psnr", "ssim", "test_loss")}
-        return {**found, "psnr_moving": mean(rows, "psnr_moving", partial=True)}
-
-    return {**means(scene.test), "train_psnr": means(scene.train)["psnr"]}
+    rows: list[dict[str, float | None]] = []
+    for index in evenly_spaced(len(scene.test), EVAL_VIEWS):
+        target = target_of(scene.test[index], cfg.train.resolution_scale)
+        image = renderer.tensor(target.camera, target.time).clamp_(0.0, 1.0)
+        loss = criterion(image, target.image.to(image.device))
+        render, truth = (pixels.cpu().numpy().transpose(1, 2, 0) for pixels in (image, target.image))
+        rows.append({
+            "psnr": valid_psnr(render, truth, target), "ssim": loss.ssim, "test_loss": loss.loss,
+            "psnr_moving": masked_psnr(render, truth, moving.of(index)),
+        })  # fmt: skip
+    found = {name: mean(rows, name) for name in ("psnr", "ssim", "test_loss")}
+    return {**found, "psnr_moving": mean(rows, "psnr_moving", partial=True)}
 
 
 def held_out_psnr(model: Model, scene: Scene, cfg: Config, threads: int) -> np.ndarray:

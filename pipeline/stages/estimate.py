@@ -144,7 +144,7 @@ def _estimate(
     started = time.perf_counter()
     measure(MeasuredView(image, image[::-1].copy()))
     measured = time.perf_counter() - started
-    quick = cfg.train.iterations // cfg.train.eval_every * min(size.test_views, EVAL_VIEWS) * 2 * view
+    quick = cfg.train.iterations // cfg.train.eval_every * min(size.test_views, EVAL_VIEWS) * view
     final = (1 + cfg.evaluate.best_on_test) * size.test_views * (2 * view + measured / threads)
     pixels = size.width * size.height
     images = 0 if stored_bytes else (read.train_views + read.test_views) * 3 * read.width * read.height

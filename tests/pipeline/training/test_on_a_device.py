@@ -75,7 +75,6 @@ def test_training_is_that_of_the_kernel_up_to_rounding(kind: str, background: st
     assert abs(len(found) - len(expected)) <= 0.1 * len(expected)
     for one, other in zip(evaluations, by_kernel):
         assert one["psnr"] == pytest.approx(other["psnr"], abs=0.5)
-        assert one["train_psnr"] == pytest.approx(other["train_psnr"], abs=0.5)
 
 
 def test_a_run_goes_on_from_a_checkpoint_of_either(device, tmp_path):
