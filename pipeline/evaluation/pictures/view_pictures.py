@@ -19,6 +19,7 @@ LARGEST_DEPTH_ERROR = 0.2  # relative; brightest in the picture
 LONGEST_QUANTILE = 0.98  # of the true flows that are not zero: the full colour
 DRIVE_DEPTHS = (4.0, 80.0)  # metres: nearest and farthest colour of a driving log's depth
 GAP = 4  # pixels between the parts
+COMPRESSION = 3  # of PNG: half the time of the default, 6, for a tenth more bytes
 
 
 def picture_saver(folder: Path, scene: Scene) -> SeeView:
@@ -88,4 +89,6 @@ def save_picture(path: Path, parts: list[np.ndarray]) -> None:
     gap = np.ones((parts[0].shape[0], GAP, 3), np.float32)
     row = np.concatenate([piece for part in parts for piece in (part, gap)][:-1], axis=1)
     with atomic_file(path) as temporary:
-        Image.fromarray(np.round(np.clip(row, 0.0, 1.0) * 255.0).astype(np.uint8)).save(temporary)
+        Image.fromarray(np.round(np.clip(row, 0.0, 1.0) * 255.0).astype(np.uint8)).save(
+            temporary, compress_level=COMPRESSION
+        )
