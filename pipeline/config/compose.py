@@ -6,8 +6,9 @@ import difflib
 import os
 import re
 from collections.abc import Iterator, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field, is_dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -17,7 +18,7 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override, QuotedString, ValueType
 from hydra.errors import HydraException, OverrideParseException
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
 from datasets.files.errors import clear
@@ -33,8 +34,9 @@ class Command:
     """The overrides of a command line, `key=value`: they compose a configuration for each kind of scene."""
 
     overrides: tuple[str, ...]
-    # By kind of scene: composing takes a tenth of a second, and a run asks several times.
+    # By kind of scene: composing takes a quarter of a second, and a run asks several times.
     _configs: dict[str | None, Config] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _choices: dict[str | None, dict[str, str]] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def config(self, capture: str | None = None) -> Config:
         """The configuration where the scene is of this kind (conf/capture); None: where that is not known yet. With
@@ -43,7 +45,8 @@ class Command:
         Raises what Hydra, OmegaConf and the schema raise.
         """
         if capture not in self._configs:
-            cfg = to_config(_composed([*self.overrides, *self._of_kind(capture)]))
+            composed, self._choices[capture] = _composed([*self.overrides, *self._of_kind(capture)])
+            cfg = to_config(composed)
             if ITERATIONS in self.given:
                 share = cfg.train.iterations / self.preset(capture).train.iterations
                 cfg = replace(cfg, train=scaled(cfg.train, cfg.train.iterations, share, self.given))
@@ -70,8 +73,10 @@ class Command:
 
     def preset(self, capture: str | None = None) -> Config:
         """The same with nothing but the choices of scene, schedule and ablation: what else differs, the command set."""
-        choices = _composed([*self.overrides, *self._of_kind(capture)], with_choices=True).hydra.runtime.choices
-        return to_config(_composed([*(f"{key}={choices[key]}" for key in _PRESET), *self._of_kind(capture)]))
+        if capture not in self._choices:
+            self.config(capture)
+        choices = self._choices[capture]
+        return _preset((*(f"{key}={choices[key]}" for key in _PRESET), *self._of_kind(capture)))
 
     def _of_kind(self, capture: str | None) -> list[str]:
         given = any(override.startswith("capture=") for override in self.overrides)
@@ -87,12 +92,22 @@ def command_of(keys: Sequence[str]) -> tuple[Command, Config]:
         raise ValueError(one_line(error)) from None
 
 
-def _composed(overrides: list[str], with_choices: bool = False) -> DictConfig:
+@cache
+def _preset(choices: tuple[str, ...]) -> Config:
+    """Kept from run to run of a sweep."""
+    return to_config(_composed(list(choices))[0])
+
+
+def _composed(overrides: list[str]) -> tuple[DictConfig, dict[str, str]]:
+    """The configuration, and group -> what was chosen of it."""
     register_schema()
-    if GlobalHydra.instance().is_initialized():  # within a run of Hydra's
-        return compose("config", overrides, return_hydra_config=with_choices)
-    with initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
-        return compose("config", overrides, return_hydra_config=with_choices)
+    within_a_run = GlobalHydra.instance().is_initialized()
+    with nullcontext() if within_a_run else initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
+        cfg = compose("config", overrides, return_hydra_config=True)
+    choices = dict(cfg.hydra.runtime.choices)
+    with open_dict(cfg):
+        del cfg["hydra"]
+    return cfg, choices
 
 
 def register_schema() -> None:
