@@ -53,6 +53,20 @@ inline void load_image_gradients(const ViewState& view, const TileSpan& span, co
 // Splats prefetched ahead: the fastest of 2, 3, 4, 6, 12 and 24 on W1 and W2 (W2 with 12: an eighth longer).
 inline constexpr uint32_t kPrefetchedSplats = 4;
 
+// Alpha of an intersection's pixels, 0 below the threshold, and their u and v, by block.
+struct IntersectionAlpha {
+    unsigned blocks;  // those that the splat touches and that have pixels left
+    Float alpha[kBlocks], u[kBlocks], v[kBlocks];
+};
+
+// Σ a b over the pixels, and Σ a, in a register's lanes.
+SPLAT_INLINE void add_products(NativeFloat& sum, const Float& a, const Float& b) {
+    for (int i = 0; i < kParts; ++i) sum += a.part[i] * b.part[i];
+}
+SPLAT_INLINE void add_values(NativeFloat& sum, const Float& a) {
+    for (int i = 0; i < kParts; ++i) sum += a.part[i];
+}
+
 template <int extra>
 inline void blend_backward_tile(ViewState& view, int tile, const InputPlanes& rendered,
                                 const InputPlanes& d) {
@@ -61,31 +75,40 @@ inline void blend_backward_tile(ViewState& view, int tile, const InputPlanes& re
     TileGradientState<extra> state;
     load_image_gradients<extra>(view, span, rendered, d, state);
     const Float block_last = Float::load(&view.block_last[static_cast<size_t>(tile) * kBlocks]);
-    const Float lane_x = Float::load(kBlockPixel.x), lane_y = Float::load(kBlockPixel.y);
-    constexpr int kFields = kGradientFields + extra, kGroups = (kFields + 3) / 4;
-    for (uint32_t e = span.begin; e < span.end; ++e) {
+    const Float px0 = Float::load(kBlockPixel.x) + Float(static_cast<scalar>(span.x)),
+                py0 = Float::load(kBlockPixel.y) + Float(static_cast<scalar>(span.y));
+    auto compute_alpha = [&](uint32_t e, IntersectionAlpha& out) __attribute__((always_inline)) {
         const uint32_t ahead = std::min(e + kPrefetchedSplats, span.end - 1);
         __builtin_prefetch(&view.splats[view.intersection_splat[ahead]]);
+        const Splat& s = view.splats[view.intersection_splat[e]];
+        out.blocks =
+            view.intersection_blocks[e] & bits(block_last > Float(static_cast<scalar>(e - span.begin)));
+        for (unsigned blocks = out.blocks; blocks; blocks &= blocks - 1) {
+            const int b = __builtin_ctz(blocks);
+            const Float px = px0 + Float(kBlockCorner.x[b]), py = py0 + Float(kBlockCorner.y[b]);
+            const Float u = sheared_dx(s, px, py), v = py - Float(s.y), power = log2_alpha_at(s, u, v);
+            out.alpha[b] = zero_unless(power >= Float(kLog2MinAlpha), min(exp2_fast(power), kMaxAlpha));
+            out.u[b] = u, out.v[b] = v;
+        }
+    };
+    constexpr int kFields = kGradientFields + extra, kGroups = (kFields + 3) / 4;
+    // Alpha is computed one intersection ahead, since the chain of operations from it to the sums is long.
+    IntersectionAlpha computed[2];
+    compute_alpha(span.begin, computed[0]);
+    for (uint32_t e = span.begin; e < span.end; ++e) {
+        const IntersectionAlpha& at = computed[(e - span.begin) % 2];
+        if (e + 1 < span.end) compute_alpha(e + 1, computed[(e + 1 - span.begin) % 2]);
         const uint32_t splat_index = view.intersection_splat[e];
         const Splat& s = view.splats[splat_index];
         const scalar* value =
             extra ? view.extras.data() + static_cast<size_t>(splat_index) * kExtraStride : nullptr;
-        Float sum[4 * kGroups];
-        for (auto& v : sum) v = 0.f;
-        const Float px0 = lane_x + Float(static_cast<scalar>(span.x)),
-                    py0 = lane_y + Float(static_cast<scalar>(span.y));
-        unsigned blocks =
-            view.intersection_blocks[e] & bits(block_last > Float(static_cast<scalar>(e - span.begin)));
-        for (; blocks; blocks &= blocks - 1) {
+        NativeFloat sum[4 * kGroups] = {};
+        for (unsigned blocks = at.blocks; blocks; blocks &= blocks - 1) {
             const int b = __builtin_ctz(blocks);
-            const Float px = px0 + Float(kBlockCorner.x[b]), py = py0 + Float(kBlockCorner.y[b]);
-            const Float u = sheared_dx(s, px, py), v = py - Float(s.y);
-            const Float power = log2_alpha_at(s, u, v), T = state.transmittance[b],
-                        unclamped_alpha = exp2_fast(power);
-            Float alpha = zero_unless(power >= Float(kLog2MinAlpha), min(unclamped_alpha, kMaxAlpha));
-            const Float one_minus_alpha = Float(1.f) - alpha, next = T * one_minus_alpha;
+            const Float T = state.transmittance[b], one_minus_alpha = Float(1.f) - at.alpha[b],
+                        next = T * one_minus_alpha;
             const Mask active = next >= Float(kMinTransmittance);
-            const Float w = zero_unless(active, alpha * T);
+            const Float alpha = zero_unless(active, at.alpha[b]), w = alpha * T;
             state.transmittance[b] = zero_unless(active, next);
             Float gradient_dot_color = state.gradient[0][b] * Float(s.r) + state.gradient[1][b] * Float(s.g) +
                                        state.gradient[2][b] * Float(s.b);
@@ -93,19 +116,19 @@ inline void blend_backward_tile(ViewState& view, int tile, const InputPlanes& re
             const Float remaining = state.remaining[b] - w * gradient_dot_color;
             state.remaining[b] = remaining;
             const Float d_alpha = T * gradient_dot_color - remaining * fast_inverse(one_minus_alpha);
-            const Float d_log_alpha =
-                zero_unless(active & (Float(kMaxAlpha) >= unclamped_alpha), alpha * d_alpha);
-            const Float moment_u = d_log_alpha * u, moment_v = d_log_alpha * v;
-            sum[kGradR] += w * state.gradient[0][b];
-            sum[kGradG] += w * state.gradient[1][b];
-            sum[kGradB] += w * state.gradient[2][b];
-            sum[kGradLogAlpha] += d_log_alpha;
-            sum[kMomentU] += moment_u;
-            sum[kMomentV] += moment_v;
-            sum[kMomentUU] += moment_u * u;
-            sum[kMomentUV] += moment_u * v;
-            sum[kMomentVV] += moment_v * v;
-            for (int k = 0; k < extra; ++k) sum[kGradExtra + k] += w * state.gradient[3 + k][b];
+            // 0 where alpha is clamped
+            const Float d_log_alpha = zero_unless(Float(kMaxAlpha) > alpha, alpha * d_alpha);
+            const Float u = at.u[b], v = at.v[b], moment_u = d_log_alpha * u, moment_v = d_log_alpha * v;
+            add_products(sum[kGradR], w, state.gradient[0][b]);
+            add_products(sum[kGradG], w, state.gradient[1][b]);
+            add_products(sum[kGradB], w, state.gradient[2][b]);
+            add_values(sum[kGradLogAlpha], d_log_alpha);
+            add_values(sum[kMomentU], moment_u);
+            add_values(sum[kMomentV], moment_v);
+            add_products(sum[kMomentUU], moment_u, u);
+            add_products(sum[kMomentUV], moment_u, v);
+            add_products(sum[kMomentVV], moment_v, v);
+            for (int k = 0; k < extra; ++k) add_products(sum[kGradExtra + k], w, state.gradient[3 + k][b]);
         }
         sum_lanes<kGroups>(sum).stream(view.intersection_gradients[view.gradient_index[e]].value);
     }

@@ -35,25 +35,26 @@ struct BlockState {
 };
 
 // Blends splats indices[0..count-1] into one block. Returns after how many of them all pixels were done, or
-// -1 if some are not. indices[count] must be valid too.
+// -1 if some are not. indices[count] and indices[count + 1] must be valid too.
 template <int extra>
 SPLAT_INLINE int blend_block(const Splat* splats, const scalar* extras, const uint32_t* indices, int count,
                              const Float& px, const Float& py, BlockState<extra>& state) {
     Float T = state.transmittance, C[3 + extra];
     Mask active = state.active;
     for (int k = 0; k < 3 + extra; ++k) C[k] = state.channel[k];
-    auto alpha_of = [&](const Splat& s) {
-        const Float power = log2_alpha(s, px, py);
+    auto alpha_of = [](const Float& power) {
         return zero_unless(power >= Float(kLog2MinAlpha), min(exp2_fast(power), kMaxAlpha));
     };
     int used = -1;
-    // Alpha is computed one splat ahead: its chain of operations is too long for out-of-order execution to
-    // overlap two splats (saves a tenth of a busy tile's time).
-    Float next_alpha = alpha_of(splats[indices[0]]);
+    // Alpha is computed one splat ahead, its logarithm two: the chain of all operations is too long for
+    // out-of-order execution to overlap two splats.
+    Float next_alpha = alpha_of(log2_alpha(splats[indices[0]], px, py)),
+          next_power = log2_alpha(splats[indices[1]], px, py);
     for (int j = 0; j < count; ++j) {
         const Splat& s = splats[indices[j]];
         const Float alpha = next_alpha;
-        next_alpha = alpha_of(splats[indices[j + 1]]);
+        next_alpha = alpha_of(next_power);
+        next_power = log2_alpha(splats[indices[j + 2]], px, py);
         // Only T depends on the splat before, so its path is kept short: multiply, compare, mask.
         const Float next = T * (Float(1.f) - alpha);
         active = active & (next >= Float(kMinTransmittance));
@@ -109,7 +110,7 @@ inline void blend_tile(ViewState& view, int tile, BlockState<extra> (&state)[kBl
             const int count = compress_matching(&view.intersection_splat[first],
                                                 &view.intersection_blocks[first], n, b, block_splats);
             if (count == 0) continue;
-            block_splats[count] = block_splats[count - 1];
+            block_splats[count] = block_splats[count + 1] = block_splats[count - 1];
             const Float px = lane_x + Float(static_cast<scalar>(span.x + b % 4 * kBlock));
             const Float py = lane_y + Float(static_cast<scalar>(span.y + b / 4 * kBlock));
             const int used = blend_block<extra>(view.splats.data(), view.extras.data(), block_splats, count,

@@ -23,22 +23,21 @@ inline constexpr size_t kMaxIntersections = 4294967000;
 
 // Bit b: the largest alpha over the pixel centres' square of block b is at least 1/255.
 // ln alpha is concave, so its maximum over a rectangle is on a side facing the mean: the best point of the
-// nearest column or that of the nearest row.
+// nearest column or that of the nearest row. With dx, dy from the mean, k the shear, and K = k² conic_u +
+// conic_v, the square of Splat is completed in dy for the column:
+//     conic_u (dx + k dy)² + conic_v dy² = conic_u conic_v / K dx² + K (dy + k conic_u / K dx)².
 SPLAT_INLINE unsigned blocks_in_ellipse(const Splat& s, scalar tile_x, scalar tile_y) {
-    const Float x0 = Float::load(kBlockCorner.x) + Float(tile_x),
-                y0 = Float::load(kBlockCorner.y) + Float(tile_y);
+    const scalar shear_conic_u = s.shear * s.conic_u, curvature = shear_conic_u * s.shear + s.conic_v,
+                 slope = shear_conic_u / curvature, conic_x = s.conic_v * (s.conic_u / curvature);
+    const Float x0 = Float::load(kBlockCorner.x) + Float(tile_x - s.x),
+                y0 = Float::load(kBlockCorner.y) + Float(tile_y - s.y);
     const Float x1 = x0 + Float(kBlock - 1.f), y1 = y0 + Float(kBlock - 1.f);
-    const Float px = clamp(s.x, x0, x1), py = clamp(s.y, y0, y1);
-    // On column px: conic_u k (px - x₀ + k py) + conic_v (py - y) = 0. On row py: px - x₀ + k py = 0.
-    const scalar shear_conic_u = s.shear * s.conic_u,
-                 inverse_curvature = 1.f / (shear_conic_u * s.shear + s.conic_v);
-    const Float start = px - Float(s.sheared_x);
-    const Float y_best =
-                    clamp((Float(s.conic_v * s.y) - start * Float(shear_conic_u)) * Float(inverse_curvature),
-                          y0, y1),
-                x_best = clamp(Float(s.sheared_x) - py * Float(s.shear), x0, x1);
-    const Float largest = max(log2_alpha(s, px, y_best), log2_alpha(s, x_best, py));
-    return bits(largest >= Float(kLog2MinAlpha));
+    const Float dx = clamp(0.f, x0, x1), dy = clamp(0.f, y0, y1);
+    const Float slope_dx = Float(slope) * dx, shear_dy = Float(s.shear) * dy;
+    const Float off_y = clamp(-slope_dx, y0, y1) + slope_dx, off_x = clamp(-shear_dy, x0, x1) + shear_dy;
+    const Float largest = max(dx * dx * Float(conic_x) + off_y * off_y * Float(curvature),
+                              dy * dy * Float(s.conic_v) + off_x * off_x * Float(s.conic_u));
+    return bits(largest >= Float(kLog2MinAlpha - s.log2_opacity));
 }
 
 // Bit b: the bounding box of the alpha >= 1/255 ellipse touches block b's pixel centres.

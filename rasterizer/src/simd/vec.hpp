@@ -55,10 +55,17 @@ namespace splat {
 struct Float {
     NativeFloat part[kParts];
     Float() = default;
+    // Per register: GCC copies a struct of several through memory, in pieces that the next load waits for.
+    SPLAT_INLINE Float(const Float& a) {
+        for (int i = 0; i < kParts; ++i) part[i] = a.part[i];
+    }
+    SPLAT_INLINE Float& operator=(const Float& a) {
+        for (int i = 0; i < kParts; ++i) part[i] = a.part[i];
+        return *this;
+    }
     SPLAT_INLINE Float(scalar x) {
         for (auto& p : part) p = x - NativeFloat{};  // x - 0 is x for every x, so this is a plain broadcast
     }
-    // Per register: if copied whole, GCC goes through memory where there are several.
     SPLAT_INLINE static Float load(const scalar* p) {
         Float r;
         for (int i = 0; i < kParts; ++i) std::memcpy(&r.part[i], p + i * kNativeLanes, sizeof r.part[i]);
@@ -124,6 +131,14 @@ struct Mask {
     __mmask16 bits;
 #else
     NativeInt part[kParts];
+    Mask() = default;
+    SPLAT_INLINE Mask(const Mask& a) {  // as a Float's
+        for (int i = 0; i < kParts; ++i) part[i] = a.part[i];
+    }
+    SPLAT_INLINE Mask& operator=(const Mask& a) {
+        for (int i = 0; i < kParts; ++i) part[i] = a.part[i];
+        return *this;
+    }
 #endif
 };
 
@@ -178,9 +193,10 @@ SPLAT_INLINE Mask operator>(const Float& a, const Float& b) {
     for (int i = 0; i < kParts; ++i) m.part[i] = a.part[i] > b.part[i];
     return m;
 }
-SPLAT_INLINE Mask operator&(Mask a, Mask b) {
-    for (int i = 0; i < kParts; ++i) a.part[i] &= b.part[i];
-    return a;
+SPLAT_INLINE Mask operator&(const Mask& a, const Mask& b) {
+    Mask r;
+    for (int i = 0; i < kParts; ++i) r.part[i] = a.part[i] & b.part[i];
+    return r;
 }
 SPLAT_INLINE unsigned bits(const Mask& m) {
     unsigned r = 0;
@@ -189,9 +205,7 @@ SPLAT_INLINE unsigned bits(const Mask& m) {
 }
 SPLAT_INLINE Float select(const Mask& m, const Float& yes, const Float& no) {
     Float r;
-    for (int i = 0; i < kParts; ++i)
-        r.part[i] =
-            (NativeFloat)(((NativeInt)yes.part[i] & m.part[i]) | ((NativeInt)no.part[i] & ~m.part[i]));
+    for (int i = 0; i < kParts; ++i) r.part[i] = m.part[i] ? yes.part[i] : no.part[i];
     return r;
 }
 SPLAT_INLINE Float zero_unless(const Mask& m, const Float& a) {

@@ -23,7 +23,7 @@ SPLAT_INLINE NativeFloat unpack_low_pairs(NativeFloat a, NativeFloat b) {
 SPLAT_INLINE NativeFloat unpack_high_pairs(NativeFloat a, NativeFloat b) {
     return (NativeFloat)_mm512_unpackhi_pd((__m512d)a, (__m512d)b);
 }
-// 128-bit lanes 0 and 2 of a, then of b; 1 and 3 of a, then of b.
+// Quads 0 and 2 of a, then of b; 1 and 3 of a, then of b.
 SPLAT_INLINE NativeFloat even_quads(NativeFloat a, NativeFloat b) {
     return (NativeFloat)_mm512_shuffle_f32x4((__m512)a, (__m512)b, 0x88);
 }
@@ -50,8 +50,12 @@ SPLAT_INLINE NativeFloat unpack_low_pairs(NativeFloat a, NativeFloat b) {
 SPLAT_INLINE NativeFloat unpack_high_pairs(NativeFloat a, NativeFloat b) {
     return (NativeFloat)_mm256_unpackhi_pd((__m256d)a, (__m256d)b);
 }
-SPLAT_INLINE Quad fold_to_quad(NativeFloat a) {
-    return (Quad)_mm_add_ps(_mm256_castps256_ps128((__m256)a), _mm256_extractf128_ps((__m256)a, 1));
+// The first quad of a, then of b; the second of a, then of b.
+SPLAT_INLINE NativeFloat even_quads(NativeFloat a, NativeFloat b) {
+    return (NativeFloat)_mm256_permute2f128_ps((__m256)a, (__m256)b, 0x20);
+}
+SPLAT_INLINE NativeFloat odd_quads(NativeFloat a, NativeFloat b) {
+    return (NativeFloat)_mm256_permute2f128_ps((__m256)a, (__m256)b, 0x31);
 }
 #else
 SPLAT_INLINE NativeFloat native_min(NativeFloat a, NativeFloat b) { return a < b ? a : b; }
@@ -76,7 +80,6 @@ SPLAT_INLINE NativeFloat unpack_low_pairs(NativeFloat a, NativeFloat b) {
 SPLAT_INLINE NativeFloat unpack_high_pairs(NativeFloat a, NativeFloat b) {
     return __builtin_shufflevector(a, b, 2, 3, 6, 7);
 }
-SPLAT_INLINE Quad fold_to_quad(NativeFloat a) { return a; }
 #endif
 
 #if !SPLAT_AVX512  // with AVX-512 comparisons give bits

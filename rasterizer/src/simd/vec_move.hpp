@@ -1,6 +1,8 @@
 // Moves data in and out of Floats: horizontal sums, transposes, gathers of rows, permutations, compression.
 #pragma once
 
+#include <utility>
+
 #include "simd/vec.hpp"
 
 #if RASTERIZER_FLOAT64
@@ -12,16 +14,10 @@ namespace splat {
 
 // Lane f of the result is the sum over the lanes of v[f]. 4 · groups sums, followed by zeros.
 template <int groups>
-SPLAT_INLINE Float sum_lanes(const Float (&v)[4 * groups]) {
-    auto fold_parts = [](const Float& a) {
-        NativeFloat s = a.part[0];
-        for (int i = 1; i < kParts; ++i) s += a.part[i];
-        return s;
-    };
-    NativeFloat group[4] = {};  // in each 128-bit lane part of four sums
+SPLAT_INLINE Float sum_lanes(const NativeFloat (&v)[4 * groups]) {
+    NativeFloat group[4] = {};  // in each quad part of four sums
     for (int g = 0; g < groups; ++g) {
-        const NativeFloat a = fold_parts(v[4 * g]), b = fold_parts(v[4 * g + 1]),
-                          c = fold_parts(v[4 * g + 2]), d = fold_parts(v[4 * g + 3]);
+        const NativeFloat &a = v[4 * g], &b = v[4 * g + 1], &c = v[4 * g + 2], &d = v[4 * g + 3];
         const NativeFloat ab = unpack_low(a, b) + unpack_high(a, b),
                           cd = unpack_low(c, d) + unpack_high(c, d);
         group[g] = unpack_low_pairs(ab, cd) + unpack_high_pairs(ab, cd);
@@ -31,10 +27,11 @@ SPLAT_INLINE Float sum_lanes(const Float (&v)[4 * groups]) {
     const NativeFloat first = even_quads(group[0], group[1]) + odd_quads(group[0], group[1]);
     const NativeFloat second = even_quads(group[2], group[3]) + odd_quads(group[2], group[3]);
     r.part[0] = even_quads(first, second) + odd_quads(first, second);
+#elif SPLAT_AVX2
+    for (int i = 0; i < kParts; ++i)
+        r.part[i] = even_quads(group[2 * i], group[2 * i + 1]) + odd_quads(group[2 * i], group[2 * i + 1]);
 #else
-    alignas(64) Quad quad[4];
-    for (int g = 0; g < 4; ++g) quad[g] = fold_to_quad(group[g]);
-    std::memcpy(&r, quad, sizeof r);
+    for (int i = 0; i < kParts; ++i) r.part[i] = group[i];
 #endif
     return r;
 }
@@ -100,12 +97,17 @@ SPLAT_INLINE void transpose_of_quads(Float (&m)[4]) {
                       odd23 = odd_quads(m[2].part[0], m[3].part[0]);
     m[0].part[0] = even_quads(even01, even23), m[1].part[0] = even_quads(odd01, odd23);
     m[2].part[0] = odd_quads(even01, even23), m[3].part[0] = odd_quads(odd01, odd23);
+#elif SPLAT_AVX2
+    Float to[4];
+    for (int j = 0; j < 4; ++j)
+        for (int i = 0; i < kParts; ++i) {
+            const NativeFloat first = m[2 * i].part[j / 2], second = m[2 * i + 1].part[j / 2];
+            to[j].part[i] = j % 2 ? odd_quads(first, second) : even_quads(first, second);
+        }
+    for (int j = 0; j < 4; ++j) m[j] = to[j];
 #else
-    Quad from[4][4], to[4][4];
-    std::memcpy(from, m, sizeof from);
     for (int i = 0; i < 4; ++i)
-        for (int j = 0; j < 4; ++j) to[j][i] = from[i][j];
-    std::memcpy(m, to, sizeof to);
+        for (int j = 0; j < i; ++j) std::swap(m[i].part[j], m[j].part[i]);
 #endif
 }
 
@@ -125,20 +127,31 @@ SPLAT_INLINE void transpose(Float (&m)[16]) {
     }
 }
 #else
-// In 4×4 pieces through memory. Not inlined: a dozen instantiations call it a dozen times each.
+// A square of it, as wide as a register.
+SPLAT_INLINE void transpose_square(NativeFloat (&row)[kNativeLanes]) {
+#if SPLAT_AVX2
+    NativeFloat even[4], odd[4];
+    for (int k = 0; k < 4; ++k)
+        even[k] = even_quads(row[k], row[k + 4]), odd[k] = odd_quads(row[k], row[k + 4]);
+    transpose_quads(even);
+    transpose_quads(odd);
+    for (int k = 0; k < 4; ++k) row[k] = even[k], row[k + 4] = odd[k];
+#else
+    transpose_quads(row);
+#endif
+}
+// Not inlined: a dozen instantiations call it a dozen times each.
 __attribute__((noinline)) inline void transpose(Float (&m)[16]) {
-    alignas(64) float from[16][16];
-    std::memcpy(from, m, sizeof from);
-    for (int j = 0; j < 16; j += 4)
-        for (int i = 0; i < kParts; ++i) {
-            NativeFloat columns[4];
-            for (int k = 0; k < 4; ++k) {
-                QuadRows<const float> rows;
-                for (int q = 0; q < kQuads; ++q) rows.row[q] = &from[kNativeLanes * i + 4 * q + k][j];
-                columns[k] = load_quads(rows);
-            }
-            transpose_quads(columns);
-            for (int k = 0; k < 4; ++k) m[j + k].part[i] = columns[k];
+    constexpr int n = kNativeLanes;
+    for (int i = 0; i < kParts; ++i)
+        for (int j = 0; j <= i; ++j) {  // two squares change places
+            NativeFloat a[n], b[n];
+            for (int k = 0; k < n; ++k) a[k] = m[n * i + k].part[j], b[k] = m[n * j + k].part[i];
+            transpose_square(a);
+            if (i != j) transpose_square(b);
+            for (int k = 0; k < n; ++k) m[n * j + k].part[i] = a[k];
+            if (i != j)
+                for (int k = 0; k < n; ++k) m[n * i + k].part[j] = b[k];
         }
 }
 #endif
@@ -201,11 +214,33 @@ SPLAT_INLINE Float permute(const Float& a, const int32_t (&index)[kLanes]) {
     return r;
 }
 
+#if defined(SPLAT_AVX2)  // words too, whatever a lane is
+// Row m: the positions of the bits set in m, then zeros.
+inline constexpr struct BitPositions {
+    alignas(64) uint8_t of[256][8];
+    constexpr BitPositions() : of{} {
+        for (int m = 0; m < 256; ++m)
+            for (int bit = 0, n = 0; bit < 8; ++bit)
+                if (m >> bit & 1) of[m][n++] = static_cast<uint8_t>(bit);
+    }
+} kBitPositions;
+
+// Writes the words whose bit is set in `keep` to `out`, contiguously; returns how many. Overwrites eight.
+SPLAT_INLINE int compress_eight(__m256i words, unsigned keep, void* out) {
+    const __m256i from = _mm256_cvtepu8_epi32(_mm_loadl_epi64((const __m128i*)kBitPositions.of[keep]));
+    _mm256_storeu_si256((__m256i*)out, _mm256_permutevar8x32_epi32(words, from));
+    return __builtin_popcount(keep);
+}
+#endif
+
 // Writes the lanes whose bit is set in `keep` to p, contiguously. Up to 16 floats from p on may be
 // overwritten.
 SPLAT_INLINE void compress_store(scalar* p, unsigned keep, const Float& a) {
 #if SPLAT_AVX512
     _mm512_storeu_ps(p, _mm512_maskz_compress_ps(static_cast<__mmask16>(keep), (__m512)a.part[0]));
+#elif SPLAT_AVX2
+    p += compress_eight((__m256i)a.part[0], keep & 0xff, p);
+    compress_eight((__m256i)a.part[1], keep >> 8, p);
 #else
     if (keep == 0xffff) return a.store(p);
     alignas(64) scalar lane[16];
@@ -220,6 +255,9 @@ SPLAT_INLINE int compress_store_words(const uint32_t* items, unsigned keep, uint
 #if defined(SPLAT_AVX512)  // these are words, whatever a lane is
     _mm512_storeu_si512(out,
                         _mm512_maskz_compress_epi32(static_cast<__mmask16>(keep), _mm512_loadu_si512(items)));
+#elif defined(SPLAT_AVX2)
+    out += compress_eight(_mm256_loadu_si256((const __m256i*)items), keep & 0xff, out);
+    compress_eight(_mm256_loadu_si256((const __m256i*)(items + 8)), keep >> 8, out);
 #else
     for (unsigned left = keep; left; left &= left - 1) *out++ = items[__builtin_ctz(left)];
 #endif
@@ -239,6 +277,14 @@ SPLAT_INLINE int compress_matching(const uint32_t* items, const uint16_t* masks,
         _mm512_storeu_si512(
             out + n, _mm512_maskz_compress_epi32(static_cast<__mmask16>(hit), _mm512_loadu_si512(items + j)));
         n += __builtin_popcount(hit);
+    }
+#elif defined(SPLAT_AVX2)
+    const __m128i wanted = _mm_set1_epi16(static_cast<short>(1u << bit));
+    for (int j = 0; j < count; j += 8) {
+        const __m128i touched = _mm_and_si128(_mm_loadu_si128((const __m128i*)(masks + j)), wanted);
+        unsigned hit = _mm_movemask_epi8(_mm_packs_epi16(_mm_cmpeq_epi16(touched, wanted), __m128i{}));
+        if (j + 8 > count) hit &= (1u << (count - j)) - 1;
+        n += compress_eight(_mm256_loadu_si256((const __m256i*)(items + j)), hit, out + n);
     }
 #else
     for (int j = 0; j < count; ++j) {

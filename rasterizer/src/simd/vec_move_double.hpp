@@ -24,36 +24,26 @@ SPLAT_INLINE void transpose_quads(Quad (&m)[4]) {
 
 // Lane f of the result is the sum over the lanes of v[f]. 4 · groups sums, followed by zeros.
 template <int groups>
-SPLAT_INLINE Float sum_lanes(const Float (&v)[4 * groups]) {
-    Quad sum[4] = {};
-    for (int g = 0; g < groups; ++g) {
-        Quad m[4];
-        for (int k = 0; k < 4; ++k) {
-            Quad part[4];
-            std::memcpy(part, &v[4 * g + k], sizeof part);
-            m[k] = (part[0] + part[1]) + (part[2] + part[3]);
-        }
-        transpose_quads(m);
-        sum[g] = (m[0] + m[1]) + (m[2] + m[3]);
-    }
-    Float r;
-    std::memcpy(&r, sum, sizeof r);
-    return r;
+SPLAT_INLINE Float sum_lanes(const NativeFloat (&v)[4 * groups]) {
+    alignas(64) double sum[kLanes] = {};
+    for (int f = 0; f < 4 * groups; ++f)
+        for (int l = 0; l < kNativeLanes; ++l) sum[f] += v[f][l];
+    return Float::load(sum);
 }
 
 // Quad j of m[i] becomes quad i of m[j].
 SPLAT_INLINE void transpose_of_quads(Float (&m)[4]) {
-    Quad from[4][4], to[4][4];
-    std::memcpy(from, m, sizeof from);
+    alignas(64) double from[4][kLanes], to[4][kLanes];
+    for (int i = 0; i < 4; ++i) m[i].store(from[i]);
     for (int i = 0; i < 4; ++i)
-        for (int j = 0; j < 4; ++j) to[j][i] = from[i][j];
-    std::memcpy(m, to, sizeof to);
+        for (int j = 0; j < 4; ++j) store_quad(&to[j][4 * i], load_quad(&from[i][4 * j]));
+    for (int i = 0; i < 4; ++i) m[i] = Float::load(to[i]);
 }
 
 // Transposes a 16×16 matrix of sixteen rows in place.
 __attribute__((noinline)) inline void transpose(Float (&m)[16]) {
     alignas(64) double from[16][16], to[16][16];
-    std::memcpy(from, m, sizeof from);
+    for (int i = 0; i < 16; ++i) m[i].store(from[i]);
     for (int i = 0; i < 16; i += 4)
         for (int j = 0; j < 16; j += 4) {
             Quad q[4];
@@ -61,7 +51,7 @@ __attribute__((noinline)) inline void transpose(Float (&m)[16]) {
             transpose_quads(q);
             for (int k = 0; k < 4; ++k) store_quad(&to[j + k][i], q[k]);
         }
-    std::memcpy(m, to, sizeof to);
+    for (int i = 0; i < 16; ++i) m[i] = Float::load(to[i]);
 }
 
 // Rows ids[0..15] of an array of four-double rows, as four columns of sixteen lanes.
