@@ -5,6 +5,7 @@
 // (sh_backward.hpp).
 #pragma once
 
+#include "backward/next_lanes.hpp"
 #include "backward/project_backward.hpp"
 #include "backward/shared_motion_backward.hpp"
 #include "forward/preprocess.hpp"
@@ -41,12 +42,14 @@ SPLAT_INLINE void sum_intersection_gradients(const ViewState& view, uint32_t spl
     transpose(total);
 }
 
-// The backward pass of sixteen Gaussians: splats splat_index .. splat_index + count - 1.
+// The backward pass of sixteen Gaussians: splats splat_index .. splat_index + count - 1. next: those to
+// prefetch meanwhile.
 template <Motion motion, int order>
 inline void preprocess_backward_lanes(const ViewState& view, const Parameters& p, uint32_t splat_index,
-                                      int count, uint32_t first_row, const ParameterGradients& out,
-                                      const ViewGradient& view_out, const scalar* trajectories,
-                                      scalar* d_trajectories) {
+                                      int count, uint32_t first_row, const NextLanes& next,
+                                      const ParameterGradients& out, const ViewGradient& view_out,
+                                      const scalar* trajectories, scalar* d_trajectories) {
+    constexpr int kRow = motion == Motion::kStatic ? 3 : 4;
     const Settings& s = view.settings;
     const Splat* splats = &view.splats[splat_index];
     uint32_t ids[kLanes];
@@ -54,10 +57,15 @@ inline void preprocess_backward_lanes(const ViewState& view, const Parameters& p
     Float gradient[16];
     sum_intersection_gradients(view, splat_index, count, gradient);
 
+    next.intersection_gradients(0);
+
     SharedMotion moved;
     const Stored<motion, Float> stored = Stored<motion, Float>::load(p, ids, &moved);
     const Slice<motion, Float> g = slice_in_time(stored, view.camera);
+    next.rows(p.mean, kRow);
+    next.rows(p.log_scale, kRow);
     const EwaProjection<motion, Float> projection = project_ewa(g, view.camera);
+    next.intersection_gradients(1);
 
     // Colour, by its Jacobian.
     SplatGradient<Float> in;
@@ -75,6 +83,7 @@ inline void preprocess_backward_lanes(const ViewState& view, const Parameters& p
         in.d_dt = d_rgb[0] * jacobian[9] + d_rgb[1] * jacobian[10] + d_rgb[2] * jacobian[11];
     if (s.detached) [[unlikely]]
         in.d_offset[0] = in.d_offset[1] = in.d_offset[2] = in.d_dt = Float(0.f);
+    next.color_jacobians();
 
     // Projection, slice in time, activations.
     GaussianGradient<Float> d_gaussian = project_backward(g, projection, in, view.camera, s);
@@ -91,6 +100,8 @@ inline void preprocess_backward_lanes(const ViewState& view, const Parameters& p
         for (int k = 0; k < GaussianGradient<Float>::kFields; ++k)
             set_lane(d_gaussian.value[k], l, out_double.value[k]);
     }
+    next.rows(p.quat_left, 4);
+    if constexpr (motion == Motion::kFull) next.rows(p.quat_right, 4);
     StoredGradient<motion, Float> d_stored;
     for (int k = 0; k < 4; ++k) {
         d_stored.mean[k] = d_gaussian.value[d_gaussian.kMean + k];
@@ -134,10 +145,14 @@ inline void preprocess_backward_lanes(const ViewState& view, const Parameters& p
     if constexpr (motion == Motion::kFull) add_to_rows4(out.quat_right, ids, count, d_stored.quat_right);
     if constexpr (motion == Motion::kSeparable)
         if (out.velocity) add_to_rows3(out.velocity, ids, count, d_stored.velocity);
+    next.rows_to_write(out.mean, kRow);
+    next.rows_to_write(out.log_scale, kRow);
     alignas(64) scalar lane[16];
     d_opacity.store(lane);
     for (int l = 0; l < count; ++l) out.opacity_logit[ids[l]] += lane[l];
 
+    next.rows_to_write(out.quat_left, 4);
+    if constexpr (motion == Motion::kFull) next.rows_to_write(out.quat_right, 4);
     Cosines<2> cosines(direction.phase);
     Float row[16] = {d_rgb[0],
                      d_rgb[1],
@@ -184,11 +199,13 @@ inline void preprocess_backward(ViewState& view, const Parameters& p, const Para
 #pragma omp parallel for schedule(dynamic, 1) num_threads(view.settings.threads)
     for (int c = 0; c < chunks; ++c) {
         const uint32_t splat_index = static_cast<uint32_t>(c) * kChunk, count = view.chunk_count[c];
-        for (uint32_t i = 0; i < count; i += kLanes)
+        for (uint32_t i = 0; i < count; i += kLanes) {
+            const int left = static_cast<int>(count - i);
             preprocess_backward_lanes<motion, order>(
-                view, p, splat_index + i, static_cast<int>(std::min<uint32_t>(kLanes, count - i)),
-                view.chunk_first[c] + i, out, view_out, trajectories.data(),
+                view, p, splat_index + i, std::min(kLanes, left), view.chunk_first[c] + i,
+                NextLanes(view, splat_index + i + kLanes, left - kLanes), out, view_out, trajectories.data(),
                 d_trajectories.data() + static_cast<size_t>(c) * values);
+        }
     }
     for (int chunk = 0; chunk < chunks && values; ++chunk)
         for (int c = 0; c < kTrajectoryValues; ++c)

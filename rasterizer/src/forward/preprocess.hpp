@@ -198,6 +198,7 @@ inline void color_and_write_splats(const Parameters& p, const Settings& s, Proje
         Float offset[3] = {in.at(in.kOffset, i), in.at(in.kOffset + 1, i), in.at(in.kOffset + 2, i)};
         Float phase(0.f);
         if constexpr (order > 0) phase = in.at(in.kPhase, i);
+        for (int l = 0; l < n; ++l) __builtin_prefetch(&splats[i + l], 1);
         Color c;
         color_from_sh<order, differentiable>(p, in.id + i, n, fetch(i + kLanes),
                                              view_direction(offset, phase), static_cast<scalar>(s.duration),

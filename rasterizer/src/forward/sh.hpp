@@ -56,8 +56,8 @@ struct FourierFactors {
 
 // Prefetches the coefficients of sixteen Gaussians, the largest read of a view.
 //
-// A core can wait for about a dozen cache lines at a time, and a Gaussian has up to nine. So two Gaussians
-// are prefetched at a time, between the steps of the sixteen before: memory access and arithmetic overlap.
+// A core can wait for about a dozen cache lines at a time, and a Gaussian has up to nine. So one Gaussian is
+// prefetched at a time, between the steps of the sixteen before: memory access and arithmetic overlap.
 class RowFetch {
 public:
     RowFetch(const Parameters& p, const uint32_t* ids, int count, int order, int coefficients)
@@ -69,15 +69,15 @@ public:
           order_stride_(static_cast<size_t>(p.coefficients) * 3),
           row_stride_(order_stride_ * (p.stored_order + 1)) {}
 
-    SPLAT_INLINE void two_rows() {
-        for (int k = 0; k < 2 && left_ > 0; ++k, ++ids_, --left_) {
-            const ShStored* row = sh_ + row_stride_ * *ids_;
-            for (int n = 0; n < orders_; ++n, row += order_stride_)
-                for (int i = 0; i < values_; i += kPerLine) __builtin_prefetch(row + i);
-        }
+    SPLAT_INLINE void one() {
+        if (left_ <= 0) return;
+        const ShStored* row = sh_ + row_stride_ * *ids_;
+        for (int n = 0; n < orders_; ++n, row += order_stride_)
+            for (int i = 0; i < values_; i += kPerLine) __builtin_prefetch(row + i);
+        ++ids_, --left_;
     }
     SPLAT_INLINE void rest() {
-        while (left_ > 0) two_rows();
+        while (left_ > 0) one();
     }
 
 private:
@@ -124,6 +124,7 @@ SPLAT_INLINE void color_from_sh(const Parameters& p, const uint32_t* ids, int co
             sum[v][g] = total.v[v];
             if constexpr (differentiable && order > 0) sum_dt[v][g] = total_dt.v[v];
         }
+        if (g % 2) next.one();
     }
     const Float(&d)[3] = view.direction;
     Float basis[16];
@@ -131,7 +132,7 @@ SPLAT_INLINE void color_from_sh(const Parameters& p, const uint32_t* ids, int co
     for (int v = 0; v < kRowVectors; ++v) {
         for (int g = count; g < kLanes; ++g) sum[v][g] = 0.f;
         transpose(sum[v]);
-        next.two_rows();
+        next.one();
     }
     auto coefficient = [](Float(&m)[kRowVectors][kLanes], int lm, int c) -> Float& {
         return m[(3 * lm + c) / kLanes][(3 * lm + c) % kLanes];
@@ -148,13 +149,13 @@ SPLAT_INLINE void color_from_sh(const Parameters& p, const uint32_t* ids, int co
             const Float radial = g[0] * d[0] + g[1] * d[1] + g[2] * d[2];  // the direction has unit length
             for (int i = 0; i < 3; ++i) out.wrt_offset[c][i] = (g[i] - radial * d[i]) * view.inverse_distance;
             out.wrt_dt[c] = 0.f;
-            next.two_rows();
+            next.one();
         }
         if constexpr (order > 0) {
             for (int v = 0; v < kRowVectors; ++v) {
                 for (int g = count; g < kLanes; ++g) sum_dt[v][g] = 0.f;
                 transpose(sum_dt[v]);
-                next.two_rows();
+                next.one();
             }
             for (int c = 0; c < 3; ++c)
                 for (int lm = 0; lm < 16; ++lm) out.wrt_dt[c] += basis[lm] * coefficient(sum_dt, lm, c);
