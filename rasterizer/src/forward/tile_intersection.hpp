@@ -88,8 +88,11 @@ inline void intersect_tiles(ViewState& view) {
             size_t n_intersections = 0;
             for (size_t i = thread_begin(t); i < thread_begin(t + 1); ++i) {
                 const uint32_t splat_index = view.front_to_back[i].splat_index;
-                if (i + kPrefetchDistance < n)
-                    __builtin_prefetch(&view.splats[view.front_to_back[i + kPrefetchDistance].splat_index]);
+                if (i + kPrefetchDistance < n) {
+                    const uint32_t ahead = view.front_to_back[i + kPrefetchDistance].splat_index;
+                    __builtin_prefetch(&view.splats[ahead]);
+                    __builtin_prefetch(&view.gradient_range[ahead], 1);
+                }
                 const Splat& splat = view.splats[splat_index];
                 const TileRect range = tiles_of_box(view, splat);
                 const size_t needed = n_intersections + static_cast<size_t>(range.x1 - range.x0 + 1) *
@@ -163,6 +166,9 @@ inline void intersect_tiles(ViewState& view) {
         size_t e = 0;
         for (size_t i = thread_begin(t); i < thread_begin(t + 1); ++i) {
             const uint32_t splat_index = view.front_to_back[i].splat_index;
+            if (i + kPrefetchDistance < n)
+                __builtin_prefetch(
+                    &view.gradient_range[view.front_to_back[i + kPrefetchDistance].splat_index]);
             const ViewState::GradientRange gradients = view.gradient_range[splat_index];
             for (uint32_t k = 0; k < gradients.count; ++k, ++e) {
                 const uint32_t to = list.tile_count[list.tile[e]]++;
