@@ -62,10 +62,10 @@ def lifetimes_figure(renderer: Renderer) -> Figure:
     counts, _ = np.histogram(np.clip(deviation, BIN_EDGES[0], BIN_EDGES[-1]), BIN_EDGES)
     figure = canvas(7.2, 3.2)
     axis = figure.subplots()
-    axis.stairs(counts, BIN_EDGES, fill=True, color=LIGHT.ablations[0])
-    axis.axvline(frames, color=LIGHT.ablations[1], lw=1.2)
+    axis.stairs(counts, BIN_EDGES, fill=True, color=LIGHT.lines[0])
+    axis.axvline(frames, color=LIGHT.lines[1], lw=1.2)
     axis.annotate("the scene", (frames, 1), (4, -12), xycoords=("data", "axes fraction"), textcoords="offset points",
-                  color=LIGHT.ablations[1])  # fmt: skip
+                  color=LIGHT.lines[1])  # fmt: skip
     axis.set(xscale="log", xlabel="√Σtt, frames", ylabel="Gaussians")
     shown = np.flatnonzero(counts)
     axis.set_xlim(BIN_EDGES[shown[0]] / 1.2, max(BIN_EDGES[shown[-1] + 1], frames) * 1.2)
@@ -87,8 +87,8 @@ def growth_figure(renderer: Renderer) -> Figure:
     elapsed = times - scene.time_start
     figure = canvas(7.2, 3.2)
     axis = figure.subplots()
-    axis.plot(elapsed, seen_until, color=LIGHT.ablations[0], label="alive at some time of the first t")
-    axis.plot(elapsed, alive, color=LIGHT.ablations[1], label="alive at t")
+    axis.plot(elapsed, seen_until, color=LIGHT.lines[0], label="alive at some time of the first t")
+    axis.plot(elapsed, alive, color=LIGHT.lines[1], label="alive at t")
     axis.set(xlabel="t since the start", ylabel="Gaussians", ylim=(0, None))
     axis.grid(color=LIGHT.faint, lw=0.7)
     axis.legend(frameon=False)

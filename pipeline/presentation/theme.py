@@ -11,7 +11,7 @@ class Theme:
 
     ink: str
     faint: str
-    ablations: tuple[str, ...]  # full, no_4drot, no_4dsh, no_time_split, others; other figures use them in order
+    lines: tuple[str, ...]  # of models: full, no_4drot, no_4dsh, no_time_split, and the last for others; else in order
 
 
 LIGHT = Theme("#1d2430", "#d9dde3", ("#0072b2", "#d55e00", "#009e73", "#b5519b", "#e69f00", "#56b4e9", "#7a7f87"))

@@ -61,7 +61,7 @@ def plot(collection: Collection, figure_of: CurveFigure) -> str:
     columns = [(y, label) for y, label in _COLUMNS if shown[y].notna().any()]
     recorded = [(x, label) for x, label in _ROWS if shown[x].notna().all()]
     rows = [recorded[0], *(row for row in recorded[1:] if row[0] == "iteration")]
-    colours = _colours(figure_of.lines, LIGHT.ablations)
+    colours = _colours(figure_of.lines, LIGHT.lines)
     # Text as text elements: outlines would double the size of the page.
     style: Any = {
         "svg.hashsalt": figure_of.slug,
@@ -93,7 +93,7 @@ def plot(collection: Collection, figure_of: CurveFigure) -> str:
 
 def recoloured(svg: str, theme: Theme) -> str:
     """A plot of `plot` in the colours of `theme`."""
-    for before, after in zip(*((t.ink, t.faint, *t.ablations) for t in (LIGHT, theme))):
+    for before, after in zip(*((t.ink, t.faint, *t.lines) for t in (LIGHT, theme))):
         svg = svg.replace(before, after)
     return svg
 

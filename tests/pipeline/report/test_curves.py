@@ -156,8 +156,8 @@ def test_dark_plots_have_the_colours_of_the_dark_theme_only(tmp_path: Path) -> N
     light = plot(collection, curve_figures(collection)[0])
     dark = recoloured(light, DARK)
     found = set(re.findall(r"#[0-9a-f]{6}", dark))
-    assert {DARK.ink, DARK.faint, *DARK.ablations[:4]} <= found
-    assert not found & {LIGHT.ink, LIGHT.faint, *LIGHT.ablations}
+    assert {DARK.ink, DARK.faint, *DARK.lines[:4]} <= found
+    assert not found & {LIGHT.ink, LIGHT.faint, *LIGHT.lines}
     assert recoloured(dark.replace(DARK.ink, LIGHT.ink), LIGHT) != light and len(dark) == len(light)
 
 
