@@ -6,6 +6,7 @@ another process is at work in the run folder. HYDRA_FULL_ERROR=1 shows traceback
 
 from __future__ import annotations
 
+import gc
 import os
 import platform
 import shlex
@@ -22,7 +23,7 @@ from rich.console import Console
 from rich.table import Table
 
 from datasets.files.claim import Busy, Lost
-from pipeline.config.compose import CONFIG_DIR, Command, one_line, options, quote_text, register_schema
+from pipeline.config.compose import CONFIG_DIR, Command, Composed, one_line, options, quote_text, register_schema
 from pipeline.config.schema import Config
 from pipeline.terminal import interruption
 from pipeline.terminal.command_line import quiet_on_closed_pipe
@@ -83,7 +84,7 @@ def run_one(composed: DictConfig) -> bool | None:
         with interruption.not_replaced():
             _work_in(job.runtime.cwd)
             sweep = SweepRun.joined(composed.out)
-            order = Command(tuple(job.overrides.task))
+            order = Command(tuple(job.overrides.task), Composed(composed, dict(job.runtime.choices)))
             cfg = order.config()
             _hint_at_settings(cfg, job.runtime.choices.get("scene"))
             import torch  # these late: a typo on the command line need not wait for them
@@ -92,6 +93,8 @@ def run_one(composed: DictConfig) -> bool | None:
             from rasterizer.cores import keep_freed_memory
 
             keep_freed_memory()
+            if gc.get_freeze_count() == 0:  # once for all runs of a process
+                gc.freeze()  # collections pass over what was imported, which stays anyway
             torch.set_num_threads(1)  # the heavy work is the kernel's, which has threads of its own (cfg.threads)
             if cfg.estimate:
                 from pipeline.stages.estimate import estimate

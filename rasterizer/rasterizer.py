@@ -66,7 +66,10 @@ class Rasterizer:
     ) -> list[RenderOutput]:
         """Render a view with each, as `render`: the same bits, but parameters are read once for all views."""
         views = zip(rasterizers, requests, strict=True)
-        stored = [rasterizer._begin(gaussians, request, differentiable) for rasterizer, request in views]
+        check_layout(gaussians, rasterizers[0].dtype)
+        for rasterizer, request in views:
+            rasterizer._begin(gaussians, request, differentiable)
+        stored = _as_kernel_sees_them(rasterizers[0]._kernel, gaussians, requests)
         images = [rasterizer._new_images() for rasterizer in rasterizers]
         planes = [[rasterizer._images.get(name) for name in OUTPUT_CHANNELS] for rasterizer in rasterizers]
         kernel = rasterizers[0]._kernel
@@ -75,22 +78,16 @@ class Rasterizer:
             rasterizer._gaussians = shown
         return [RenderOutput(**{name: named.get(name) for name in OUTPUT_CHANNELS}) for named in images]
 
-    def _begin(self, gaussians: Gaussians, request: Request, differentiable: bool) -> Any:
-        """Check and note the view to render; the Gaussians as the kernel sees them."""
-        check_layout(gaussians, self.dtype)
+    def _begin(self, gaussians: Gaussians, request: Request, differentiable: bool) -> None:
+        """Check and note the view to render."""
         request.check_against(gaussians)
         self._differentiable = differentiable
         self.sh_degree = gaussians.sh_degree if request.sh_degree is None else int(request.sh_degree)
         self.fourier_order = gaussians.fourier_order if request.fourier_order is None else int(request.fourier_order)
-        coefficients, orders = SH_LAYOUTS[gaussians.sh.shape[1]]
-        detached = {name: tensor.detach() for name, tensor in gaussians.tensors().items()}
         self._gaussians = None  # should this view fail, there is nothing to go backward from
-        self._shapes = {name: tensor.shape for name, tensor in detached.items()}
+        self._shapes = {name: tensor.shape for name, tensor in gaussians.tensors().items()}
         self._request, self._trajectories = request, gaussians.trajectories
-        if gaussians.trajectories is not None:
-            detached["trajectories"] = gaussians.trajectories.table(request.time, _flow_dt(request))
         self._set_view(request)
-        return self._kernel.Gaussians(**{**MISSING, **detached}, coefficients=coefficients, stored_order=orders - 1)
 
     def _new_images(self) -> dict[str, Tensor]:
         """Those that the view's request names, not yet written."""
@@ -229,6 +226,17 @@ class Rasterizer:
     def stage_ms(self) -> dict[str, float]:
         """Wall-clock milliseconds by stage: of the last view, and of the last backward pass, which may be older."""
         return dict(zip(STAGES, self._state.stage_ms, strict=True))
+
+
+def _as_kernel_sees_them(kernel: ModuleType, gaussians: Gaussians, requests: Sequence[Request]) -> list[Any]:
+    """The Gaussians for each view: the same for all, unless they share trajectories, of which each has its table."""
+    coefficients, orders = SH_LAYOUTS[gaussians.sh.shape[1]]
+    detached: dict[str, Any] = {name: tensor.detach() for name, tensor in gaussians.tensors().items()}
+    layout = {"coefficients": coefficients, "stored_order": orders - 1}
+    if (trajectories := gaussians.trajectories) is None:
+        return [kernel.Gaussians(**{**MISSING, **detached}, **layout)] * len(requests)
+    tables = [trajectories.table(request.time, _flow_dt(request)) for request in requests]
+    return [kernel.Gaussians(**{**MISSING, **detached, "trajectories": table}, **layout) for table in tables]
 
 
 def _flow_dt(request: Request) -> float | None:

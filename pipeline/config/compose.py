@@ -30,10 +30,17 @@ _PRESET = ("scene", "train", "ablation")  # the choices that make a run's preset
 
 
 @dataclass(frozen=True)
+class Composed:
+    tree: DictConfig
+    choices: dict[str, str]  # group -> what was chosen of it
+
+
+@dataclass(frozen=True)
 class Command:
     """The overrides of a command line, `key=value`: they compose a configuration for each kind of scene."""
 
     overrides: tuple[str, ...]
+    first: Composed | None = field(default=None, repr=False, compare=False)  # by Hydra, where the kind is not known yet
     # By kind of scene: composing takes a quarter of a second, and a run asks several times.
     _configs: dict[str | None, Config] = field(default_factory=dict, init=False, repr=False, compare=False)
     _choices: dict[str | None, dict[str, str]] = field(default_factory=dict, init=False, repr=False, compare=False)
@@ -45,8 +52,10 @@ class Command:
         Raises what Hydra, OmegaConf and the schema raise.
         """
         if capture not in self._configs:
-            composed, self._choices[capture] = _composed([*self.overrides, *self._of_kind(capture)])
-            cfg = to_config(composed)
+            composed = None if capture else self.first
+            composed = composed or _composed([*self.overrides, *self._of_kind(capture)])
+            self._choices[capture] = composed.choices
+            cfg = to_config(composed.tree)
             if ITERATIONS in self.given:
                 share = cfg.train.iterations / self.preset(capture).train.iterations
                 cfg = replace(cfg, train=scaled(cfg.train, cfg.train.iterations, share, self.given))
@@ -95,11 +104,10 @@ def command_of(keys: Sequence[str]) -> tuple[Command, Config]:
 @cache
 def _preset(choices: tuple[str, ...]) -> Config:
     """Kept from run to run of a sweep."""
-    return to_config(_composed(list(choices))[0])
+    return to_config(_composed(list(choices)).tree)
 
 
-def _composed(overrides: list[str]) -> tuple[DictConfig, dict[str, str]]:
-    """The configuration, and group -> what was chosen of it."""
+def _composed(overrides: list[str]) -> Composed:
     register_schema()
     within_a_run = GlobalHydra.instance().is_initialized()
     with nullcontext() if within_a_run else initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
@@ -107,7 +115,7 @@ def _composed(overrides: list[str]) -> tuple[DictConfig, dict[str, str]]:
     choices = dict(cfg.hydra.runtime.choices)
     with open_dict(cfg):
         del cfg["hydra"]
-    return cfg, choices
+    return Composed(cfg, choices)
 
 
 def register_schema() -> None:

@@ -7,14 +7,16 @@ Training and evaluation both render through here. Without an environment map the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 
 import torch
 from torch import Tensor
 
 from pipeline.model.model import Model
-from rasterizer import Engine, Gradients, RenderOutput, Request, ViewGradient, render_batch
+from rasterizer import Engine, Gradients, RenderOutput, Request, ViewGradient, engine_for, render_batch
+
+VIEWS_AT_ONCE = 4  # of `render_each`: as many as a batch of training has
 
 
 @dataclass(frozen=True)
@@ -86,6 +88,19 @@ def render_views(
     complete = [_with_outputs(model, request) for request in requests]
     found = render_batch(rasterizers, model.gaussians(), complete, differentiable)
     return [_composited(model, request, out) for request, out in zip(complete, found, strict=True)]
+
+
+def render_each(
+    backend: str, threads: int, model: Model, requests: Sequence[Request], differentiable: bool = True
+) -> Iterator[tuple[Engine, Rendered]]:
+    """As `render` of every request, in their order; the Gaussians are read once for VIEWS_AT_ONCE of them.
+
+    backend, threads: of `engine_for`. Yields the engine too, for `backward`, which must come before the next view.
+    """
+    engines = [engine_for(backend, threads) for _ in range(min(VIEWS_AT_ONCE, len(requests)))]
+    for first in range(0, len(requests), VIEWS_AT_ONCE):
+        views = requests[first : first + VIEWS_AT_ONCE]
+        yield from zip(engines, render_views(engines[: len(views)], model, views, differentiable))
 
 
 def _with_outputs(model: Model, request: Request) -> Request:

@@ -24,10 +24,10 @@ from pipeline.config.schema import Config
 from pipeline.data.training_views import Target, target_of
 from pipeline.model.initialise import SH_C0
 from pipeline.model.model import Model
-from pipeline.model.render import render_image
+from pipeline.model.render import render_each
 from pipeline.training.schedule import Phase
 from pipeline.training.state import TrainState
-from rasterizer import Request, engine_for
+from rasterizer import Request
 
 IMAGE_SIDE = 100  # pixels of the longer side at which errors are measured: objects, not texture
 MOST_ADDED = 2000  # each time
@@ -135,11 +135,13 @@ class ErrorSampler:
 
     def _errors(self, model: Model, views: Sequence[int], threads: int) -> dict[int, np.ndarray]:
         """View -> (H, W) absolute error, mean over the channels and over 3 × 3 pixels."""
-        rasterizer, scene, found = engine_for(self._backend, threads), self._scene, {}
-        for index in views:
-            target = self._target(index)
-            request = Request(target.camera, target.time, scene.duration, scene.background, near=self._near)
-            error = (render_image(rasterizer, model, request).cpu() - target.image).abs().mean(dim=0)
+        scene, targets, found = self._scene, [self._target(index) for index in views], {}
+        requests = [
+            Request(target.camera, target.time, scene.duration, scene.background, near=self._near) for target in targets
+        ]
+        renders = render_each(self._backend, threads, model, requests, differentiable=False)
+        for index, target, (_, rendered) in zip(views, targets, renders, strict=True):
+            error = (rendered.image.cpu() - target.image).abs().mean(dim=0)
             if target.mask is not None:
                 error = torch.where(target.mask, error, 0.0)
             found[index] = uniform_filter(error.numpy(), 3)

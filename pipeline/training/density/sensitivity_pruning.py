@@ -24,12 +24,12 @@ from pipeline.config.schema import Config
 from pipeline.config.train_schema import TrainConfig
 from pipeline.data.training_views import camera_at, evenly_spaced
 from pipeline.model.model import Model
-from pipeline.model.render import ImageGradient, backward, render
+from pipeline.model.render import ImageGradient, backward, render_each
 from pipeline.training.density.densification import remove
 from pipeline.training.optimiser import Adam
 from pipeline.training.schedule import Phase
 from pipeline.training.state import TrainState
-from rasterizer import Gradients, Request, engine_for
+from rasterizer import Gradients, Request
 
 MAX_VIEWS = 400  # scoring views, where several cameras see each time
 OPAQUE = 0.98  # a higher opacity is taken as this: at α = 0.99 blending is clamped and has no derivative
@@ -69,21 +69,18 @@ def image_sensitivity(
     """(N,) estimated squared change of the images of `views`, summed over pixels and channels, by removing each
     Gaussian alone; 0 for a Gaussian in none of the images. resolution: × the size of the views. rng: for the signs.
     """
-    rasterizer, change = engine_for(cfg.backend, threads), torch.zeros(len(model), device=model.device)
+    change = torch.zeros(len(model), device=model.device)
     limit = float(np.log(OPAQUE / (1 - OPAQUE)))
     logit = model.parameters["opacity_logit"].clamp(max=limit)
     clamped = model.with_parameters({**model.parameters, "opacity_logit": logit})
     gradients = Gradients.zeros_like(clamped.gaussians())
     transparency = torch.sigmoid(-clamped.parameters["opacity_logit"])
-    for view in views:
-        request = Request(
-            camera_at(view.camera, resolution),
-            view.time,
-            scene.duration,
-            near=cfg.scene.near * scene.unit,
-            background=scene.background,
-        )
-        rendered = render(rasterizer, clamped, request)
+    near = cfg.scene.near * scene.unit
+    requests = [
+        Request(camera_at(view.camera, resolution), view.time, scene.duration, scene.background, near=near)
+        for view in views
+    ]
+    for rasterizer, rendered in render_each(cfg.backend, threads, clamped, requests):
         coins = torch.from_numpy(rng.integers(0, 2, tuple(rendered.image.shape), dtype=np.int8))
         signs = 2.0 * coins.to(model.device) - 1.0
         gradients.zero_(threads)

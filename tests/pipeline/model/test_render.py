@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 from builders import generator, off_centre_camera, random_gaussians
@@ -11,7 +13,7 @@ from torch import Tensor
 
 from pipeline.model.environment_map import EnvironmentMap
 from pipeline.model.model import Model
-from pipeline.model.render import ImageGradient, backward, render, render_image
+from pipeline.model.render import VIEWS_AT_ONCE, ImageGradient, backward, render, render_each, render_image
 from rasterizer import Gaussians, Gradients, Rasterizer, Request
 from rasterizer.reference import rasterize as reference
 from rasterizer.reference.discontinuities import away_from_discontinuities, smooth_pixels
@@ -49,6 +51,24 @@ def test_without_an_environment_map_the_image_is_the_rasterizers(differentiable:
     expected = rasterizer.render(model.gaussians(), REQUEST).color
     assert torch.equal(render(rasterizer, model, REQUEST, differentiable).image, expected)
     assert torch.equal(render_image(rasterizer, model, REQUEST), expected)
+
+
+@pytest.mark.parametrize("views", [0, 1, VIEWS_AT_ONCE + 1])
+def test_views_rendered_together_have_the_bits_of_each_alone(views: int) -> None:
+    """Images, and gradients by them: those of a view come before the next one's."""
+    model, alone = model_of(example()[0], None), Rasterizer(threads=1)
+    requests = [replace(REQUEST, time=0.1 * (1 + index)) for index in range(views)]
+    seen = 0
+    for request, (engine, rendered) in zip(requests, render_each("cpu", 1, model, requests), strict=True):
+        found, expected = (Gradients.zeros_like(model.gaussians()) for _ in range(2))
+        backward(engine, model, rendered, ImageGradient(image=rendered.image), found)
+        single = render(alone, model, request)
+        assert torch.equal(rendered.image, single.image)
+        backward(alone, model, single, ImageGradient(image=single.image), expected)
+        for name, tensor in expected.dense().items():
+            assert torch.equal(found.dense()[name], tensor), name
+        seen += 1
+    assert seen == views
 
 
 def test_the_image_is_composited_over_the_environment_map() -> None:
