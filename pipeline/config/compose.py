@@ -12,7 +12,7 @@ from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, get_type_hints
 
-from hydra import compose, initialize_config_dir
+import hydra
 from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -40,10 +40,10 @@ class Command:
     """The overrides of a command line, `key=value`: they compose a configuration for each kind of scene."""
 
     overrides: tuple[str, ...]
-    first: Composed | None = field(default=None, repr=False, compare=False)  # by Hydra, where the kind is not known yet
-    # By kind of scene: composing takes a quarter of a second, and a run asks several times.
+    # By kind of scene: composing takes a quarter of a second, and a run asks several times. Hydra has composed a run's
+    # for None, before the kind is known.
+    compositions: dict[str | None, Composed] = field(default_factory=dict, repr=False, compare=False)
     _configs: dict[str | None, Config] = field(default_factory=dict, init=False, repr=False, compare=False)
-    _choices: dict[str | None, dict[str, str]] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def config(self, capture: str | None = None) -> Config:
         """The configuration where the scene is of this kind (conf/capture); None: where that is not known yet. With
@@ -52,10 +52,7 @@ class Command:
         Raises what Hydra, OmegaConf and the schema raise.
         """
         if capture not in self._configs:
-            composed = None if capture else self.first
-            composed = composed or _composed([*self.overrides, *self._of_kind(capture)])
-            self._choices[capture] = composed.choices
-            cfg = to_config(composed.tree)
+            cfg = to_config(self.composed(capture).tree)
             if ITERATIONS in self.given:
                 share = cfg.train.iterations / self.preset(capture).train.iterations
                 cfg = replace(cfg, train=scaled(cfg.train, cfg.train.iterations, share, self.given))
@@ -82,10 +79,13 @@ class Command:
 
     def preset(self, capture: str | None = None) -> Config:
         """The same with nothing but the choices of scene, schedule and ablation: what else differs, the command set."""
-        if capture not in self._choices:
-            self.config(capture)
-        choices = self._choices[capture]
+        choices = self.composed(capture).choices
         return _preset((*(f"{key}={choices[key]}" for key in _PRESET), *self._of_kind(capture)))
+
+    def composed(self, capture: str | None) -> Composed:
+        if capture not in self.compositions:
+            self.compositions[capture] = compose([*self.overrides, *self._of_kind(capture)])
+        return self.compositions[capture]
 
     def _of_kind(self, capture: str | None) -> list[str]:
         given = any(override.startswith("capture=") for override in self.overrides)
@@ -104,14 +104,14 @@ def command_of(keys: Sequence[str]) -> tuple[Command, Config]:
 @cache
 def _preset(choices: tuple[str, ...]) -> Config:
     """Kept from run to run of a sweep."""
-    return to_config(_composed(list(choices)).tree)
+    return to_config(compose(choices).tree)
 
 
-def _composed(overrides: list[str]) -> Composed:
+def compose(overrides: Sequence[str]) -> Composed:
     register_schema()
     within_a_run = GlobalHydra.instance().is_initialized()
-    with nullcontext() if within_a_run else initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
-        cfg = compose("config", overrides, return_hydra_config=True)
+    with nullcontext() if within_a_run else hydra.initialize_config_dir(str(CONFIG_DIR), version_base="1.3"):
+        cfg = hydra.compose("config", list(overrides), return_hydra_config=True)
     choices = dict(cfg.hydra.runtime.choices)
     with open_dict(cfg):
         del cfg["hydra"]
