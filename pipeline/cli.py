@@ -84,7 +84,9 @@ def run_one(composed: DictConfig) -> bool | None:
         with interruption.not_replaced():
             _work_in(job.runtime.cwd)
             sweep = SweepRun.joined(composed.out)
-            order = Command(tuple(job.overrides.task), {None: Composed(composed, dict(job.runtime.choices))})
+            order = Command(
+                tuple(job.overrides.task), compositions={None: Composed(composed, dict(job.runtime.choices))}
+            )
             cfg = order.config()
             _hint_at_settings(cfg, job.runtime.choices.get("scene"))
             import torch  # these late: a typo on the command line need not wait for them

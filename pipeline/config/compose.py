@@ -42,7 +42,7 @@ class Command:
     overrides: tuple[str, ...]
     # By kind of scene: composing takes a quarter of a second, and a run asks several times. Hydra has composed a run's
     # for None, before the kind is known.
-    compositions: dict[str | None, Composed] = field(default_factory=dict, repr=False, compare=False)
+    compositions: dict[str | None, Composed] = field(default_factory=dict, repr=False, compare=False, kw_only=True)
     _configs: dict[str | None, Config] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def config(self, capture: str | None = None) -> Config:

@@ -51,11 +51,14 @@ class Adam:
         rows: Tensor | None = None,  # (N,) uint8, 0: unchanged, moments included; None: all are updated
         d_environment_map: Tensor | None = None,  # (3, h, 2h); None: the environment map is unchanged
     ) -> None:
-        """One update of every parameter, in place. learning_rates: as schedule.Phase.lr."""
+        """One update of every parameter, in place. learning_rates: as schedule.Phase.lr; a field of rate 0 keeps its
+        moments too."""
         self.step_count += 1
         for name, parameter in self.model.parameters.items():
             moments = self.first[name], self.second[name]
             rate = learning_rates[name]
+            if rate == 0.0:  # velocities beside trajectories; weights of tracks
+                continue
             if name == "sh":
                 assert isinstance(rate, tuple)
                 sh_adam_step(

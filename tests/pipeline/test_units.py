@@ -27,7 +27,7 @@ from pipeline.stages.stages import NAMES
 from pipeline.training.loop import train
 from rasterizer import Rasterizer
 
-ITERATIONS = 200
+ITERATIONS = 110  # training amplifies rounding: 1e-5 dB after 110 iterations, 0.2 to 1 dB after 200
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])  # COLMAP's camera axes <-> Blender's
 
 
@@ -98,11 +98,12 @@ def write_film(root: Path, units: Units) -> Path:
 
 
 def config(folder: Path, reader: str, seed: int = 0) -> Config:
-    densify = DensifyConfig(start=20, stop=150, every=20, space_gradient=1e-4, opacity_reset_every=0, max_gaussians=400)
+    densify = DensifyConfig(start=20, stop=100, every=20, space_gradient=1e-4, opacity_reset_every=0, max_gaussians=400)
     cfg = tiny_config(
         ITERATIONS, densify=densify, eval_every=ITERATIONS, orders_at=[30, 60, 90, 60, 90], lr=LearningRates(factor=8)
     )
     scene = replace(cfg.scene, name="tiny", reader=reader, path=str(folder), downscale=1, cache=str(folder / "cache"))
+    scene = replace(scene, init_box=[-1.2, 1.2])  # the film's is around its cameras, which look out of it
     return replace(cfg, scene=scene, init=replace(cfg.init, source="random"), seed=seed)
 
 
@@ -148,8 +149,9 @@ def usual(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 def test_training_gives_the_same_psnr_in_any_units(usual: tuple[str, list[float]], tmp_path: Path, units: str) -> None:
     reader, psnr = usual
     found = trained_psnr(WRITERS[reader](tmp_path / "scene", ALL[units]), reader)
-    # What remains is rounding: 5e-4 dB at most where this was written, with seeds 0.6 dB apart.
-    assert abs(found - psnr[0]) < 0.1 * np.ptp(psnr)
+    assert min(psnr) > 20  # it has learnt: 15 dB without a Gaussian
+    # What remains is rounding: 1e-5 dB at most where this was written, with seeds 2 dB apart.
+    assert abs(found - psnr[0]) < 5e-3 * np.ptp(psnr)
 
 
 def test_a_run_in_other_units_says_so_and_is_not_taken_for_another(tmp_path: Path) -> None:

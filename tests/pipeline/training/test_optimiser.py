@@ -107,6 +107,15 @@ def test_excluded_rows_keep_their_values_and_moments(motion: str) -> None:
         assert not optimiser.first[name][~rows.bool()].any(), name
 
 
+def test_a_field_of_rate_0_keeps_its_values_and_moments() -> None:
+    model, rng = random_model(ModelKind("velocity", 2, 3), 6), torch.Generator().manual_seed(0)
+    optimiser, before = Adam(model), model.copy()
+    optimiser.step(random_gradients(model, rng), RATES | {"velocity": 0.0})
+    assert torch.equal(model.parameters["velocity"], before.parameters["velocity"])
+    assert not optimiser.first["velocity"].any() and not optimiser.second["velocity"].any()
+    assert not torch.equal(model.parameters["mean"], before.parameters["mean"])
+
+
 def test_the_environment_map_is_updated_only_with_a_gradient() -> None:
     """Against torch.optim.Adam in float64; without a gradient the map and its moments are unchanged."""
     model, rng = random_model(KIND, 5), torch.Generator().manual_seed(0)
