@@ -31,6 +31,8 @@ _PRESET = ("scene", "train", "ablation")  # the choices that make a run's preset
 
 @dataclass(frozen=True)
 class Composed:
+    """What Hydra made of a command line."""
+
     tree: DictConfig
     choices: dict[str, str]  # group -> what was chosen of it
 
@@ -83,6 +85,7 @@ class Command:
         return _preset((*(f"{key}={choices[key]}" for key in _PRESET), *self._of_kind(capture)))
 
     def composed(self, capture: str | None) -> Composed:
+        """As `config`, before it is checked and scaled."""
         if capture not in self.compositions:
             self.compositions[capture] = compose([*self.overrides, *self._of_kind(capture)])
         return self.compositions[capture]
