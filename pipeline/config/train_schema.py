@@ -144,7 +144,7 @@ class TrainConfig:
     # What the authors' programs did to the gradients of colour: detached, untrained, wrong_line (docs/baseline.md);
     # empty: they are exact
     released_gradients: list[str] = field(default_factory=list)
-    eval_every: int = 500  # iterations between evaluations on held-out views
+    eval_every: int = 500  # iterations between evaluations on held-out views; also at 1/2, 1/4, 1/8, 1/16 of it
     checkpoint_every: int = 1000  # iterations between checkpoints; more where these take minutes
 
     def __post_init__(self) -> None:

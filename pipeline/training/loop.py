@@ -25,7 +25,7 @@ from pipeline.terminal import interruption
 from pipeline.training.density.refinement import refine, refiners
 from pipeline.training.objective.objective import Objective
 from pipeline.training.reporting import NOTHING_SPENT, Observer, Progress, RunLog, Spent, StepReport
-from pipeline.training.schedule import Phase
+from pipeline.training.schedule import Phase, is_evaluated
 from pipeline.training.state import TrainState, save, start
 from pipeline.training.step import Batch, draw_batch, optimiser_step, render_batch
 
@@ -64,7 +64,7 @@ def train(
 
     `model` is changed in place, unless a checkpoint replaces it or velocities are trained.
 
-    evaluate_fn: called every `train.eval_every` iterations and at the end; its time is not training time.
+    evaluate_fn: called when schedule.is_evaluated and at the end; its time is not training time.
     before: time of training before a new run.
     Raises finite_checks.NonFiniteError, with the last checkpoint kept, and ValueError for a checkpoint of another run.
     """
@@ -88,7 +88,7 @@ def train(
             _report(state, batch, phase, run, observers)
         finished = state.is_finished(cfg.train)
         # Before refinement, whose new and split Gaussians no step has fitted yet; the last model is not refined.
-        if finished or state.iteration % cfg.train.eval_every == 0:
+        if finished or is_evaluated(state.iteration, cfg.train.eval_every):
             _evaluate(state, evaluate_fn, run, observers)
         if not finished:
             for event in refine(state, phase, density):

@@ -22,6 +22,7 @@ DECAY_START = 0.7  # fraction of the schedule after which the decay to `final_fa
 WEIGHTS_RATE, TRAJECTORY_RATE = (5e-3, 5e-4), (3.2e-4, 3.2e-6)  # first and last; of control points × extent
 FULL_RATE_FROM = 2500  # iterations; in fewer these two are larger, so that trajectories reach as far
 DEPTH_DECAY = 0.267  # weights of the depth loss: × exp(-fraction / this), as in the urban program of the authors
+EARLY_EVALUATIONS = 4  # of held-out views, before the first of `eval_every`
 
 LearningRate = float | tuple[float, ...]  # one for the field, or one per column
 
@@ -46,6 +47,14 @@ def clock_at(iteration: int, train_seconds: float, cfg: TrainConfig) -> float:
     if cfg.time_budget_s is None:
         return float(iteration)
     return max(float(iteration), cfg.iterations * min(1.0, train_seconds / cfg.time_budget_s))
+
+
+def is_evaluated(iteration: int, every: int) -> bool:
+    """Whether held-out views are evaluated then: each `every` iterations, and at 1/2, 1/4, 1/8 and 1/16 of `every`.
+
+    Learning curves are read on a logarithmic axis of time, most of which would come before the first `every`.
+    """
+    return iteration % every == 0 or iteration in [every >> halved for halved in range(1, EARLY_EVALUATIONS + 1)]
 
 
 def shortened(cfg: TrainConfig, share: float) -> TrainConfig:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from pipeline.config.train_schema import LearningRates, ResolutionStep, TrainConfig
-from pipeline.training.schedule import clock_at, learning_rates, phase, shortened
+from pipeline.training.schedule import clock_at, is_evaluated, learning_rates, phase, shortened
 
 EXTENT = 4.4
 
@@ -88,6 +88,11 @@ def test_background_models_are_trained_through_the_given_iteration() -> None:
     trained = {now: phase(now, TrainConfig(), EXTENT, 3, 2) for now in (5000.0, 5001.0, 10_000.0, 10_001.0)}
     assert [found.environment_map for found in trained.values()] == [True, False, False, False]
     assert [found.sphere for found in trained.values()] == [True, True, True, False]
+
+
+def test_evaluations_begin_on_a_logarithmic_grid() -> None:
+    assert [i for i in range(1, 1501) if is_evaluated(i, 500)] == [31, 62, 125, 250, 500, 1000, 1500]
+    assert [i for i in range(1, 4) if is_evaluated(i, 1)] == [1, 2, 3]
 
 
 def test_the_clock_is_the_iteration_unless_the_time_budget_ends_first() -> None:
