@@ -96,6 +96,11 @@ class Source(ABC):
         return "given"
 
     @property
+    def guessed_box(self) -> bool:
+        """Whether Scene.init_box is a guess, which a better one from the cameras may replace for random points."""
+        return self.points == "given"
+
+    @property
     def held_out(self) -> Collection[str]:
         """The names of held-out cameras, of several videos."""
         return ()

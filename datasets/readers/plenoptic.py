@@ -77,6 +77,10 @@ class PosedFootage(FilmedSource):
     unit: float = 1.0  # world units per normalised unit
     init_box: Box | None = None  # None: a cube around the cameras
 
+    @property
+    def guessed_box(self) -> bool:
+        return self.init_box is None
+
     def photographs(self) -> list[Photograph]:
         """The first frames of the training cameras, undistorted, full size."""
         return [

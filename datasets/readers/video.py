@@ -90,6 +90,7 @@ class FootageSource(FilmedSource):
     cfg: SceneConfig
     footage: Footage
     poses = "estimated"
+    guessed_box = True  # a cube around the cameras
 
     @property
     def one_lens(self) -> bool:

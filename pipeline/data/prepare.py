@@ -94,7 +94,7 @@ def prepare(cfg: Config, log: Callable[[str], None]) -> Prepared:
             log(f"points: {line}")
             scene = replace(scene, points=carved)
     some_random = points == "random" or (initial is not None and initial.sparse)
-    scene = boxed(scene, source.cfg, source.points == "given" and some_random, log)
+    scene = boxed(scene, source.cfg, source.guessed_box and some_random, log)
     return Prepared(scene, cloud, folder, transform, source.poses == "of every frame", source.cfg, points)
 
 

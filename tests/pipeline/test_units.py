@@ -103,7 +103,7 @@ def config(folder: Path, reader: str, seed: int = 0) -> Config:
         ITERATIONS, densify=densify, eval_every=ITERATIONS, orders_at=[30, 60, 90, 60, 90], lr=LearningRates(factor=8)
     )
     scene = replace(cfg.scene, name="tiny", reader=reader, path=str(folder), downscale=1, cache=str(folder / "cache"))
-    scene = replace(scene, init_box=[-1.2, 1.2])  # the film's is around its cameras, which look out of it
+    scene = replace(scene, init_box=[-1.2, 1.2])  # so few points are too far apart in all that the film's cameras see
     return replace(cfg, scene=scene, init=replace(cfg.init, source="random"), seed=seed)
 
 
@@ -181,3 +181,14 @@ def test_the_frame_is_part_of_what_a_run_is_made_from(tmp_path: Path) -> None:
     other = replace(data, canonical=replace(data.canonical, scale=2.0))
     usual = replace(data, canonical=type(data.canonical)())
     assert len({data_hash(one) for one in (data, other, usual)}) == 3
+
+
+def test_random_points_of_a_film_without_depths_start_before_its_cameras(tmp_path: Path) -> None:
+    """Not in a cube around the cameras, which look out of it."""
+    cfg = config(write_film(tmp_path / "scene", Units()), "plenoptic")
+    scene = prepare(replace(cfg, scene=replace(cfg.scene, init_box=None)), lambda line: None).scene
+    low, high = (np.asarray(corner) for corner in scene.init_box)
+    places = np.stack([view.camera.position for view in scene.train])
+    assert not ((places > low) & (places < high)).all(axis=1).any()
+    middle = (low + high) / 2
+    assert all((view.camera.world_to_cam[:3] @ [*middle, 1.0])[2] > 0 for view in scene.train)
