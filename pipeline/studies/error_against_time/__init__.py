@@ -1,0 +1,1 @@
+"""Mean error of several scenes against the CPU seconds of training."""
