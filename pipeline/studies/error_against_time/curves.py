@@ -57,7 +57,7 @@ def _curve(run: Path) -> Curve:
 def by_recipe(curves: Sequence[Curve], folder: Path) -> dict[str, list[Curve]]:
     """Label of recipe and kernel -> its runs. DataError where recipes were not run on the same scenes as often."""
     groups: dict[str, list[Curve]] = {}
-    for curve in curves:
+    for curve in sorted(curves, key=lambda curve: (curve.recipe, curve.kernel)):
         groups.setdefault(f"{curve.recipe}, {curve.kernel}", []).append(curve)
     scenes = {name: sorted(curve.scene for curve in group) for name, group in groups.items()}
     first = next(iter(scenes))
