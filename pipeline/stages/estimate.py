@@ -30,7 +30,7 @@ from pipeline.evaluation.quick_evaluate import EVAL_VIEWS
 from pipeline.runs.provenance import memory_gb
 from pipeline.stages.decide import COLOUR_SHARE, MOTION_SHARE, RESOLUTION, TIME_SHARE
 from pipeline.training.objective.image_terms import flow_loss
-from pipeline.training.schedule import EARLY_EVALUATIONS
+from pipeline.training.schedule import early_evaluations
 from rasterizer.bench.frame_time import time_frame, time_iteration
 from rasterizer.bench.workloads import Workload, make_workload
 from rasterizer.camera import Camera
@@ -145,7 +145,8 @@ def _estimate(
     started = time.perf_counter()
     measure(MeasuredView(image, image[::-1].copy()))
     measured = time.perf_counter() - started
-    quick = (cfg.train.iterations // cfg.train.eval_every + EARLY_EVALUATIONS) * min(size.test_views, EVAL_VIEWS) * view
+    times = cfg.train.iterations // cfg.train.eval_every + len(early_evaluations(cfg.train.eval_every))
+    quick = times * min(size.test_views, EVAL_VIEWS) * view
     final = (1 + cfg.evaluate.best_on_test) * size.test_views * (2 * view + measured / threads)
     pixels = size.width * size.height
     images = 0 if stored_bytes else (read.train_views + read.test_views) * 3 * read.width * read.height

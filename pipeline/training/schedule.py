@@ -22,7 +22,7 @@ DECAY_START = 0.7  # fraction of the schedule after which the decay to `final_fa
 WEIGHTS_RATE, TRAJECTORY_RATE = (5e-3, 5e-4), (3.2e-4, 3.2e-6)  # first and last; of control points × extent
 FULL_RATE_FROM = 2500  # iterations; in fewer these two are larger, so that trajectories reach as far
 DEPTH_DECAY = 0.267  # weights of the depth loss: × exp(-fraction / this), as in the urban program of the authors
-EARLY_EVALUATIONS = 4  # of held-out views, before the first of `eval_every`
+FIRST_EVALUATION = 30  # iterations; earlier ones would cost more than they show
 
 LearningRate = float | tuple[float, ...]  # one for the field, or one per column
 
@@ -49,12 +49,19 @@ def clock_at(iteration: int, train_seconds: float, cfg: TrainConfig) -> float:
     return max(float(iteration), cfg.iterations * min(1.0, train_seconds / cfg.time_budget_s))
 
 
-def is_evaluated(iteration: int, every: int) -> bool:
-    """Whether held-out views are evaluated then: each `every` iterations, and at 1/2, 1/4, 1/8 and 1/16 of `every`.
+def early_evaluations(every: int) -> list[int]:
+    """Iterations before `every` at which held-out views are evaluated too: 1/2, 1/4, 1/8 and 1/16 of it, from
+    FIRST_EVALUATION on.
 
     Learning curves are read on a logarithmic axis of time, most of which would come before the first `every`.
     """
-    return iteration % every == 0 or iteration in [every >> halved for halved in range(1, EARLY_EVALUATIONS + 1)]
+    halves = [every >> halved for halved in range(1, 5)]
+    return [iteration for iteration in halves if iteration >= FIRST_EVALUATION]
+
+
+def is_evaluated(iteration: int, every: int) -> bool:
+    """Whether held-out views are evaluated then: each `every` iterations, and on a logarithmic grid before."""
+    return iteration % every == 0 or iteration in early_evaluations(every)
 
 
 def shortened(cfg: TrainConfig, share: float) -> TrainConfig:

@@ -135,7 +135,7 @@ def test_per_image_rows_average_to_the_metrics(finished: Path) -> None:
 
 def test_the_curve_ends_with_the_run(finished: Path) -> None:
     rows = read_csv(finished / "error_vs_time.csv")
-    assert [int(row["iteration"]) for row in rows] == [1, 2, 5, 10, 20, 40, 60]
+    assert [int(row["iteration"]) for row in rows] == [20, 40, 60]
     seconds = [float(row["train_seconds"]) for row in rows]
     assert seconds == sorted(seconds)
     metrics = json.loads((finished / "metrics.json").read_text())
