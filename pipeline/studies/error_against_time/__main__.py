@@ -12,7 +12,7 @@ from pathlib import Path
 
 from pipeline.runs.run_folder import csv_text
 from pipeline.studies.common import StudyParser, markdown_table, write_results
-from pipeline.studies.error_against_time.curves import Curve, by_recipe, mean_curve, read_curves, value_at
+from pipeline.studies.error_against_time.curves import Curve, by_recipe, mean_until_stopped, read_curves, value_at
 from pipeline.studies.error_against_time.plot import draw
 from pipeline.terminal.command_line import command
 
@@ -22,12 +22,12 @@ AT = (15, 30, 60, 120, 240, 480, 960, 1920)  # CPU seconds of the table
 
 def markdown(groups: dict[str, list[Curve]]) -> str:
     """Mean PSNR at the times of AT; empty before all scenes have a value and where a run was stopped."""
-    times = [at for at in AT if at <= max(curve.seconds[-1] for curves in groups.values() for curve in curves)]
+    times = [at for at in AT if at <= max(curve.end for curves in groups.values() for curve in curves)]
     rows = []
     for name, curves in groups.items():
-        mean = mean_curve(curves)
+        mean = mean_until_stopped(curves)
         values = [value_at(*mean, at, last=all(curve.finished for curve in curves)) for at in times]
-        end = f"{mean[1][-1]:.2f} after {sum(c.seconds[-1] for c in curves) / len(curves):.0f} s"
+        end = f"{mean[1][-1]:.2f} after {sum(c.end for c in curves) / len(curves):.0f} s"
         rows.append([name, *("" if value is None else f"{value:.2f}" for value in values)])
         rows[-1].append(end if all(curve.finished for curve in curves) else "stopped")
     scenes = len({curve.scene for curves in groups.values() for curve in curves})
@@ -43,7 +43,7 @@ def comma_separated(groups: dict[str, list[Curve]]) -> str:
     rows: list[Sequence[object]] = []
     for curve in (curve for curves in groups.values() for curve in curves):
         run = [curve.commit, curve.kernel, curve.recipe, curve.scene, curve.seed, int(curve.finished)]
-        for iteration, seconds, psnr, gaussians in zip(curve.iterations, curve.seconds, curve.psnr, curve.gaussians):
+        for iteration, seconds, psnr, gaussians in curve.evaluations.itertuples(index=False):
             rows.append([*run, int(iteration), f"{seconds:.2f}", f"{psnr:.3f}", int(gaussians)])
     return csv_text(header, rows)
 

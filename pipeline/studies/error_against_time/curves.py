@@ -1,16 +1,16 @@
-"""Learning curves of runs, and their mean over scenes at equal CPU seconds."""
+"""Learning curves of runs, finished or stopped, and their means over scenes (pipeline/report/mean_curves.py)."""
 
 from __future__ import annotations
 
-import csv
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from datasets.files.errors import DataError
+from pipeline.report.mean_curves import mean_curve
 from pipeline.runs.run_identity import read_config
 
 
@@ -24,10 +24,12 @@ class Curve:
     scene: str
     seed: int
     finished: bool  # a stopped run says nothing about later times
-    iterations: np.ndarray  # (n,)
-    seconds: np.ndarray  # (n,) CPU seconds of training, ascending
-    psnr: np.ndarray  # (n,) dB, mean of the views
-    gaussians: np.ndarray  # (n,)
+    evaluations: pd.DataFrame  # iteration, cpu_seconds (ascending), psnr in dB, n_gaussians
+
+    @property
+    def end(self) -> float:
+        """CPU seconds at the last evaluation."""
+        return float(self.evaluations["cpu_seconds"].iloc[-1])
 
 
 def read_curves(folder: Path) -> list[Curve]:
@@ -42,19 +44,16 @@ def _curve(run: Path) -> Curve:
     config = read_config(run / "config.yaml")
     try:
         made = json.loads((run / "environment.json").read_text(encoding="utf-8"))
-        with (run / "error_vs_time.csv").open(encoding="utf-8", newline="") as file:
-            rows = list(csv.DictReader(file))
-        columns = [
-            np.array([float(row[name]) for row in rows]) for name in ("iteration", "cpu_seconds", "psnr", "n_gaussians")
-        ]
+        columns = ["iteration", "cpu_seconds", "psnr", "n_gaussians"]
+        evaluations = pd.read_csv(run / "error_vs_time.csv")[columns].astype(float)
         kernel, commit = made["rendered_by"]["engine"], made["git_commit"][:8]
         recipe, scene, seed = config["train"]["name"], config["scene"]["name"], config["seed"]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise DataError(run, "config.yaml, environment.json and error_vs_time.csv of a run", str(error)) from None
-    return Curve(commit, kernel, recipe, scene, seed, (run / "metrics.json").is_file(), *columns)
+    return Curve(commit, kernel, recipe, scene, seed, (run / "metrics.json").is_file(), evaluations)
 
 
-def by_recipe(curves: Sequence[Curve], folder: Path) -> dict[str, list[Curve]]:
+def by_recipe(curves: list[Curve], folder: Path) -> dict[str, list[Curve]]:
     """Label of recipe and kernel -> its runs. DataError where recipes were not run on the same scenes as often."""
     groups: dict[str, list[Curve]] = {}
     for curve in sorted(curves, key=lambda curve: (curve.recipe, curve.kernel)):
@@ -67,16 +66,13 @@ def by_recipe(curves: Sequence[Curve], folder: Path) -> dict[str, list[Curve]]:
     return groups
 
 
-def mean_curve(curves: Sequence[Curve]) -> tuple[np.ndarray, np.ndarray]:
-    """(CPU seconds, mean PSNR), from where all runs have a value to where the first one was stopped.
-
-    A finished run keeps its last value. Between evaluations PSNR is linear in time.
-    """
-    start = max(curve.seconds[0] for curve in curves)
-    end = min((curve.seconds[-1] for curve in curves if not curve.finished), default=np.inf)
-    times = np.unique(np.concatenate([[start], *(curve.seconds for curve in curves)]))
-    times = times[(times >= start) & (times <= end)]
-    return times, np.mean([np.interp(times, curve.seconds, curve.psnr) for curve in curves], axis=0)
+def mean_until_stopped(curves: list[Curve]) -> tuple[np.ndarray, np.ndarray]:
+    """(CPU seconds, mean PSNR), from where all runs have a value to where the first one was stopped."""
+    runs = pd.DataFrame({"run": range(len(curves)), "threads": 1.0})
+    all_evaluations = pd.concat([curve.evaluations.assign(run=run) for run, curve in enumerate(curves)])
+    mean = mean_curve(runs, all_evaluations.assign(train_seconds=np.nan))  # all have CPU seconds
+    mean = mean[mean["cpu_seconds"] <= min((curve.end for curve in curves if not curve.finished), default=np.inf)]
+    return mean["cpu_seconds"].to_numpy(), mean["psnr"].to_numpy()
 
 
 def value_at(times: np.ndarray, values: np.ndarray, at: float, last: bool) -> float | None:

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from pipeline.presentation.theme import LIGHT
-from pipeline.studies.error_against_time.curves import Curve, mean_curve
+from pipeline.studies.error_against_time.curves import Curve, mean_until_stopped
 
 _DASHES: tuple[Any, ...] = ("solid", (0, (4, 1.5)), (0, (1, 1.2)))
 _MARGINS = {"left": 0.07, "right": 0.985, "bottom": 0.13, "top": 0.88}
@@ -27,7 +27,7 @@ def draw(groups: dict[str, list[Curve]]) -> str:
         FigureCanvasSVG(figure)
         axis = figure.subplots(gridspec_kw=_MARGINS)
         for name, curves in groups.items():
-            times, psnr = mean_curve(curves)
+            times, psnr = mean_until_stopped(curves)
             colour = LIGHT.lines[recipes.index(curves[0].recipe) % len(LIGHT.lines)]
             dash = _DASHES[kernels.index(curves[0].kernel) % len(_DASHES)]
             axis.plot(times, psnr, color=colour, linestyle=dash, linewidth=1.6, label=name)

@@ -10,7 +10,7 @@ import pytest
 from report_runs import write_run
 
 from pipeline.studies.error_against_time.__main__ import main
-from pipeline.studies.error_against_time.curves import by_recipe, mean_curve, read_curves, value_at
+from pipeline.studies.error_against_time.curves import by_recipe, mean_until_stopped, read_curves, value_at
 
 
 def write_curve(
@@ -30,7 +30,7 @@ def write_curve(
 def test_the_mean_is_taken_at_equal_times_and_a_finished_run_keeps_its_value(tmp_path: Path) -> None:
     write_curve(tmp_path, "dnerf/a", [(10, 20), (30, 40)])  # 10 + t
     write_curve(tmp_path, "dnerf/b", [(20, 10), (60, 30)])  # t / 2
-    times, psnr = mean_curve(by_recipe(read_curves(tmp_path), tmp_path)["fast, kernel_v4"])
+    times, psnr = mean_until_stopped(by_recipe(read_curves(tmp_path), tmp_path)["fast, kernel_v4"])
     assert list(times) == [20, 30, 60]  # both have begun from 20 on
     assert list(psnr) == [(30 + 10) / 2, (40 + 15) / 2, (40 + 30) / 2]
     assert value_at(times, psnr, 10, last=True) is None and value_at(times, psnr, 25, last=True) == 23.75
@@ -40,7 +40,7 @@ def test_the_mean_is_taken_at_equal_times_and_a_finished_run_keeps_its_value(tmp
 def test_the_mean_ends_where_the_first_run_was_stopped(tmp_path: Path) -> None:
     write_curve(tmp_path, "dnerf/a", [(10, 20), (30, 40)], stopped=True)
     write_curve(tmp_path, "dnerf/b", [(5, 10), (40, 45)])
-    times, _ = mean_curve(by_recipe(read_curves(tmp_path), tmp_path)["fast, kernel_v4"])
+    times, _ = mean_until_stopped(by_recipe(read_curves(tmp_path), tmp_path)["fast, kernel_v4"])
     assert list(times) == [10, 30]
 
 
