@@ -31,8 +31,8 @@ class SceneConfig:
     # Validation: every n-th training view replaces the test views, so that settings are not selected by these. 0: off
     validation_every: int = 0
     validation_outermost: bool = False  # validation by as many of the outermost training views instead
-    # Cameras that move, folders without a test split: every so many-th frame is held out. 0: several cameras that move,
-    # scene.test_cameras instead
+    # Cameras that move, folders without a test split: every so many-th frame is held out. 0: scene.test_cameras
+    # instead, of several cameras that move and of photographs of one instant
     test_every: int = 8
     # Several cameras, but for D-NeRF's layout and driving logs: numbers of held-out cameras
     test_cameras: list[int] = field(default_factory=lambda: [0])
@@ -74,6 +74,7 @@ class SceneConfig:
     near: float = 0.2  # near plane in the scene's normalised unit (Scene.unit)
 
     def __post_init__(self) -> None:
+        splits = ("dnerf", *WHOLE_SIZE)  # readers of layouts that say what is held out, or by another rule
         some = "different camera numbers, 0 or more"
         check("scene", self, {
             "reader": one_of("auto", *reader_names()),
@@ -82,7 +83,7 @@ class SceneConfig:
             "sync": one_of("none", "auto", "given"),
             "first_frame": at_least(0),
             **dict.fromkeys(("frames", "train_views", "test_views"), positive_count()),
-            "test_every": Range("at least 2", lambda n: n >= 2 or (n == 0 and self.reader in ("video", "auto"))),
+            "test_every": Range("at least 2", lambda n: n >= 2 or (n == 0 and self.reader not in splits)),
             "sky_masks": one_of("auto", "none", "files", "estimated"),
             "background_model": one_of(*BACKGROUND_MODELS),
             "cameras": positive_count(3),

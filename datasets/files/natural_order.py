@@ -28,6 +28,12 @@ def last_number(stem: str) -> float | None:
     return float(found[-1]) if found else None
 
 
+def end_numbers(names: Sequence[str]) -> list[int]:
+    """The number that each name ends in, if all end in different ones, else its place, from 0: of cameras."""
+    stated = [int(end[0]) for name in names if (end := re.search(r"[0-9]+$", name))]
+    return stated if len(set(stated)) == len(names) else list(range(len(names)))
+
+
 def starts_again(stems: Sequence[str]) -> bool:
     """Whether the last number of names that differ in numbers alone falls where one before it rises: a fraction of a
     second, as the 07 of IMG_101531_07 after IMG_101530_55."""

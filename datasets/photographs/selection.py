@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from datasets.files.errors import SceneError
+from datasets.files.natural_order import end_numbers
 from datasets.photographs.file_names import stand_still
 from datasets.photographs.photograph import PosedFile
 from datasets.settings import SceneConfig
@@ -81,13 +83,19 @@ def _spread(photographs: Sequence[PosedFile], count: int, group: int | None = No
 
 
 def held_out_names(root: Path, photographs: Sequence[PosedFile], cfg: SceneConfig) -> tuple[set[str], str]:
-    """(names held out, how the split is called in tables)."""
+    """(names held out, how the split is called in tables). SceneError for settings that hold nothing out."""
+    times = len({photograph.time for photograph in photographs})
+    chosen_cameras = cfg.test_every == 0 or list(cfg.test_cameras) != [0]
+    if chosen_cameras and times == 1 and len(_camera_names(photographs)) == 1:
+        photographs = _one_camera_each(photographs)
     cameras = _camera_names(photographs)
+    if chosen_cameras and len(cameras) == 1:
+        key, found = ("every", "0") if cfg.test_every == 0 else ("cameras", f"{list(cfg.test_cameras)}")
+        expected = "at least 2" if cfg.test_every == 0 else "[0]"
+        raise SceneError(f"{root}: scene.test_{key}", f"{expected} for photographs by one camera", found)
     stated = {photograph.name for photograph in photographs if photograph.test}
-    chosen_cameras = len(cameras) > 1 and list(cfg.test_cameras) != [0]
     if stated and len(stated) < len(photographs) and not chosen_cameras:
         return stated, "the layout's test frames"
-    times = len({photograph.time for photograph in photographs})
     rig = times < len(photographs) or stand_still(photographs)
     if (len(cameras) > 2 and rig) or chosen_cameras:
         # 0, the default, is the first camera also where a folder counts from 1.
@@ -98,8 +106,6 @@ def held_out_names(root: Path, photographs: Sequence[PosedFile], cfg: SceneConfi
         names = {photograph.name for photograph in photographs if photograph.group in chosen}
         return names, "camera " + ", ".join(cameras[number] for number in chosen)
     every = cfg.test_every
-    if every == 0:
-        raise SceneError(f"{root}: scene.test_every", "at least 2 for photographs with poses", "0")
     groups = list(cameras)
     held_out = {
         photograph.name
@@ -111,3 +117,9 @@ def held_out_names(root: Path, photographs: Sequence[PosedFile], cfg: SceneConfi
     if not held_out:
         held_out = {photographs[len(photographs) // 2].name}
     return held_out, f"every {ordinal(every)} frame"
+
+
+def _one_camera_each(photographs: Sequence[PosedFile]) -> list[PosedFile]:
+    """Of one instant every photograph is by a camera of its own."""
+    numbers = end_numbers([photograph.path.stem for photograph in photographs])
+    return [replace(p, group=number, folder=p.path.stem) for p, number in zip(photographs, numbers, strict=True)]

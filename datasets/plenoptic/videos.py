@@ -10,7 +10,7 @@ from pathlib import Path
 
 from datasets.files.contents import contents
 from datasets.files.errors import SceneError
-from datasets.files.natural_order import natural_order
+from datasets.files.natural_order import end_numbers, natural_order
 from datasets.plenoptic.sync import drop_advice
 from datasets.video_files.film import Film, open_film
 from rasterizer.cores import thread_count
@@ -77,8 +77,7 @@ def find_footage(root: Path) -> list[VideoFile]:
 
 def numbered(videos: Mapping[str, Path]) -> list[VideoFile]:
     """Cameras by their names, with the number that the name ends in, if all end in different ones, else their place."""
-    stated = [int(end[0]) for name in videos if (end := re.search(r"[0-9]+$", name))]
-    numbers = stated if len(set(stated)) == len(videos) else range(len(videos))
+    numbers = end_numbers(list(videos))
     return [VideoFile(name, number, path) for number, (name, path) in zip(numbers, videos.items(), strict=True)]
 
 
