@@ -68,7 +68,7 @@ def lifetimes_figure(renderer: Renderer) -> Figure:
                   color=LIGHT.lines[1])  # fmt: skip
     axis.set(xscale="log", xlabel="√Σtt, frames", ylabel="Gaussians")
     shown = np.flatnonzero(counts)
-    axis.set_xlim(BIN_EDGES[shown[0]] / 1.2, max(BIN_EDGES[shown[-1] + 1], frames) * 1.2)
+    axis.set_xlim(min(BIN_EDGES[shown[0]], frames) / 1.2, max(BIN_EDGES[shown[-1] + 1], frames) * 1.2)
     axis.grid(color=LIGHT.faint, lw=0.7)
     axis.set_axisbelow(True)
     low, median, high = np.quantile(deviation, (0.05, 0.5, 0.95))

@@ -102,6 +102,7 @@ def test_a_slice_of_another_run_is_beside() -> None:
     assert of_still < of_moving
 
 
+@pytest.mark.filterwarnings("error:constrained_layout")  # what is marked lies outside of the axes
 def test_all_figures_are_drawn_and_described(tmp_path: Path) -> None:
     renderer = of_film()
     figures = list(figures_of(renderer, tmp_path))
