@@ -143,7 +143,7 @@ def canonical_of(scene: Scene) -> Canonical:
 
 
 def along_a_drive(cameras: Sequence[Camera]) -> Canonical:
-    """The spatial part of a driving log: the origin is the middle of the way, half of which is DISTANCE units.
+    """The spatial part of a driving log: the origin is the middle of the way, half of which is DISTANCE / 1.1 units.
 
     Optical axes say nothing here: they are parallel, or those of cameras to the side meet behind the car. Speeds are
     then alike in logs of any length, as times are in [0, 1]. A log of less than twice SHORTEST_DRIVE is not enlarged.

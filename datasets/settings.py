@@ -99,6 +99,8 @@ class SceneConfig:
         require(
             bool(self.validation_every) or not self.validation_outermost, "scene.validation_outermost", outermost, True
         )
+        given = "nothing without scene.sync=given, where it is used"
+        require(not self.offsets or self.sync == "given", "scene.offsets", given, list(self.offsets))
         for key in ("moving_cameras", "color_correction"):  # None is no value of these
             value = getattr(self, key)
             require(value == "auto" or isinstance(value, bool), f"scene.{key}", "auto, true or false", value)

@@ -56,6 +56,8 @@ def main(arguments: list[str]) -> int:
     parser.require(not (options.names and options.in_order), "--in-order", "no --names beside it", options.names)
     typed = shlex.join(["python", "-m", "pipeline.score", *arguments])
     if options.images.is_file():
+        ordered = options.names or options.in_order
+        parser.require(not ordered, "--names or --in-order", "a folder of images", f"the pack {options.images}")
         with opened(options.images) as pack:
             _score_pack(pack, options.keys, method, options.out, typed)
         return 0

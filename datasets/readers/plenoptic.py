@@ -109,6 +109,8 @@ def as_found(cfg: SceneConfig, log: Log) -> SceneConfig:
 
 
 def open_source(cfg: SceneConfig, threads: int, log: Log) -> PosedFootage:
+    if cfg.sync == "given":
+        raise SceneError("scene.sync", "none, as the cameras of this layout are synchronised", "given")
     return open_folder(data_folder(cfg), videos_config(cfg), threads, log)
 
 

@@ -73,7 +73,13 @@ def scene_of_log(log: DrivingLog, cfg: SceneConfig, say: Log = lambda line: None
     Every `test_every`-th frame is held out with all its cameras and its sweep; with `validation_every` every so many
     of the other frames instead.
     """
+    if cfg.background not in ("auto", "black"):
+        raise SceneError("scene.background", "auto or black for a driving log", f"{cfg.background}")
+    if cfg.validation_outermost:
+        raise SceneError("scene.validation_outermost", "false for a driving log, held out by frames", "true")
     images = _selected(log, cfg)
+    if cfg.sky_masks == "files" and not any(image.sky for image in images):
+        raise SceneError(f"{log.source}: scene.sky_masks", "auto, estimated or none for a log without masks", "files")
     frames = sorted({image.frame for image in images})
     train_frames, test_frames, rule = split_frames(frames, cfg.test_every, cfg.validation_every, log)
     used = set(train_frames) | set(test_frames)

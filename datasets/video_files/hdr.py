@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-PQ, HLG = 16, 18  # code points of the transfer functions
+PQ = 16  # code point of the transfer function; that of HLG is 18
 DIFFUSE_WHITE = 203.0  # cd/m² (ITU-R BT.2408)
 PEAK = 1000.0  # cd/m², of HLG's nominal display
 WHITE = PEAK / DIFFUSE_WHITE  # the luminance that becomes white

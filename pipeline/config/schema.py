@@ -98,3 +98,6 @@ class Config:
         require(0 <= self.seed <= MAX_SEED, "seed", f"in 0..{MAX_SEED}", self.seed)
         require(self.backend in ("cpu", "gsplat"), "backend", "cpu or gsplat", self.backend)
         require(self.threads >= 0, "threads", ">= 0 (0: all)", self.threads)
+        other = "other than trajectories under ablation.shared_motion=false"
+        ablated = self.train.motion == "trajectories" and not self.ablation.shared_motion
+        require(not ablated, "train.motion", other, self.train.motion)

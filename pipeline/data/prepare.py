@@ -53,11 +53,15 @@ def prepare(cfg: Config, log: Callable[[str], None]) -> Prepared:
     ValueError for invalid data or settings.
     """
     source = open_source(cfg.scene, threads=cfg.threads, log=log)
-    cfg = replace(cfg, scene=source.cfg)
+    scene_cfg = source.cfg
+    cfg = replace(cfg, scene=scene_cfg)
     points = points_from(cfg, source)
     posed_images = source.poses == "given" and source.points in ("given", "random")
     cloud, folder, found, initial, few = None, None, None, None, None
-    if (points == "sfm" and not posed_images) or source.poses != "given":
+    runs_sfm = (points == "sfm" and not posed_images) or source.poses != "given"
+    if cfg.init.refine_poses and (not runs_sfm or source.points == "lidar"):
+        raise ValueError(f"init.refine_poses: expected false for {source.path}, whose poses are kept, found true")
+    if runs_sfm:
         try:
             cloud, folder, found = structure_from_motion(cfg, source, log)
         except TooFewPoints as error:
@@ -93,9 +97,12 @@ def prepare(cfg: Config, log: Callable[[str], None]) -> Prepared:
         if carved is not None:
             log(f"points: {line}")
             scene = replace(scene, points=carved)
+            if source.cfg.background_model == "sphere":
+                log("scene.background_model: none in place of sphere, which carved points have not")
+                scene_cfg = replace(scene_cfg, background_model="none")
     some_random = points == "random" or (initial is not None and initial.sparse)
     scene = boxed(scene, source.cfg, source.guessed_box and some_random, log)
-    return Prepared(scene, cloud, folder, transform, source.poses == "of every frame", source.cfg, points)
+    return Prepared(scene, cloud, folder, transform, source.poses == "of every frame", scene_cfg, points)
 
 
 def points_from(cfg: Config, source: Source) -> str:

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from pipeline.export.formats import FORMATS, MODEL, write_files
+from pipeline.export.formats import FILM, FORMATS, MODEL, write_files
 from pipeline.export.source import Source, open_source
 from pipeline.terminal.command_line import CommandParser, command, log
 
@@ -32,6 +32,8 @@ def main(arguments: list[str]) -> int:
         parser.require(0 < duration < math.inf, "--duration", "a positive time", f"{duration:g}")
     if (start := options.start) is not None:
         parser.require(math.isfinite(start), "--start", "a finite time", f"{start:g}")
+    frames = any(FORMATS[name].holds not in (MODEL, FILM) for name in options.formats)
+    parser.require(frames or not options.times, "--times", "a format of one moment", ", ".join(options.formats))
     torch.set_num_threads(1)  # many small products, which more threads make slower
     source = open_source(options.model, options.start, options.duration, log)
     folder = options.out or source.folder

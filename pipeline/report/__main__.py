@@ -26,9 +26,12 @@ _EXIT_STATUS = "Exit status: 0, also if some runs can't be read (they are named 
 @command
 def main(arguments: list[str]) -> int:
     """Runs the command and returns its exit status. All files are written before anything is printed."""
-    options = _parser().parse_args(arguments)
+    parser = _parser()
+    options = parser.parse_args(arguments)
     out = options.out or options.runs_dirs[0].resolve().parent / "report"
     if options.site:
+        for name in ("out", "latex", "nerfbaselines"):
+            parser.require(not getattr(options, name), f"--{name}", "no --site beside it", options.site)
         site = build_site(options.runs_dirs, tuple(options.no_pictures), tuple(options.psnr))
         replace_report(options.site, site.files)
         for line in site.warnings:

@@ -80,6 +80,9 @@ def chosen_stages(cfg: Config) -> list[str]:
                 raise ValueError(f"{key}: expected {', '.join(NAMES)}, found {name!r}")
     if wanted and cfg.until:
         raise ValueError(f"until: expected nothing beside only=[{','.join(wanted)}], found {cfg.until!r}")
+    if wanted and not cfg.resume and NAMES[0] not in wanted:
+        listed = ",".join(wanted)
+        raise ValueError(f"resume: expected true beside only=[{listed}], which keeps earlier stages, found false")
     return wanted or list(NAMES[: NAMES.index(cfg.until) + 1] if cfg.until else NAMES)
 
 

@@ -32,6 +32,8 @@ def main(arguments: list[str]) -> int:
     options = parser.parse_args(arguments)
     if options.live:
         parser.require(len(options.runs) == 1, "--live", "one run", len(options.runs))
+        for name in ("out", "data"):
+            parser.require(getattr(options, name) is None, f"--{name}", "no --live beside it", getattr(options, name))
         serve_run(options.runs[0], address_of(options.at, "--at"), log)
         return 0
     out = options.out or (options.runs[0] / FILE_NAME if len(options.runs) == 1 else Path(FILE_NAME))

@@ -20,6 +20,7 @@ from pipeline.figures.__main__ import main as figures
 from pipeline.model.ply import load_ply, save_ply
 from pipeline.model.transformed import in_canonical
 from pipeline.render import main as render
+from pipeline.report.__main__ import main as report
 from pipeline.training.checkpoint import load_model
 from pipeline.view.__main__ import main as view
 
@@ -172,6 +173,9 @@ def test_frames_of_an_earlier_export_do_not_stay(run: Path, tmp_path: Path) -> N
         (export, ["ply", "--times", "abc"], "expected times such as 0,0.5,1, found abc"),
         (render, ["--times", "abc"], "expected times such as 0.5, 0:1 or 0,0.5,1, found abc"),
         (render, ["--frames", "0"], "--frames: expected at least 1, found 0"),
+        (export, ["pth", "--times", "0"], "--times: expected a format of one moment, found pth"),
+        (view, ["--live", "--out", "x.html"], "--out: expected no --live beside it, found x.html"),
+        (report, ["--site", "x", "--latex"], "--latex: expected no --site beside it, found x"),
         (render, ["--frames", "3", "--path", "p.json"], "--frames: expected --path orbit, found --path p.json"),
     ],
 )

@@ -53,9 +53,14 @@ def test_frames_and_cameras_are_selected(tmp_path: Path) -> None:
     ).scene()
     assert frames(scene.train + scene.test) == [2, 3, 4, 5, 6] and frames(scene.test) == [6]
     assert {view.name for view in scene.test} == {"test/cam3_000006"}
-    for key, wrong in (("log_cameras", [1]), ("first_frame", 50), ("test_every", 10), ("validation_every", 30)):
+    for key, wrong in (
+        ("log_cameras", [1]), ("first_frame", 50), ("test_every", 10), ("validation_every", 30),
+        ("background", "white"), ("sky_masks", "files"),
+    ):  # fmt: skip
         with pytest.raises(SceneError, match=f"scene.{key}: expected"):
             open_source(config(folder, **{key: wrong}), log=str).scene()
+    with pytest.raises(SceneError, match="scene.validation_outermost: expected false for a driving log"):
+        open_source(config(folder, validation_every=4, validation_outermost=True), log=str).scene()
 
 
 def test_cameras_that_are_triggered_one_after_another_are_several(tmp_path: Path) -> None:

@@ -138,6 +138,7 @@ def test_the_command_line_wins_over_every_file() -> None:
         ("train.mse_weight=nan", "train.mse_weight: expected >= 0, found nan"),
         ("train.optimiser=best", "train.optimiser: expected adam or sparse_adam, found 'best'"),
         ("train.resolution_steps=[{until: 2}]", "train.resolution_steps.until: expected in (0, 1], found 2.0"),
+        ("scene.offsets=[0,1]", "scene.offsets: expected nothing without scene.sync=given, where it is used, found"),
         ("train.densify.space_gradient=0", "train.densify.space_gradient: expected > 0, found 0.0"),
         ("train.lr.decay_iterations=0", "train.lr.decay_iterations: expected at least 1, found 0"),
         ("train.lr.factor=-1", "train.lr.factor: expected >= 0, found -1.0"),
@@ -163,6 +164,11 @@ def test_the_command_line_wins_over_every_file() -> None:
 def test_mistakes_are_named_in_one_line(override: str, expected: str) -> None:
     scene = [] if override.startswith("scene=") else ["scene=dnerf"]
     assert complaint(*scene, override).startswith(expected)
+
+
+def test_an_ablated_part_is_not_trained_under_the_name_of_its_ablation() -> None:
+    line = complaint("scene=dnerf", "ablation=no_shared_motion", "train.motion=trajectories")
+    assert line.startswith("train.motion: expected other than trajectories under ablation.shared_motion=false")
 
 
 def test_no_scene() -> None:

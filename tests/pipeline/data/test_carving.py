@@ -199,7 +199,7 @@ def test_one_moving_camera_is_no_rig() -> None:
     assert points is None and why == "each time is seen from one place"
 
 
-def prepared(folder: Path, source: str, log: list[str]) -> Prepared:
+def prepared(folder: Path, source: str, log: list[str], background_model: str = "none") -> Prepared:
     """Of the films as videos with a calibration."""
     tables = []
     for number, film in enumerate(films()):
@@ -213,7 +213,7 @@ def prepared(folder: Path, source: str, log: list[str]) -> Prepared:
     (folder / "rig.toml").write_text("".join(tables))
     scene = SceneConfig(
         name="rig", reader="video", path=str(folder), calibration=str(folder / "rig.toml"), downscale=1,
-        cache=str(folder / "cache"),
+        cache=str(folder / "cache"), background_model=background_model,
     )  # fmt: skip
     return prepare(Config(scene=scene, init=InitConfig(source=source), threads=1), log.append)
 
@@ -232,6 +232,8 @@ def test_a_run_carves_where_structure_from_motion_finds_too_few(
     assert any("carved from 4 cameras" in line for line in lines)
     with pytest.raises(TooFewPoints, match="found 0"):
         prepared(tmp_path, "sfm", lines)
+    alone = prepared(tmp_path, "auto", lines, background_model="sphere")
+    assert alone.settings.background_model == "none" and any("none in place of sphere" in line for line in lines)
 
 
 def test_gaussians_last_as_long_as_their_points() -> None:

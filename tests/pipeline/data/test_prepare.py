@@ -76,6 +76,11 @@ def test_refined_poses_replace_training_poses(folder: Path) -> None:
         )
 
 
+def test_poses_that_nothing_refines_are_said_to_be_kept(folder: Path) -> None:
+    with pytest.raises(ValueError, match=r"init.refine_poses: expected false for .*, whose poses are kept, found true"):
+        prepared(folder, source="random", refine_poses=True)
+
+
 def test_result_is_in_canonical_coordinates(folder: Path) -> None:
     data = prepared(folder)
     assert not data.canonical.is_identity  # the rig is at distance 3

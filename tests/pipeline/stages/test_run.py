@@ -108,6 +108,10 @@ def test_other_data_are_refused(finished: Path, monkeypatch: pytest.MonkeyPatch)
         ({"until": "training"}, "until: expected prepare, settle, init, train, evaluate, page, found 'training'"),
         ({"only": ["train", "sfm"]}, "only: expected prepare, settle, init, train, evaluate, page, found 'sfm'"),
         ({"only": "train", "until": "init"}, "until: expected nothing beside only=[train], found 'init'"),
+        (
+            {"only": ["evaluate"], "resume": False},  # which would delete the checkpoint
+            "resume: expected true beside only=[evaluate], which keeps earlier stages, found false",
+        ),
     ],
 )
 def test_stages_that_do_not_exist_are_refused(keys: dict, error: str) -> None:
