@@ -66,6 +66,8 @@ def decide(command: Command, data: Prepared, log: Callable[[str], None]) -> dict
     cfg, scene = for_scene(command, data), data.scene
     decided: dict[str, Any] = {}
     compared: dict[str, Any] = {}
+    if cfg.train.time_budget_s is not None and (cfg.train.select or cfg.scene.may_be_static):
+        log("settle: nothing is compared, as all of train.time_budget_s is for the schedule")
     if time_is_open(cfg, scene):
         found = compare_time(cfg, scene, data.cloud, log)
         decided["static"] = found.decidable and not found.beyond_chance

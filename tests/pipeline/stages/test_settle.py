@@ -12,7 +12,7 @@ from datasets.scene import Scene
 from pipeline.config.compose import Command
 from pipeline.data.prepare import Prepared
 from pipeline.runs.run_identity import flat
-from pipeline.stages.settle import changes, for_scene, scaling, schedule_kind
+from pipeline.stages.settle import changes, decide, for_scene, scaling, schedule_kind
 
 WHEEL = ("scene=synthetic/wheel", "train=fast")
 MOVING, STATIC = tiny_scene(), tiny_scene(static=True)
@@ -121,3 +121,10 @@ def test_what_was_scaled_is_said_in_a_line_and_is_no_change_of_the_command() -> 
     assert "train.densify.stop=350" in line and "orders_at" not in line
     assert changes(command, MOVING) == {"train.iterations": 500, "train.orders_at": [1, 2, 3, 7, 8]}
     assert scaling(Command(WHEEL), MOVING, {}) is None
+
+
+def test_a_time_budget_says_that_nothing_is_compared() -> None:
+    lines: list[str] = []
+    found = decide(Command((*WHEEL, "train.time_budget_s=9")), Prepared(MOVING, None, None), lines.append)
+    assert found == {"decided": {}, "compared": {}, "seconds": 0, "cpu_seconds": 0}
+    assert lines == ["settle: nothing is compared, as all of train.time_budget_s is for the schedule"]
