@@ -10,7 +10,7 @@ import os
 import runpy
 import sys
 
-COMMANDS = ("evaluate", "export", "figures", "render", "report", "view")
+COMMANDS = ("evaluate", "export", "figures", "pack", "render", "report", "score", "validate", "view")
 
 
 def main() -> None:

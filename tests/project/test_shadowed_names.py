@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 from project_file import PYPROJECT, ROOT
 
+from gaussians_4d.__main__ import COMMANDS
+
 THEIRS = "raise SystemExit('theirs')\n"
 
 
@@ -46,6 +48,14 @@ def test_a_pipeline_of_theirs_does_not_hide_the_commands_by_their_own_name(folde
     status, out, _ = run(folder, "-m", "gaussians_4d", "render", "--help")
     assert status == 0 and "Renders a run along a path" in out
     assert run(folder, "-m", "gaussians_4d", "scene=nothing")[2].startswith("error: scene=nothing: no such option")
+
+
+def test_every_command_has_its_own_name() -> None:
+    files = [file for pattern in ("*.py", "*/__main__.py") for file in (ROOT / "pipeline").glob(pattern)]
+    found = {
+        (file.parent if file.stem == "__main__" else file).stem for file in files if "\n@command\n" in file.read_text()
+    }
+    assert found == set(COMMANDS)
 
 
 def test_the_console_script_is_that(folder: Path) -> None:
