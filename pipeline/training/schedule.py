@@ -49,6 +49,20 @@ def clock_at(iteration: int, train_seconds: float, cfg: TrainConfig) -> float:
     return max(float(iteration), cfg.iterations * min(1.0, train_seconds / cfg.time_budget_s))
 
 
+@dataclass
+class Passing:
+    """Whether the clock passes `start`: in one iteration, though with a time budget it leaves values out."""
+
+    start: int
+    _before: float | None = None  # the clock of the iteration before; None: this process has made none
+
+    def now(self, iteration: int, clock: float) -> bool:
+        """To be asked in every iteration."""
+        before = iteration - 1 if self._before is None else self._before
+        self._before = clock
+        return before < self.start <= clock
+
+
 def early_evaluations(every: int) -> list[int]:
     """Iterations before `every` at which held-out views are evaluated too: 1/2, 1/4, 1/8 and 1/16 of it, from
     FIRST_EVALUATION on.

@@ -17,7 +17,7 @@ from datasets.scene import Scene
 from pipeline.config.schema import Config
 from pipeline.model.model import CPU, Model
 from pipeline.training.density.tracks import Bandwidths, Particles, Track, find_tracks
-from pipeline.training.schedule import Phase
+from pipeline.training.schedule import Passing, Phase
 from pipeline.training.state import TrainState
 from rasterizer.trajectories import MAX_INTERVALS, Trajectories, level_intervals
 
@@ -38,15 +38,15 @@ class TrackLinking:
 
     def __init__(self, scene: Scene, cfg: Config) -> None:
         self._scene = scene
-        self._start = round(START * cfg.train.iterations)
+        self._start = Passing(round(START * cfg.train.iterations))
 
     def due(self, iteration: int, clock: float) -> bool:
-        return iteration == self._start
+        return self._start.now(iteration, clock)
 
     def apply(self, state: TrainState, phase: Phase) -> dict[str, int]:
         device, model = state.model.device, state.model.to(CPU)
         times = np.array(sorted({view.time for view in self._scene.train}))
-        if model.kind.motion != "velocity" or len(times) < 2:
+        if model.kind.motion != "velocity" or model.kind.trajectories or len(times) < 2:
             return {"tracks": 0, "linked": 0}
         rows, particles, bandwidths = brief_particles(model, self._scene.duration)
         tracks = find_tracks(particles, times, bandwidths, MOST_TRACKS) if len(rows) else []

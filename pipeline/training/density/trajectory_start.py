@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from pipeline.config.random_streams import Stream, stream
 from pipeline.config.schema import Config
 from pipeline.model.model import Model
-from pipeline.training.schedule import Phase
+from pipeline.training.schedule import Passing, Phase
 from pipeline.training.state import TrainState
 
 START = 0.08  # of the iterations
@@ -32,14 +32,14 @@ class TrajectoryStart:
     event = "start_trajectories"
 
     def __init__(self, cfg: Config) -> None:
-        self._start, self._seed = math.ceil(START * cfg.train.iterations), cfg.seed
+        self._start, self._seed = Passing(math.ceil(START * cfg.train.iterations)), cfg.seed
 
     def due(self, iteration: int, clock: float) -> bool:
-        return iteration == self._start
+        return self._start.now(iteration, clock)
 
     def apply(self, state: TrainState, phase: Phase) -> dict[str, int]:
         model, rng = state.model, stream(self._seed, Stream.TRAJECTORIES)
-        if model.trajectories is None:
+        if model.trajectories is None or model.parameters["weights"].any():
             return {}
         points = opaque_points(model, rng)
         anchors = points[farthest_points(points, len(model.trajectories), rng)]

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from pipeline.config.train_schema import LearningRates, ResolutionStep, TrainConfig
-from pipeline.training.schedule import clock_at, is_evaluated, learning_rates, phase, shortened
+from pipeline.training.schedule import Passing, clock_at, is_evaluated, learning_rates, phase, shortened
 
 EXTENT = 4.4
 
@@ -101,6 +101,17 @@ def test_the_clock_is_the_iteration_unless_the_time_budget_ends_first() -> None:
     assert clock_at(100, 3, cfg) == 100.0, "ahead of its budget"
     assert clock_at(100, 30, cfg) == 500.0, "half of the budget is half of the schedule"
     assert clock_at(100, 90, cfg) == 1000.0
+
+
+def test_a_part_starts_once_though_the_clock_jumps() -> None:
+    with_a_budget = Passing(400)
+    assert [with_a_budget.now(i, clock) for i, clock in ((1, 90.0), (2, 399.0), (3, 520.0), (4, 700.0))].index(
+        True
+    ) == 2
+    every_iteration = Passing(400)
+    assert [i for i in range(1, 1001) if every_iteration.now(i, float(i))] == [400]
+    assert Passing(400).now(400, 400.0), "a run that continues after iteration 399"
+    assert not Passing(400).now(401, 401.0)
 
 
 @pytest.mark.parametrize("now", [1, 99, 1000, 3000, 4200, 5001, 12_000, 29_990])
