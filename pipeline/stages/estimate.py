@@ -37,9 +37,9 @@ from rasterizer.camera import Camera
 from rasterizer.cores import thread_count
 
 # float32 values per Gaussian of the full model in training: parameters, Adam's two moments and the best model so far,
-# stored gradients (17) and statistics (7); for each view of a batch the gradient of the colour (9) and its state (40).
+# stored gradients (17) and statistics (6); for each view of a batch the gradient of the colour (9) and its state (40).
 PARAMETERS = 161
-FLOATS_PER_GAUSSIAN, FLOATS_PER_VIEW = PARAMETERS * 4 + 17 + 7, 9 + 40
+FLOATS_PER_GAUSSIAN, FLOATS_PER_VIEW = PARAMETERS * 4 + 17 + 6, 9 + 40
 CHECKPOINT_FLOATS = PARAMETERS * 4 + 4  # parameters, moments, best model; statistics
 # Gaussians that blend into a pixel, in trained models: 45, 43 and 34 on ZJU-MoCap, counter and street; 6 to 14 on hook,
 # lego, wheel, burst, lamp and still, whose objects are before a plain background.
