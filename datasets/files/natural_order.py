@@ -29,7 +29,7 @@ def last_number(stem: str) -> float | None:
 
 
 def end_numbers(names: Sequence[str]) -> list[int]:
-    """The number that each name ends in, if all end in different ones, else its place, from 0: of cameras."""
+    """Numbers of cameras: those that their names end in, if all do and differ, else their places, from 0."""
     stated = [int(end[0]) for name in names if (end := re.search(r"[0-9]+$", name))]
     return stated if len(set(stated)) == len(names) else list(range(len(names)))
 
