@@ -14,7 +14,7 @@ import numpy as np
 from PIL import Image
 
 from datasets.cameras.lens import Undistortion
-from datasets.composition import BLACK, compose, reduced_camera
+from datasets.composition import BLACK, background_color, compose, reduced_camera
 from datasets.files.errors import SceneError
 from datasets.ground_truth import StoredTruth, any_moving
 from datasets.photographs.photograph import PosedFile
@@ -73,7 +73,7 @@ def scene_of_log(log: DrivingLog, cfg: SceneConfig, say: Log = lambda line: None
     Every `test_every`-th frame is held out with all its cameras and its sweep; with `validation_every` every so many
     of the other frames instead.
     """
-    if cfg.background not in ("auto", "black"):
+    if background_color(cfg.background) not in (None, BLACK):
         raise SceneError("scene.background", "auto or black for a driving log", f"{cfg.background}")
     if cfg.validation_outermost:
         raise SceneError("scene.validation_outermost", "false for a driving log, held out by frames", "true")

@@ -9,6 +9,7 @@ import kitti_folder as k
 import numpy as np
 import pytest
 
+from datasets.composition import BLACK
 from datasets.files.errors import SceneError
 from datasets.readers.kitti import open_kitti
 from datasets.scene import Sweep
@@ -59,6 +60,7 @@ def test_frames_and_cameras_are_selected(tmp_path: Path) -> None:
     ):  # fmt: skip
         with pytest.raises(SceneError, match=f"scene.{key}: expected"):
             open_source(config(folder, **{key: wrong}), log=str).scene()
+    assert open_source(config(folder, background=[0.0, 0.0, 0.0]), log=str).scene().background == BLACK, "of a run"
     with pytest.raises(SceneError, match="scene.validation_outermost: expected false for a driving log"):
         open_source(config(folder, validation_every=4, validation_outermost=True), log=str).scene()
 
